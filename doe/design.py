@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
@@ -10,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from doe.bounds.best_known import best_known_bound
-from doe.bounds.bound import Bound
-from doe.bounds.equivalence import CERTIFIED, without_rounding
+from doe.bounds.best_known import best_known_bound, bound_that_holds
+from doe.bounds.bound import NUMERICAL, PROVEN, Bound, postures_in_words
+from doe.bounds.equivalence import CERTIFIED
 from doe.bounds.planar_theorem import is_planar, table_1_max_residual
 from doe.criteria import D
 from doe.plan.expected_accuracy import (
@@ -30,11 +31,13 @@ from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import identifiability
+from identification.kinematics.parameters import PRISMATIC
 from identification.kinematics.turns import TURN, turned_into
 from identification.status import Status
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
 SAME = 1e-9  # relative difference of Jacobians that counts as none
+BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
 
 
 @dataclass(frozen=True)
@@ -63,11 +66,12 @@ class Design:
     @cached_property
     def value(self) -> float:
         """Criterion value, -inf if the plan cannot identify all parameters."""
-        return float(self.problem.criterion.value(self.information)) if self.identifies_all else -np.inf
+        return float(self.problem.criterion.value(self.information))
 
     @cached_property
     def identifies_all(self) -> bool:
-        """True if every parameter is estimable, decided by rank as in `identify`: rounding can hide det M = 0."""
+        """True if every parameter is estimable, decided by the singular values as in `identify`; where the smallest is
+        below about 1e-7 of the largest, M cannot tell it from none, and `value` is -inf all the same."""
         return plan_spectrum(self.problem, self.plan.postures, self.plan.weights).rank == self.problem.parameters
 
     @cached_property
@@ -95,22 +99,41 @@ class Design:
     @cached_property
     def log_det(self) -> float:
         """log det M' (doe/README.md, "Information matrix"), whatever the criterion."""
-        return float(D().value(self.information)) if self.identifies_all else -np.inf
+        return float(D().value(self.information))
 
     @cached_property
     def efficiency(self) -> float | None:
-        """Fraction 0..1 of the runs that a plan at the bound would need, above 1 if that is none; None without one."""
+        """Fraction 0..1 of the runs that a plan at the bound would need; None where there is `no_efficiency`."""
+        return None if self.bound is None or self.no_efficiency else min(self._share_of(self.bound), 1.0)
+
+    @cached_property
+    def no_efficiency(self) -> str | None:
+        """Why there is no efficiency; None where there is one."""
+        if self.outside:
+            are = f"run {self.outside[0]} is" if len(self.outside) == 1 else f"{len(self.outside)} runs are"
+            return f"{are} outside joint limits or constraints, where no bound applies"
         if self.bound is None:
-            return None
-        return without_rounding(
-            self.problem.criterion.efficiency(self.value, self.bound.value, self.problem.parameters)
-        )
+            return "no bound is known"
+        if self._share_of(self.bound) > 2.0 - CERTIFIED:
+            return f"the plan is better than the bound ({self.bound}), which is therefore none"
+        return None
+
+    def _share_of(self, bound: Bound) -> float:
+        """Efficiency by a bound; above 1 by rounding, or where the search for it has missed something."""
+        return self.problem.criterion.efficiency(self.value, bound.value, self.problem.parameters)
 
     @property
     def certified_optimal(self) -> bool:
         """True if the plan is allowed and none that is can be better by more than 1e-6 of efficiency."""
-        efficiency = np.nan if self.efficiency is None else self.efficiency
-        return bool(np.isfinite(efficiency) and efficiency >= CERTIFIED and not self.outside)
+        return self.efficiency is not None and self.efficiency >= CERTIFIED
+
+    @property
+    def optimality(self) -> str | None:
+        """What `certified_optimal` rests on: `proven`, a theorem, or `numerical`, a search for the bound; `best known`
+        for another plan that a solver chose; None for one that was given."""
+        if self.certified_optimal:
+            return PROVEN if self.bound is not None and self.bound.rigorous else NUMERICAL
+        return None if self.solver is None else BEST_KNOWN
 
     @cached_property
     def table_1_max_residual(self) -> float | None:
@@ -152,10 +175,13 @@ class Design:
             "log_det": _number(self.log_det),
             "bound": None if self.bound is None else self.bound.as_dict(),
             "efficiency": _number(self.efficiency),
+            "no_efficiency": self.no_efficiency,
             "certified_optimal": self.certified_optimal,
+            "optimality": self.optimality,
             "not_identifiable": [] if self.identifies_all else list(self.not_identifiable),
             "outside_limits": list(self.outside),
             **postures_json(self.plan),
+            "fit": self.plan.fit or None,
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": _deviations_json(self.deviations),
             "expected_error_mm": self.expected_error,
@@ -167,8 +193,9 @@ class Design:
         }
 
     def __str__(self) -> str:
-        efficiency = "no bound known" if self.efficiency is None else f"efficiency {self.efficiency:.6f}"
-        optimal = ", certified optimal" if self.certified_optimal else ""
+        efficiency = self.no_efficiency or f"efficiency {self.efficiency:.6f}"
+        words = optimality_in_words(self.optimality, None if self.bound is None else self.bound.as_dict())
+        optimal = f", {words}" if self.certified_optimal else ""
         value = round(self.value, 12) + 0.0  # no -1e-16
         return (
             f"{len(self.plan)} runs of a {self.plan.links}-link arm, {self.problem.criterion.name} = {value:.8g} "
@@ -181,19 +208,35 @@ class Design:
         return self.plan.to_html(self, "run", map(str, range(1, len(self.plan) + 1)))
 
 
+def optimality_in_words(optimality: str | None, bound: Mapping[str, Any] | None) -> str:
+    """`proven optimal`, `optimal up to a numerical bound`, `best known`, each of a list where the bound is; or empty.
+
+    bound : as in JSON
+    """
+    among = "" if bound is None or bound["source"] != "grid" else f" among {postures_in_words(bound)}"
+    numerical = f"optimal{among} up to a numerical bound"
+    return {PROVEN: f"proven optimal{among}", NUMERICAL: numerical, BEST_KNOWN: BEST_KNOWN}.get(optimality or "", "")
+
+
 def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:
     """Any plan as a `Design`, judged against `bound` if one is given; knows no solver."""
     return Design(problem, given_plan(problem, plan), bound)
 
 
 def score_plan(problem: DesignProblem, plan: Plan | ArrayLike, *, seconds: float | None = None) -> Design:
-    """Any plan, judged against the best bound that is known. Raises `InputError` for one that does not fit.
+    """Any plan, judged against the best bound that is known; outside limits and constraints none applies, and none is
+    looked for. Raises `InputError` for a plan that does not fit.
 
     seconds : for the bound; cut by them it holds all the same
     """
-    given = given_plan(problem, plan)
-    end = np.inf if seconds is None else perf_counter() + seconds
-    return score(problem, given, best_known_bound(problem, len(given), lambda: perf_counter() > end))
+    found = score(problem, given_plan(problem, plan))
+    if found.outside:
+        return found
+    end, runs = np.inf if seconds is None else perf_counter() + seconds, len(found.plan)
+    bound = best_known_bound(problem, runs, lambda: perf_counter() > end)
+    return replace(
+        found, bound=bound_that_holds(problem, bound, found.plan.postures, found.value, lambda: perf_counter() > end)
+    )
 
 
 def given_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Plan:
@@ -216,7 +259,7 @@ def _number(value: float | None) -> float | None:
 
 def postures_json(plan: Plan) -> dict[str, Any]:
     """`postures_deg`, or `postures` with `joint_units` where a joint is prismatic."""
-    if not plan.joint_types:
+    if PRISMATIC not in plan.joint_types:
         return {"postures_deg": plan.displayed.tolist()}
     return {"postures": plan.displayed.tolist(), "joint_units": list(plan.units)}
 

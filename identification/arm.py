@@ -18,6 +18,7 @@ from identification.arrays import Array, ByValue, readonly
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.html_tables import html_lines, html_table
+from identification.kinematics.counting import Counting, JointKinds, check_kinds
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
     LENGTH_ERROR,
@@ -26,10 +27,10 @@ from identification.kinematics.parameters import (
     chain_parameters,
     of_effects,
 )
+from identification.workspace import ColumnLimits, WorkspaceConstraint
 
 if TYPE_CHECKING:
     from identification.kinematics.spatial import SpatialChain
-    from identification.workspace import WorkspaceConstraint
 
 MAX_LINKS = 12
 # what files may say: beyond these, squares overflow and sines of angles are noise
@@ -164,6 +165,7 @@ class Arm(ByValue):
     gear_ratios : (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
     chain : the geometry in space, None: a planar arm
     machining : what that geometry may be off by
+    counting : how the controller counts the joints, whose columns, commands and limits files have; None: as the model
     """
 
     lengths: Array
@@ -178,6 +180,7 @@ class Arm(ByValue):
     gear_ratios: Array | None = None
     chain: SpatialChain | None = None
     machining: Machining = Machining()
+    counting: Counting | None = None
 
     @classmethod
     def of_chain(cls, chain: SpatialChain, **options: Any) -> Arm:
@@ -205,6 +208,8 @@ class Arm(ByValue):
         _require(self.chain is not None or not hanging, "payload_at: found for a planar arm, allowed: in space")
         for field_name, value in (("lengths", lengths), ("lower", lower), ("upper", upper), ("gear_ratios", ratios)):
             object.__setattr__(self, field_name, value)
+        if self.counting is not None:
+            check_kinds(self.counting, self.joint_types)
 
     @property
     def links(self) -> int:
@@ -217,9 +222,23 @@ class Arm(ByValue):
         return 2 if self.chain is None else 3
 
     @property
-    def joint_types(self) -> tuple[str, ...]:
-        """(n) `revolute` or `prismatic`."""
-        return (REVOLUTE,) * self.links if self.chain is None else self.chain.joint_types
+    def joint_types(self) -> JointKinds:
+        """(n) `revolute` or `prismatic`, with how the controller counts them."""
+        kinds = (REVOLUTE,) * self.links if self.chain is None else self.chain.joint_types
+        return JointKinds(kinds, self.counting)
+
+    @property
+    def column_limits(self) -> tuple[Array, Array]:
+        """(n,) lower and upper limits of what the controller shows [rad, mm]; NaN of joints that it counts together
+        with others and for which there are no `ColumnLimits`."""
+        if (counting := self.counting) is None:
+            return self.lower, self.upper
+        limits = np.sort(counting.columns(np.stack([self.lower, self.upper])), axis=0)
+        limits[:, list(counting.coupled)] = np.nan
+        for tied in (each for each in self.constraints if isinstance(each, ColumnLimits)):
+            j = tied.joint - 1
+            limits[:, j] = np.sort(counting.sign[j] * np.array([tied.lower, tied.upper]) + counting.zero[j])
+        return limits[0], limits[1]
 
     @property
     def measures_distances(self) -> bool:

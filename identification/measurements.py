@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import MAX_LINKS, Arm
 from identification.arrays import Array, ByValue
@@ -38,6 +38,7 @@ __all__ = [
 # [rad] repeats of one posture agree to some thousandths or hundredths of a degree, as the encoders were read. Within
 # this, 0.1 / 202, a wave of 202 periods per turn (two per turn of a gear of 1:101) changes by a tenth of its amplitude.
 SAME_POSTURE = 5e-4
+SCAN = 3.0 * SAME_POSTURE  # [rad] rows that are linked over more than this come from a joint that moves on slowly
 
 
 POINT = slice(3)  # the coordinates of a residual that are those of a point, in a plane, in space and of a pose
@@ -51,6 +52,13 @@ def rms_distance(residuals: Array) -> float:
 def distances(residuals: Array) -> Array:
     """(m,) distances [mm] of (m, d) residuals: of poses, d = 6, those of the points."""
     return np.asarray(np.linalg.norm(residuals[:, POINT], axis=1))
+
+
+def repeats_of(postures: NDArray[np.int64], marker: ArrayLike | None, session: ArrayLike | None) -> NDArray[np.int64]:
+    """(m,) equal numbers for rows of equal posture (m,), marker and session: reflectors of one posture are no repeats,
+    since what the model leaves of each is another error."""
+    columns = [np.asarray(numbers) for numbers in (postures, marker, session) if numbers is not None]
+    return np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +80,7 @@ class Measurements(ByValue):
     commanded : (m, n) what was asked for where `postures` are as read; None: not given
     reference : temperature [deg C] that those of the rows count from; None: their mean
     orientations : (m, 3, 3) measured axes of the tool in space, by columns; None: not measured
+    fit : how the plan asks to be fitted, as options of `armcal identify`, such as `library-prior`; empty: it does not
     past : (m, n, 12) what each joint remembers of the rows before; None: it follows from the order
 
     Raises `InputError` for no rows, other shapes (nothing is broadcast), and values that no measurement can have.
@@ -94,6 +103,7 @@ class Measurements(ByValue):
     commanded: Array | None = None
     gaps: Array | None = None
     reference: float | None = None
+    fit: str = ""
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
@@ -208,22 +218,45 @@ class Measurements(ByValue):
         order = np.arange(len(self), dtype=float) if self.order is None else self.order
         return np.concatenate([rows[np.argsort(order[rows], kind="stable")] for rows in self.session_rows])
 
-    @property
+    @cached_property
     def posture_numbers(self) -> NDArray[np.int64]:
-        """(m,) number of each row's posture, 0, 1, ...; rows of one number are repeats.
+        """(m,) number of each row's posture, 0, 1, ...: rows of one posture, of whatever marker, share its errors.
 
-        As the column `posture` says; without it, rows whose angles all lie within `SAME_POSTURE` of the first of them.
+        As the column `posture` says; without it, rows whose angles are linked by differences of up to `SAME_POSTURE`
+        and all lie within `SCAN`; of a scan, farther, only rows of equal angles.
         """
         if self.repeats is not None:
             return np.unique(self.repeats, return_inverse=True)[1]
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
         from scipy.spatial import KDTree
 
-        numbers = np.full(len(self), -1)
-        for row, others in enumerate(KDTree(self.postures).query_ball_point(self.postures, SAME_POSTURE, p=np.inf)):
-            if numbers[row] < 0:
-                alike = np.array(others)
-                numbers[alike[numbers[alike] < 0]] = numbers.max() + 1
-        return numbers
+        q, numbers = np.unique(self.postures, axis=0, return_inverse=True)
+        pairs = KDTree(q).query_pairs(SAME_POSTURE, p=np.inf, output_type="ndarray").T
+        linked = coo_array((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(q), len(q)))
+        count, groups = connected_components(linked, directed=False)
+        low, high = np.full((2, count, self.links), [[[np.inf]], [[-np.inf]]])
+        np.minimum.at(low, groups, q)
+        np.maximum.at(high, groups, q)
+        scanned = np.max(high - low, axis=1)[groups] > SCAN
+        groups = np.where(scanned, count + np.arange(len(q)), groups)[numbers.ravel()]
+        _, first, numbers = np.unique(groups, return_index=True, return_inverse=True)
+        return np.argsort(np.argsort(first))[numbers]  # in the order of the rows
+
+    @property
+    def repeat_numbers(self) -> NDArray[np.int64]:
+        """(m,) equal numbers mark repeats: rows of one posture, marker and session, which noise alone tells apart."""
+        return repeats_of(self.posture_numbers, self.marker_numbers, self._session_numbers)
+
+    @cached_property
+    def originals(self) -> NDArray[np.int64]:
+        """(m,) number of the first row of equal angles, position, orientation, marker and session, to the last digit:
+        of a copied row another number than its own."""
+        numbers = (self.marker_numbers, self._session_numbers, self.orientations)
+        more = [np.reshape(column, (len(self), -1)) for column in numbers if column is not None]
+        rows = np.column_stack([self.postures, self.positions, *more])
+        _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        return np.asarray(first[number.ravel()])
 
     @property
     def conditions(self) -> Conditions:

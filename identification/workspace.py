@@ -52,7 +52,20 @@ class LineOfSight:
     acceptance: float = float(np.pi / 2.0)
 
 
-WorkspaceConstraint = WorkspaceBox | KeepOutCircle | KeepOutCylinder | LineOfSight
+@dataclass(frozen=True)
+class ColumnLimits:
+    """A controller's limits of a joint that it counts together with others (`Counting`): of a sum of joint angles.
+
+    joint : from 1;  coefficients : (n) of the joints in the sum;  lower, upper : of the sum [rad, mm]
+    """
+
+    joint: int
+    coefficients: tuple[float, ...]
+    lower: float
+    upper: float
+
+
+WorkspaceConstraint = ColumnLimits | WorkspaceBox | KeepOutCircle | KeepOutCylinder | LineOfSight
 
 
 class PostureCondition(Protocol):

@@ -39,6 +39,7 @@ LAYERS = {
     "identification.files.arm_schema": 2,
     "identification.files.arm_schema_spatial": 2,
     "identification.files.arm_effects": 2,
+    "identification.files.joint_counting": 2,
     "identification.files.arm_spatial": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names
     "identification.files.arm_text": 2,

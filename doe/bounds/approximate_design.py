@@ -18,6 +18,7 @@ from doe.plan.plan import Plan
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
+from identification.kinematics.parameters import PRISMATIC
 from identification.status import Status
 
 ROUNDED = 1e-8  # gap below zero that says more of rounding than of the weights; a bound to 1e-6 is still one
@@ -33,6 +34,7 @@ class ApproximateDesign:
     bound : no design of the space is better; None where the solver's status is not `converged`
     efficiency_lower_bound : fraction 0..1 of an optimum that the weights reach at least, recomputed from them alone
     status : how the solver ended;  solver_status : as the solver names it;  candidates : how many, None: continuous
+    dual : (p, p) the gradient that the certificate rests on, None: the criterion's own, see `SparseDesign`
     """
 
     plan: Plan
@@ -47,13 +49,14 @@ class ApproximateDesign:
     solver: str
     candidates: int | None
     seconds: float
+    dual: Array | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `relax` (identification/files/README.md, "JSON keys"); angles in degrees.
 
         Where a joint is prismatic, `posture` and `joint_units` stand for `posture_deg`.
         """
-        key = "posture" if self.plan.joint_types else "posture_deg"
+        key = "posture" if PRISMATIC in self.plan.joint_types else "posture_deg"
         return {
             "candidates": self.candidates,
             "criterion": self.criterion,
@@ -66,7 +69,7 @@ class ApproximateDesign:
                 {key: posture, "weight": weight}
                 for posture, weight in zip(self.plan.displayed.tolist(), self.plan.shares.tolist(), strict=True)
             ],
-            **({"joint_units": list(self.plan.units)} if self.plan.joint_types else {}),
+            **({"joint_units": list(self.plan.units)} if PRISMATIC in self.plan.joint_types else {}),
             "solver": self.solver,
             "status": self.status.name,
             "solver_status": self.solver_status,
@@ -156,11 +159,12 @@ def certified_design(
         proven.value,
         float(D().value(found.information)),
         proven.gap,
-        Bound(proven.bound, source, rigorous, cut) if cut or status is Status.converged else None,
+        Bound(proven.bound, source, rigorous, cut, candidates) if cut or status is Status.converged else None,
         proven.efficiency,
         status,
         solver_status,
         solver,
         candidates,
         seconds,
+        found.dual,
     )

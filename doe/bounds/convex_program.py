@@ -23,7 +23,7 @@ from doe.criteria import Criterion, E
 from doe.problem.prior import PriorInformation
 from identification.arrays import Array
 from identification.errors import InputError, JobError
-from identification.information import significant
+from identification.information import log_determinants
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,7 @@ def _dual(multiplier: Array, root: Array) -> Array:
 def _whitening(rows: Array, p: int) -> Array:
     """(p, p) R with R mean(F) R^T = I. Raises JobError where the mean is singular."""
     mean = _square(rows.mean(axis=0), p)
-    eigenvalues = np.asarray(np.linalg.eigvalsh(mean), dtype=float)
-    if not significant(eigenvalues, p * np.finfo(float).eps).all():  # squares of singular values: all but rounding
+    if np.isneginf(log_determinants(mean)):
         raise JobError(
             "relaxation: the candidates do not identify all parameters; drop an effect or allow more postures"
         )

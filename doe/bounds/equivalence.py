@@ -24,15 +24,9 @@ from identification.arrays import Array
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
 REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
-ROUNDING = 1e-12  # by which an efficiency may exceed 1 where value and bound are the same number but for rounding
 CACHED, FEWEST = 250_000, 1024  # entries of a chunk's Jacobians, which stay in the processor's cache; and postures
 REMEMBERED = 4_000_000  # entries of candidates' Jacobians that are remembered between passes: 32 MB
 LAST = 2.0  # [s] that a pass over the candidates may take after the time has ended, however short the search was
-
-
-def without_rounding(efficiency: float) -> float:
-    """An efficiency, 1 where only rounding makes it greater; a real excess over a bound stays."""
-    return 1.0 if 1.0 < efficiency <= 1.0 + ROUNDING else efficiency
 
 
 def level(gradient: Array, information: Array) -> float:
@@ -58,14 +52,14 @@ class Certificate:
 def certify(problem: DesignProblem, information: Array, largest: float, gradient: Array | None = None) -> Certificate:
     """The certificate of a design with information M, given `largest` >= max tr(G F) over the design space.
 
-    largest : inf proves nothing, and the certificate says so
+    largest : inf proves nothing, and neither does a singular M; the certificate says so
     gradient : (p, p) G, default the criterion's at M; E-optimality needs the one of its dual problem
     """
     criterion = problem.criterion
-    slope = criterion.gradient(information) if gradient is None else gradient
     value = float(criterion.value(information))
-    if np.isinf(largest):  # not all of the design space was visited
+    if np.isinf(largest) or np.isinf(value):  # not all of the design space was visited; a singular M has no tangent
         return Certificate(value, np.inf, np.inf, 0.0)
+    slope = criterion.gradient(information) if gradient is None else gradient
     bound = criterion.upper_bound(information, largest)
     efficiency = criterion.efficiency(value, bound, problem.parameters)
     return Certificate(value, largest - level(slope, information), bound, efficiency)

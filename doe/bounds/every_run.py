@@ -12,7 +12,7 @@ square of the change of log m elsewhere: certificates are added where it is far 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -102,5 +102,4 @@ def certificates(
 def lowest(problem: DesignProblem, made: Sequence[EveryRunCertificate], runs: int) -> Bound:
     """The bound for so many runs: the lowest of all certificates'."""
     value, best = min((c.at(problem, runs)[1], k) for k, c in enumerate(made))
-    known = made[best].bound
-    return Bound(value, known.source, known.rigorous, known.cut)
+    return replace(made[best].bound, value=value)

@@ -34,7 +34,6 @@ ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the e
 EXACT = 1e-14  # the same at the end: rounding
 FINE = 1e-6  # gap of the postures from which the end is exact
 NEGLIGIBLE = 1e-10  # weight below which a posture is dropped
-RANK = 1e-13  # reciprocal condition number of a matrix that is one rank short
 
 # price(gradient, level, working postures) -> postures that improve the design (k, n), largest g over its whole set
 Price = Callable[[Array, float, Array], tuple[Array, float]]
@@ -169,23 +168,9 @@ def equal_weights(jacobians: Array, criterion: Criterion, prior: PriorInformatio
 
 def check_identified(problem: DesignProblem, prior: PriorInformation, jacobians: Array) -> None:
     """Raises `JobError` where postures with these scaled Jacobians (k, d, p) do not identify all parameters."""
-    if _diverges(problem.criterion, prior.mixture(jacobians, np.full(len(jacobians), 1.0 / len(jacobians)))):
+    equal = prior.mixture(jacobians, np.full(len(jacobians), 1.0 / len(jacobians)))
+    if not np.isfinite(problem.criterion.value(equal)):
         raise JobError(
             "approximate design: the information matrix is singular on these postures, the parameters cannot all "
             "be identified; drop an effect or allow more postures"
         )
-
-
-def _diverges(criterion: Criterion, information: Array) -> bool:
-    """True where the criterion is -inf, rounding or not: its slope along a missing direction is as 1/distance or more.
-
-    A criterion with a prior, or of some parameters only, may be finite although the matrix is singular.
-    """
-    values, vectors = np.linalg.eigh(information)
-    missing = vectors[:, values <= RANK * values[-1]]
-    if not missing.shape[1]:
-        return False
-    distance = 1e2 * RANK * values[-1]
-    gradient = criterion.gradient(information + distance * np.eye(len(values)))
-    steepest = np.einsum("ak,ab,bk->k", missing, gradient, missing).max()
-    return not np.isfinite(criterion.value(information)) or steepest * distance > 1e-3

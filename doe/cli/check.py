@@ -23,11 +23,12 @@ def command(common: CommonOptions, arm: Path, data: Path) -> Answer:
     """
     from doe.report.inspection_tables import inspection_tables
     from identification.files.arm import load_arm
+    from identification.files.arm_spatial import urdf_masses
     from identification.files.measurement import load_measurements
     from identification.inspection.inspection import inspect
 
     loaded = load_arm(arm)
     measurements = load_measurements(data, loaded)
     common.report(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
-    found = inspect(loaded, measurements)
+    found = inspect(loaded, measurements, urdf_masses(arm))
     return Answer(found.to_json(), inspection_tables(found, str(arm), str(data)))

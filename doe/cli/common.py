@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import sys
@@ -16,17 +17,18 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from doe.cli.options import FILE, OUTPUTS, PICTURES
+from doe.cli.options import FILE, FOLDER, OUTPUTS, PICTURES
 from doe.cli.progress import shown_progress
 from doe.cli.stopping import stoppable, stopped_by
 from identification.errors import ArmcalError, InputError, JobError, in_one_line
-from identification.files.io import check_writable
+from identification.files.io import check_writable, provide_temporary_folder
 from identification.progress import Progress
 
 if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.measurements import Measurements
 
+SHARED_MEMORY = Path("/dev/shm")  # of Linux; may be written to where nothing else may
 PIPE = 110  # characters of a line where no terminal says how many it has
 # the arm file with a table added to it; --force may overwrite the old one
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
@@ -105,6 +107,7 @@ def verb(
 
         @wraps(function)
         def run(as_json: bool, quiet: bool, seed: int, **options: Any) -> None:
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
             with _warnings_as_lines(quiet), shown_progress(name, quiet) as report:
                 answer = _guarded(function, CommonOptions(as_json, quiet, seed, report), options)
             _deliver(answer, as_json)
@@ -134,8 +137,9 @@ def check_folder() -> None:
 def check_outputs(context: click.Context) -> None:
     """Raises `InputError`, before any work, for an output file that cannot be written, or that is also an input or
     another output: one would overwrite the other."""
+    outputs = [*_paths(context, written=True)]
     taken = {os.path.realpath(path): name for name, _, path in _paths(context, written=False)}
-    for name, kind, path in _paths(context, written=True):
+    for name, kind, path in outputs:
         other = taken.setdefault(os.path.realpath(path), name)
         if other != name and (context.command.name, name, other) not in UPDATES:
             raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
@@ -146,6 +150,7 @@ def check_outputs(context: click.Context) -> None:
             from doe.report.page import check_picture
 
             check_picture(picture)
+    provide_temporary_folder(*(path if kind is FOLDER else path.parent for _, kind, path in outputs), SHARED_MEMORY)
 
 
 def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, click.ParamType, Path]]:

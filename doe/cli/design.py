@@ -73,6 +73,7 @@ def command(
     from doe.plan.order import check_order
     from doe.problem.robust import with_choices
     from doe.report.design_tables import design_tables, missing_lines
+    from doe.report.verdict import identify_command
     from identification.files.arm import load_arm
 
     check_used(click.get_current_context())
@@ -93,7 +94,8 @@ def command(
         {output.picture: lambda: plan_drawing(loaded, design.plan.postures)},
     )
     first = "--out plan.csv writes this plan; " if output.out is None else ""
-    extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA")
+    then = f"; then {identify_command(str(arm), 'DATA', problem.fit)}" if problem.fit else ""
+    extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
     return Answer(design.to_json() | data, [*design_tables(design), *extra])
 
 

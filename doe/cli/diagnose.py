@@ -69,6 +69,9 @@ def command(
         found = diagnose(loaded, measurements, held_out, common.seed, progress)
     refuted = [f"not confirmed: {found.confirmation}"] if found.confirmed is False else []
     warn_beside_json([*found.warnings, *refuted])
+    if curves is not None and loaded.counting is not None:
+        said = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
+        warnings.warn(f"{curves}: {said}; armcal compensate writes commands as the controller counts", stacklevel=2)
     answer = Answer(found.to_json(), diagnosis_tables(found))
     try:
         named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]

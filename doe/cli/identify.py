@@ -84,6 +84,7 @@ def command(
     from identification.servo import following_errors
     from identification.sessions import with_sessions
     from identification.validate.reuse import with_place_doubted, words_of
+    from identification.validate.set_up import with_mounting_doubted
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -91,19 +92,49 @@ def command(
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     loaded, measurements = arm_and_rows(loaded, data, old, words)
+    prior, asked = as_asked(prior, measurements, method, parameters)
     wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
     common.report(0, None, f"fitting {len(measurements)} rows")
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     fitted = rows_fitted(measurements, said)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, fitted), words, fitted)
+    found = with_mounting_doubted(found, fitted, lambda rows: wanted.fit(loaded, rows)[0])
     extra, shown = fit_shown(found, (arm, loaded), fitted, words, library, full=full or old is not None)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
     answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
-    answered.data |= extra | said
-    answered.shown += wanted.sentences(said)
+    answered.data |= extra | said | ({} if asked is None else {"fit": asked})
+    answered.shown += [*([] if asked is None else [asked_in_words(asked, data)]), *wanted.sentences(said)]
     answered = with_commands(answered, following_errors(measurements, loaded.joint_types))
     return with_next(answered, (arm, data), output.out, loaded, allowed_for=library is not None)
+
+
+def as_asked(
+    prior: LibraryEffects, measurements: Measurements, method: str | None, parameters: str | None
+) -> tuple[LibraryEffects, dict[str, Any] | None]:
+    """The prior of the library that the plan of these rows asks for, unless an option says otherwise; and key `fit`,
+    None where the plan does not ask."""
+    if not measurements.fit:
+        return prior, None
+    refused = {
+        "--no-library-prior": prior.prior is False,
+        f"--method {method}": method not in (None, "gauss_newton"),
+        "--parameters minimal": parameters == "minimal",
+    }
+    against = None if prior.prior else next((option for option, given in refused.items() if given), None)
+    if prior.prior is None and against is None:
+        names = measurements.fit.partition("--missing ")[2]
+        prior = LibraryEffects(True, prior.missing or names or None)
+    return prior, {"asked": measurements.fit, "followed": against is None, "against": against}
+
+
+def asked_in_words(asked: dict[str, Any], data: Path) -> str:
+    """Whether the fit is the one that the plan is meant for."""
+    meant = f"{data} says # fit: {asked['asked']}"
+    if asked["followed"]:
+        return f"Fitted with the prior of the library, as the plan is meant: {meant} (--no-library-prior fits without)."
+    promise = "what the plan promises is of a fit with it"
+    return f"Not fitted with the prior of the library, because of {asked['against']}, although {meant}: {promise}."
 
 
 def arm_and_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) -> tuple[Arm, Measurements]:

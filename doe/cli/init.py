@@ -13,7 +13,11 @@ from identification.files.io import PathLike, write_together
 
 
 @verb("armcal init --urdf robot.urdf --out calibration", "Write the first files: arm, measurements, what to do.")
-@click.option("--links", metavar="N", help="A planar arm: how many links, or their lengths [mm]: 612,572.3,115.7")
+@click.option(
+    "--links",
+    metavar="N|LENGTHS",
+    help="A planar arm: how many links (a whole number, 1 to 12), or their lengths [mm]: 612,572.3 or, of one, 612.0",
+)
 @click.option("--urdf", "robot", type=FILE, metavar="FILE", help="A spatial arm from a URDF file.")
 @click.option("--dh", metavar="N", type=click.IntRange(1, 12), help="A spatial arm from N Denavit-Hartenberg rows.")
 @click.option("--base-link", help="Of the URDF file; left out: its root.")
@@ -58,6 +62,8 @@ def command(
     first = ("armcal design", "armcal check")  # of touches there is no plan
     step = next(line for word in first for line in files[STEPS].splitlines() if line.startswith(word))
     made_up = ["replace what is marked EXAMPLE in " + str(out / ARM)] if "EXAMPLE" in files[ARM] else []
+    upright = "gravity: the masses of the URDF file, on a base that stands upright; if it does not, change [gravity]"
+    made_up += [upright] if "\n[gravity]" in files[ARM] else []
     steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {step.partition('  #')[0].rstrip()}"]
     return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
 

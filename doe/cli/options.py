@@ -137,7 +137,7 @@ def plan_drawing(arm: Arm, postures: Array) -> Figure:
 class LibraryEffects:
     """Whether the model of a fit includes effects of the library, with priors of their typical sizes, and which."""
 
-    prior: bool = False
+    prior: bool | None = None  # None: neither asked for nor refused
     missing: str | None = None
 
     @property
@@ -145,7 +145,7 @@ class LibraryEffects:
         """As `prior`. Raises `InputError` for --missing alone."""
         if self.missing is not None and not self.prior:
             raise InputError("--missing: found without --prior, allowed: with --prior")
-        return self.prior
+        return bool(self.prior)
 
     @property
     def names(self) -> list[str] | None:
@@ -157,11 +157,11 @@ prior_options = grouped(
     LibraryEffects,
     "prior",
     click.option(
-        "--prior",
-        "--library-prior",
+        "--prior/--no-prior",
+        "--library-prior/--no-library-prior",
         "prior",
-        is_flag=True,
-        help="Fit the library's effects too, each held by a prior of its typical size.",
+        default=None,
+        help="Fit the library's effects too, each held by a prior of its typical size, or not.",
     ),
     click.option("--missing", metavar="NAMES", help="Only these effects, for --library-prior: backlash,gear_ratio"),
 )

@@ -33,6 +33,12 @@ class CriterionOptions:
         return self.criterion or ("I" if self.robust else "D")
 
     @property
+    def fit(self) -> str:
+        """How measurements of a plan are to be fitted, see `Plan`."""
+        names = "" if self.effects is None else f" --missing {','.join(self.effects)}"
+        return f"library-prior{names}" if self.robust else ""
+
+    @property
     def effects(self) -> list[str] | None:
         """Names of the effects that may be missing, None: all of the library. Raises `InputError` without --robust."""
         if self.missing is None:
@@ -121,7 +127,7 @@ def _robust(wanted: CriterionOptions, problem: DesignProblem) -> DesignProblem:
     """The problem with the library's effects as a prior."""
     from doe.problem.robust import missing_effects, robust_problem
 
-    wide = robust_problem(problem, missing_effects(problem, wanted.effects))
+    wide = replace(robust_problem(problem, missing_effects(problem, wanted.effects)), fit=wanted.fit)
     if wanted.name == "I" and wanted.test_poses is None:
         return wide
     return replace(wide, criterion=_criterion(wanted, wide))

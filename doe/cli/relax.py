@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -97,7 +97,8 @@ def command(
             compared = cross_check(checked, found, runs, seed=common.seed, seconds=end - perf_counter())
             data["cross_check"] = compared.rows()
             shown.append(cross_check_table(compared))
-    return Answer(data, [*shown, *output.write(plan_text(found.plan, loaded.joint_types), "plan with weights")])
+    written = plan_text(replace(found.plan, fit=problem.fit), loaded.joint_types)
+    return Answer(data, [*shown, *output.write(written, "plan with weights")])
 
 
 def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, held: bool) -> None:

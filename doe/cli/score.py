@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from identification.gap.hypotheses.detectability import Detectability
 
 
+ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
+
+
 @verb(
     "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png",
     "Judge a plan of your own against the bound.",
@@ -62,6 +65,11 @@ def command(
     indices, values = observability(problem, given.postures), criterion_values(problem, given.postures)
     tip = replace(problem, criterion=average_error(problem))
     error = None if values["I"] is None else error_at_poses(tip, values["I"], len(given))
+    meant = (
+        []
+        if not given.fit or criterion.robust
+        else [f"{plan} is to be fitted by armcal identify --{given.fit}: {ROBUST}"]
+    )
     data = design.to_json() | {
         "workspace_error_mm": error,
         "observability": indices.to_json(),
@@ -69,7 +77,9 @@ def command(
         "preflight": None if sees is None else sees.to_json(),
     }
     output.write_all("", "", pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)})
-    return Answer(data, [*design_tables(design), criteria_line(values, error), observability_line(indices), *tables])
+    return Answer(
+        data, [*design_tables(design), criteria_line(values, error), observability_line(indices), *meant, *tables]
+    )
 
 
 def _alias_drawing(sees: Detectability) -> Figure:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,18 +44,18 @@ def command(common: CommonOptions, arm: Path, plan: Path, truth: Path, out: Path
             f"{'planar' if a.dimension == 2 else 'spatial'}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)
         ]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
-    postures = load_plan(plan, loaded.joint_types).postures
+    given = load_plan(plan, loaded.joint_types)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
     for sentence in without_values(true_arm):
         warnings.warn(f"{truth}: {sentence}", UserWarning, stacklevel=2)
-    conditions = load_plan_conditions(plan, loaded.links)
+    conditions = load_plan_conditions(plan, loaded.joint_types)
     try:
-        data = simulate(true_arm, postures, np.random.default_rng(common.seed), sigma=sigma, **conditions)
+        data = simulate(true_arm, given.postures, np.random.default_rng(common.seed), sigma=sigma, **conditions)
     except InputError as error:
         raise InputError(f"{truth}: {error}") from None
-    write_whole(out, measurement_text(data, loaded.joint_types), force=force)
+    write_whole(out, measurement_text(replace(data, fit=given.fit), loaded.joint_types), force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
     return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"])
 

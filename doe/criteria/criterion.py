@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arrays import Array
 
-SINGULAR = 1e-13  # reciprocal condition number below which a matrix has no usable inverse
 RIDGE = 1e-9  # a plan that lacks one run may be singular; this part of the mean eigenvalue keeps the ranking right
 
 
 class Criterion(Protocol):
     """A concave function Phi of the (p, p) scaled information matrix per run, M = sum_i w_i B_i^T B_i, sum w = 1.
 
-    A singular M has the value -inf, not an error.
+    A singular M has the value -inf, not an error; `identification.information.log_determinants` says which are.
     """
 
     @property
@@ -78,8 +76,3 @@ def ridged(information: Array) -> Array:
     p = information.shape[-1]
     ridge = RIDGE * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
     return np.asarray(information + ridge[..., None, None] * np.eye(p))
-
-
-def singular(eigenvalues: Array) -> NDArray[np.bool_]:
-    """(...) True where a matrix with these eigenvalues (..., p), smallest first, has no usable inverse."""
-    return np.asarray(eigenvalues[..., 0] <= SINGULAR * np.abs(eigenvalues[..., -1]))

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from doe.criteria.criterion import SINGULAR, singular
 from doe.criteria.inverse_trace import woodbury
 from identification.arrays import Array
+from identification.information import inverses
+
+APART = 1e-13  # share of the largest eigenvalue by which the smallest two differ at least, in second derivatives
 
 
 class DegreeOne:
@@ -35,10 +38,9 @@ class PowerMean(DegreeOne):
 
     def value(self, information: Array) -> Array:
         """(...) Phi_k, -inf where M is singular."""
-        values = np.asarray(np.linalg.eigvalsh(information), dtype=np.float64)
-        none = singular(values)
-        ratio = np.where(none[..., None], 1.0, values) / np.where(none, 1.0, values[..., 0])[..., None]
-        mean = values[..., 0] * np.mean(ratio**-self.exponent, axis=-1) ** (-1.0 / self.exponent)
+        variances, none = variances_of(information)
+        ratio = variances / variances[..., -1:]
+        mean = np.mean(ratio**self.exponent, axis=-1) ** (-1.0 / self.exponent) / variances[..., -1]
         return np.where(none, -np.inf, mean)
 
     def gradient(self, information: Array) -> Array:
@@ -106,8 +108,8 @@ class E(DegreeOne):
 
     def value(self, information: Array) -> Array:
         """(...) smallest eigenvalue, -inf where M is singular."""
-        values = np.asarray(np.linalg.eigvalsh(information), dtype=np.float64)
-        return np.where(singular(values), -np.inf, values[..., 0])
+        variances, none = variances_of(information)
+        return np.where(none, -np.inf, 1.0 / variances[..., -1])
 
     def gradient(self, information: Array) -> Array:
         """(p, p) v v^T of the eigenvector v of the smallest eigenvalue (one of its supergradients if multiple)."""
@@ -118,4 +120,11 @@ class E(DegreeOne):
         """2 sum_k (v_0^T X v_k)(v_0^T Y v_k) / (lambda_0 - lambda_k), where the smallest eigenvalue is simple."""
         values, vectors = np.linalg.eigh(information)
         rows = (vectors[:, 0] @ directions @ vectors)[:, 1:]
-        return 2.0 * (rows / np.minimum(values[0] - values[1:], -SINGULAR * values[-1])) @ rows.T
+        return 2.0 * (rows / np.minimum(values[0] - values[1:], -APART * values[-1])) @ rows.T
+
+
+def variances_of(information: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(..., p) eigenvalues of M^-1, smallest first, ones where M is singular; and (...) where it is."""
+    inverse = inverses(information)
+    none = np.isinf(inverse[..., 0, 0])
+    return np.asarray(np.linalg.eigvalsh(np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse))), none

@@ -11,9 +11,9 @@ from functools import cached_property
 
 import numpy as np
 
-from doe.criteria.criterion import ridged, singular
+from doe.criteria.criterion import ridged
 from identification.arrays import Array, readonly
-from identification.information import information_matrix
+from identification.information import information_matrix, inverses
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,12 @@ class InverseTrace:
 
     def value(self, information: Array) -> Array:
         """(...) -tr(W M^-1), -inf where M is singular."""
-        values, vectors = np.linalg.eigh(information)
-        weight = self.weight(information.shape[-1])
-        variances = np.einsum("...ik,ij,...jk->...k", vectors, weight, vectors)
-        none = singular(values)
-        return np.where(none, -np.inf, -np.sum(variances / np.where(none[..., None], 1.0, values), axis=-1))
+        inverse = inverses(information)
+        none = np.isinf(inverse[..., 0, 0])
+        total = np.sum(
+            np.where(none[..., None, None], 0.0, inverse) * self.weight(information.shape[-1]), axis=(-2, -1)
+        )
+        return np.where(none, -np.inf, -total)
 
     def gradient(self, information: Array) -> Array:
         """(p, p) M^-1 W M^-1."""

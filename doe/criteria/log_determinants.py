@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from doe.criteria.criterion import ridged
 from identification.arrays import Array
+from identification.information import log_determinants
 
 Term = tuple[float, NDArray[np.intp]]  # sign, rows
 
@@ -31,12 +32,12 @@ class LogDeterminants:
 
     def value(self, information: Array) -> Array:
         """(...) Phi(M), -inf where a submatrix is singular."""
-        total, positive = np.zeros(information.shape[:-2]), np.ones(information.shape[:-2], dtype=bool)
+        total, regular = np.zeros(information.shape[:-2]), np.ones(information.shape[:-2], dtype=bool)
         for factor, rows in self.terms(information.shape[-1]):
-            sign, log_det = np.linalg.slogdet(principal_submatrix(information, rows))
-            positive &= sign > 0
-            total = total + factor * np.where(sign > 0, log_det, 0.0)
-        return np.where(positive, total, -np.inf)
+            log_det = log_determinants(principal_submatrix(information, rows))
+            regular &= np.isfinite(log_det)
+            total = total + factor * np.where(regular, log_det, 0.0)
+        return np.where(regular, total, -np.inf)
 
     def gradient(self, information: Array) -> Array:
         """(p, p) sum_t sign_t inverse of the submatrix, in its place."""
@@ -140,7 +141,7 @@ class DStar(LogDeterminants):
 
     def value(self, information: Array) -> Array:
         """(...) Phi(M), -inf where M is singular, even if no group's submatrix is."""
-        return np.where(np.linalg.slogdet(information)[0] > 0, super().value(information), -np.inf)
+        return np.where(np.isneginf(log_determinants(information)), -np.inf, super().value(information))
 
 
 def principal_submatrix(matrices: Array, rows: NDArray[np.intp]) -> Array:

@@ -32,7 +32,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.hypotheses.detectability import Detectability
-from identification.information import covariance, information_matrix
+from identification.information import covariance, information_matrix, log_determinants
 from identification.kinematics.parameters import REVOLUTE
 from identification.progress import Progress, silent
 from identification.status import Status
@@ -273,5 +273,4 @@ def order_score(jacobian: Array, own: int) -> float:
     """log det of what the data tell of the order's effects, beyond what the first `own` parameters explain."""
     information = information_matrix(jacobian)
     cross, rest = information[:own, own:], information[own:, own:]
-    sign, value = np.linalg.slogdet(rest - cross.T @ covariance(jacobian[..., :own], np.ones(own)) @ cross)
-    return float(value) if sign > 0 else -np.inf
+    return float(log_determinants(rest - cross.T @ covariance(jacobian[..., :own], np.ones(own)) @ cross))

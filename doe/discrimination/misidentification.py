@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from identification.arrays import Array
+from identification.information import log_determinants
 
 # reasons: doe/README.md, "Misidentification"
 LAMBDA = 8.0  # length on random postures at which plans differ
@@ -56,8 +57,7 @@ class MisidentificationBound:
     def wrong(self, information: Array) -> Array:
         """(...) bound on the mean probability of a wrong name; infinite where the base model's part is singular."""
         p = self.own
-        signs, logs = np.linalg.slogdet(information[..., :p, :p])
-        usable = (signs > 0) & np.isfinite(logs)
+        usable = np.isfinite(log_determinants(information[..., :p, :p]))
         schur = self._off_base(np.where(usable[..., None, None], information, self.reference))[0]
         seen = self.directions @ schur
         lengths = np.sum(seen * self.directions, axis=-1)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from identification.errors import InputError, JobError
-from identification.files.io import PathLike, sync_folder, write_whole
+from identification.files.io import PathLike, provide_temporary_folder, sync_folder, write_whole
 
 if TYPE_CHECKING:
     import polars
@@ -211,6 +211,7 @@ def _locked(path: Path) -> Iterator[FileIO]:
 
 
 def _opened(path: Path) -> FileIO:
+    provide_temporary_folder(path.parent)
     import portalocker
 
     try:

@@ -9,13 +9,16 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Executor, Future, InvalidStateError, ProcessPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from concurrent.futures import BrokenExecutor, Executor, Future, InvalidStateError, ProcessPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
 from doe.jobs.isolated import SINGLE_THREAD, one_line
-from identification.errors import InputError
+from identification.errors import InputError, JobError
+
+LOUD = ("distributed", "tornado", "asyncio")  # loggers of dask
+WATCH = 0.2  # [s] between two looks at whether a cluster's scheduler is still there
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,6 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
     Raises `InputError` if dask is not installed, nothing answers there, or no worker is connected.
     """
     try:
-        from distributed import Client
         from distributed.comm import get_address_host_port
     except ImportError:
         raise InputError("--cluster: dask is not installed, allowed: pip install 'armcal[cluster]'") from None
@@ -72,19 +74,18 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
     except (ValueError, TypeError, NotImplementedError):
         raise InputError(f"--cluster: found {address!r}, allowed: an address as tcp://host:8786") from None
     try:
-        client = Client(address, timeout=patience, set_as_default=False)
+        with _client(address, patience) as client:
+            try:
+                client.wait_for_workers(1, timeout=patience)
+            except TimeoutError:
+                how = f"some, started with `dask worker {address}`"
+                raise InputError(f"--cluster {address}: the scheduler has no workers, allowed: {how}") from None
+            threads = sum(client.nthreads().values())
     except OSError as error:
         raise InputError(
             f"--cluster {address}: no scheduler answers ({one_line(error)}), allowed: one that runs"
         ) from None
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=patience)
-        except TimeoutError:
-            how = f"some, started with `dask worker {address}`"
-            raise InputError(f"--cluster {address}: the scheduler has no workers, allowed: {how}") from None
-        threads = sum(client.nthreads().values())
-    return Workers(lambda: _cluster_executor(address), max(threads, 1))
+    return Workers(lambda: _cluster_executor(address, patience), max(threads, 1))
 
 
 def chosen_workers(workers: int | None = None, address: str | None = None) -> Workers:
@@ -100,7 +101,10 @@ def _process_pool(number: int) -> Iterator[Executor]:
     settings = {**SINGLE_THREAD, "PYTHONSAFEPATH": "1"}  # no module of the working directory comes first
     before = {name: os.environ.get(name) for name in settings}
     os.environ.update(settings)  # read when the workers start
-    pool = _Pool(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
+    try:
+        pool = _Pool(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
+    except OSError as error:  # no semaphores: a /dev/shm that is read-only
+        raise JobError(f"no processes can share work here ({error.strerror}), allowed: --workers 1") from None
     others = multiprocessing.active_children()
     try:
         yield pool
@@ -157,19 +161,93 @@ def _end_with_the_parent() -> None:
 
 
 @contextmanager
-def _cluster_executor(address: str) -> Iterator[Executor]:
+def _cluster_executor(address: str, patience: float) -> Iterator[Executor]:
+    """Raises `JobError` if the scheduler does not answer any more."""
+    with ExitStack() as stack:
+        try:
+            client = stack.enter_context(_client(address, patience))
+        except OSError as error:
+            raise JobError(f"--cluster {address}: the scheduler is gone ({one_line(error)})") from None
+        yield stack.enter_context(_ClusterExecutor(client))
+
+
+@contextmanager
+def _client(address: str, patience: float) -> Iterator[Any]:
+    """A client of dask, of which nothing is printed: a lost scheduler is one line of ours.
+
+    patience : time to wait for an answer [s]. Raises `OSError` if none comes.
+    """
     from distributed import Client
 
-    loop = logging.getLogger("tornado.application")
-    loop.addFilter(_not_a_cancellation)
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in LOUD]
+    loggers = [logging.getLogger(name) for name in names]  # some have handlers of their own
+    before = [(logger, logger.handlers, logger.propagate) for logger in loggers]
+    for logger in loggers:
+        logger.handlers, logger.propagate = [logging.NullHandler()], False
     try:
-        with Client(address, set_as_default=False) as client, client.get_executor() as executor:
-            yield executor
+        client = Client(address, timeout=patience, set_as_default=False)
+        try:
+            yield client
+        finally:
+            client.close(timeout=patience)
     finally:
-        loop.removeFilter(_not_a_cancellation)
+        for logger, handlers, propagate in before:
+            logger.handlers, logger.propagate = handlers, propagate
 
 
-def _not_a_cancellation(record: logging.LogRecord) -> bool:
-    """False for what dask's loop says of a task that finishes while Ctrl-C cancels it: nothing went wrong."""
-    error = record.exc_info[1] if record.exc_info else None
-    return not isinstance(error, InvalidStateError | CancelledError)
+class _ClusterExecutor(Executor):
+    """Tasks on a dask cluster, whose futures end when the scheduler is lost: of dask's own some never do, since what
+    fails while a result is fetched is logged and dropped."""
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._inner = client, client.get_executor(pure=False)
+        self._pending: set[Future[Any]] = set()
+        self._ended = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        """Raises `BrokenExecutor` if the scheduler is lost."""
+        future: Future[Any] = Future()
+        self._pending.add(future)
+        future.add_done_callback(self._pending.discard)
+        try:
+            if self.lost:
+                raise BrokenExecutor
+            inner = self._inner.submit(function, *arguments, **named)
+        except Exception as error:
+            self._pending.discard(future)
+            if self.lost:
+                raise BrokenExecutor("the scheduler is lost") from None
+            raise error
+        inner.add_done_callback(lambda done: _pass_on(done, future))
+        future.add_done_callback(lambda done: inner.cancel() if done.cancelled() and not self.lost else None)
+        return future
+
+    @property
+    def lost(self) -> bool:
+        """Whether the client has lost its scheduler, and with it every task: it does so once and for all."""
+        return bool(self._client.status != "running")
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """As every executor; without waiting for a lost scheduler."""
+        self._ended.set()
+        if not self.lost:
+            self._inner.shutdown(wait)
+
+    def _watch(self) -> None:
+        while not self._ended.wait(WATCH):
+            for future in list(self._pending) if self.lost else ():
+                if future.cancel():
+                    future.set_running_or_notify_cancel()
+
+
+def _pass_on(done: Future[Any], future: Future[Any]) -> None:
+    """The outcome of one future to another that may have been cancelled meanwhile."""
+    with suppress(InvalidStateError):
+        if done.cancelled():
+            if future.cancel():
+                future.set_running_or_notify_cancel()
+        elif (error := done.exception()) is not None:
+            future.set_exception(error)
+        else:
+            future.set_result(done.result())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from doe.plan.plan import Plan
@@ -23,7 +25,7 @@ SUM_TOLERANCE = 1e-6
 
 
 def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
-    """The plan of a CSV file `run,q1_deg,...,qn_deg[,weight]`, rows in the order of measurement.
+    """The plan of a CSV file `run,q1_deg,...,qn_deg[,weight]`, rows in the order of measurement, `# fit: ...` above.
 
     joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
 
@@ -31,14 +33,14 @@ def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
     once about columns that are not used.
     """
     table = read_table(path)
-    plan = Plan(read_postures(table, joints), _weights(table))
+    plan = Plan(read_postures(table, joints), _weights(table), fit=table.fit)
     warn_unknown(table, ["run", *joint_columns(table, joints), "weight", *condition_columns(plan.links)])
     return plan
 
 
-def load_plan_conditions(path: PathLike, links: int) -> dict[str, Array | None]:
+def load_plan_conditions(path: PathLike, joints: int | Sequence[str]) -> dict[str, Array | None]:
     """What else a plan may say of its rows: `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n)."""
-    return read_conditions(read_table(path), links)
+    return read_conditions(read_table(path), joints)
 
 
 def condition_columns(links: int) -> list[str]:
@@ -51,7 +53,7 @@ def plan_text(plan: Plan, joint_types: JointTypes = None) -> str:
     columns = {"run": np.arange(1, len(plan) + 1), **posture_columns(plan.postures, joint_types)}
     if plan.weights is not None:
         columns["weight"] = plan.weights
-    return csv_text(columns)
+    return csv_text(columns, plan.fit)
 
 
 def _weights(table: Table) -> Array | None:

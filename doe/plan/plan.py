@@ -11,6 +11,7 @@ import numpy as np
 from identification.arrays import Array, ByValue, readonly
 from identification.data_frames import frame_of_columns
 from identification.html_tables import html_lines, html_table
+from identification.kinematics.counting import counting_in, in_columns
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
 
 
@@ -20,15 +21,17 @@ class Plan(ByValue):
 
     postures : (m, n) joint angles [rad], of prismatic joints positions [mm]
     weights : (m,) shares of the measurements, summing to one, None: an exact plan, every row is one measurement
-    joint_types : (n) `revolute` or `prismatic`, empty: all revolute
+    joint_types : (n) `revolute` or `prismatic`, empty: all revolute; `JointKinds` say how files count them
+    fit : how its measurements are to be fitted, as options of `armcal identify`; empty: by the model of the arm file
     """
 
     postures: Array
     weights: Array | None = None
     joint_types: tuple[str, ...] = ()
+    fit: str = ""
 
     def __post_init__(self) -> None:
-        if set(self.joint_types) == {REVOLUTE}:
+        if set(self.joint_types) == {REVOLUTE} and counting_in(self.joint_types) is None:
             object.__setattr__(self, "joint_types", ())
         object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
         if self.weights is not None:
@@ -49,8 +52,8 @@ class Plan(ByValue):
 
     @property
     def displayed(self) -> Array:
-        """(m, n) postures in `units`."""
-        return readonly(self.postures * [FILE_UNITS[unit][1] for unit in self._units])
+        """(m, n) postures in `units`, as the controller counts."""
+        return readonly(in_columns(self.postures, self.joint_types) * [FILE_UNITS[unit][1] for unit in self._units])
 
     def to_frame(self, kind: str = "polars") -> Any:
         """A row for each posture, as in a plan file; polars or pandas."""

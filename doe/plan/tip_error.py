@@ -16,6 +16,7 @@ from doe.problem.spatial import of_one_arm
 from identification.arrays import Array
 from identification.estimation.prior import Prior
 from identification.gap.library.library_prior import LibraryPrior
+from identification.information import log_determinants, spectrum
 from identification.kinematics.parameters import EFFECT
 from identification.model.positions import of_positions
 from identification.validate.row_groups import diagnosed
@@ -59,7 +60,7 @@ def tip_error(problem: DesignProblem, wide: DesignProblem, postures: Array, pose
     noise = float(wide.model.sigma or 0.0) ** 2
     least = np.concatenate([rows[: -wide.parameters, :own], np.diag(np.sqrt(wide.precisions[:own]))])
     all_known = _spread(rows, targets, noise)
-    if np.linalg.matrix_rank(least) < own:
+    if spectrum(least, np.ones(own)).rank < own:
         return TipError(np.inf, np.inf, _mean(all_known))
     right = _spread(least, targets[..., :own], noise)
     # the fit takes up of each missing effect what the geometry can, and the tip lacks the rest
@@ -90,7 +91,7 @@ def _of_points(wide: DesignProblem, poses: Array) -> Array:
 def _spread(rows: Array, targets: Array, noise: float) -> Array:
     """(k,) mean square of the tip's distance, from (N, p) rows that were fitted and (k, d, p) of the tip."""
     information = rows.T @ rows
-    if np.linalg.matrix_rank(information, hermitian=True) < len(information):
+    if np.isneginf(log_determinants(information)):
         return np.full(len(targets), np.inf)
     solved = np.linalg.solve(information, targets.reshape(-1, len(information)).T).T.reshape(targets.shape)
     return noise * np.einsum("kdp,kdp->k", targets, solved)

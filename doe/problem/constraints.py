@@ -19,8 +19,16 @@ from numpy.typing import ArrayLike
 from doe.problem.spatial_constraints import InView, OutsideCylinder
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.kinematics.parameters import REVOLUTE
 from identification.model import Model
-from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, PostureCondition, WorkspaceBox
+from identification.workspace import (
+    ColumnLimits,
+    KeepOutCircle,
+    KeepOutCylinder,
+    LineOfSight,
+    PostureCondition,
+    WorkspaceBox,
+)
 
 ANYWHERE = 1e6  # [mm] a side that the arm file leaves out
 
@@ -54,7 +62,9 @@ def constraints_of(model: Model) -> tuple[Constraint, ...]:
     """The constraints of the model's arm file, ready to be evaluated."""
     made: list[Constraint] = []
     for given in model.arm.constraints:
-        if isinstance(given, WorkspaceBox):
+        if isinstance(given, ColumnLimits):
+            made.append(WithinColumn(given, model.reach if model.joint_types[given.joint - 1] == REVOLUTE else 1.0))
+        elif isinstance(given, WorkspaceBox):
             sides = [given.x, given.y, given.z or (-ANYWHERE, ANYWHERE)][: model.dimension]
             made.append(InsideBox(model, tuple(side[0] for side in sides), tuple(side[1] for side in sides)))
         elif isinstance(given, KeepOutCylinder):
@@ -64,6 +74,29 @@ def constraints_of(model: Model) -> tuple[Constraint, ...]:
         elif isinstance(given, LineOfSight):
             made.append(InSight(model, given) if model.dimension == 2 else InView(model, given))
     return tuple(made)
+
+
+@dataclass(frozen=True)
+class WithinColumn:
+    """A joint that the controller counts together with others stays within its limits; an angle is the distance [mm]
+    that it is at full reach.
+
+    unit : [mm] that stands for one of the limits' unit
+    """
+
+    limits: ColumnLimits
+    unit: float
+    kind: str = "joint_limits"
+
+    def margin(self, postures: Array) -> Array:
+        """(m, 2) distances to both limits [mm]."""
+        column = postures @ np.array(self.limits.coefficients)
+        return self.unit * np.stack([column - self.limits.lower, self.limits.upper - column], axis=1)
+
+    def symbolic(self, q: ca.SX) -> ca.SX:
+        """(2,) the same."""
+        column = sum((c * q[j] for j, c in enumerate(self.limits.coefficients) if c), ca.SX(0.0))
+        return self.unit * ca.vertcat(column - self.limits.lower, self.limits.upper - column)
 
 
 @dataclass(frozen=True)

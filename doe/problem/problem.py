@@ -80,10 +80,12 @@ class DesignProblem:
     constraints : what a posture must satisfy besides the limits, see `doe.problem.constraints`
     kept : (k, n) postures already measured, which count in the information (`prior`); None: none
     choices : (N, n) postures to choose from, None: anything within limits and constraints
+    sampled : True if the choices are a random sample that a search makes do with: bounds are then over all postures
     minimum_distance : [rad] two postures of a plan differ by this in some joint at least, in `joint_units`; 0: repeats
         are allowed
     deviations : parameter name -> standard deviation of what is known of it before anything is measured [API unit],
         around the model's values: a normal prior, which needs sigma; parameters without one are free
+    fit : how measurements of its plans are to be fitted, see `Plan`
     """
 
     model: InformationModel
@@ -93,8 +95,10 @@ class DesignProblem:
     constraints: Sequence[Constraint] = ()
     kept: Array = None  # type: ignore[assignment]  # an array from construction on
     choices: Array | None = None
+    sampled: bool = False
     minimum_distance: float = ONE_DEGREE
     deviations: Mapping[str, float] = field(default_factory=dict)
+    fit: str = ""
 
     def __post_init__(self) -> None:
         check_parts(self)

@@ -28,6 +28,7 @@ from identification.model.positions import of_positions, tip_jacobian
 # reasons: doe/README.md, "Robust designs"
 SETTINGS = 4  # orders that stand for all orders of a ripple
 POSES = 1000  # random postures that stand for the workspace
+LIBRARY = "library-prior"  # what its criterion promises is of a fit with `armcal identify --library-prior`
 CHOICES = 2000  # postures to choose from where none are listed
 
 
@@ -54,7 +55,7 @@ def robust_problem(
     added = missing_effects(problem) if missing is None else missing
     own = of_one_arm(problem.model)
     model = whole(replace(added.model, known=None if own is None else own.known))
-    wide = replace(problem, model=model, deviations={**problem.deviations, **added.prior.deviations})
+    wide = replace(problem, model=model, deviations={**problem.deviations, **added.prior.deviations}, fit=LIBRARY)
     return replace(wide, criterion=average_error(wide) if criterion is None else criterion)
 
 
@@ -64,14 +65,14 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     also : (k, n) postures that are among them too
 
     Fast waves give a criterion thousands of local optima over all postures, none much better than the next: a list has
-    enough of them, and its bound is a proof.
+    enough of them to choose from. No proof over a random list says anything of all postures: it is `sampled`.
     """
     if problem.choices is not None:
         return problem if also is None else replace(problem, choices=np.concatenate([problem.choices, also]))
     generator = np.random.default_rng(0)
     anywhere = random_postures(problem, CHOICES // 2, generator)
     more = [] if also is None else [also]
-    return replace(problem, choices=np.concatenate([anywhere, _at_limits(problem, generator), *more]))
+    return replace(problem, choices=np.concatenate([anywhere, _at_limits(problem, generator), *more]), sampled=True)
 
 
 def _at_limits(problem: DesignProblem, generator: np.random.Generator) -> Array:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from rich.text import Text
 
 from doe.advise import Advice
 from doe.design import Design
-from doe.report.pictures import AFTER, BEFORE
 from doe.report.terminal import in_a_sentence, number, table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NONE = "None of these plans is within 0.1 % of the bound."
 ENOUGH = 0.999  # of the bound
@@ -43,11 +43,20 @@ MISSING = (
 
 def advice_figure(advice: Advice) -> Figure:
     """Efficiency and expected accuracy against the number of runs."""
+    from matplotlib.figure import Figure  # deferred: tables need no pictures
+
+    from doe.report.pictures import AFTER, BEFORE
+
     accuracies = [advice.accuracy(design) for design in advice.designs]
     known = all(accuracy is not None for accuracy in accuracies)
     figure = Figure(figsize=(10.0, 3.6) if known else (6.0, 3.6), layout="constrained")
     axes = figure.subplots(1, 2 if known else 1, squeeze=False)[0]
-    _draw_efficiencies(axes[0], advice)
+    good = set(advice.efficient_runs())
+    efficiencies = [design.efficiency or float("nan") for design in advice.designs]
+    axes[0].plot(advice.runs, efficiencies, color=AFTER, lw=1)
+    colors = [AFTER if m in good else "white" for m in advice.runs]
+    axes[0].scatter(advice.runs, efficiencies, c=colors, edgecolors=AFTER, s=30, zorder=3)
+    axes[0].set(xlabel="runs m", ylabel="D-efficiency", title="filled: within 0.1 % of the bound")
     if known:
         axes[1].plot(advice.runs, accuracies, "o-", color=AFTER, ms=4, lw=1)
         if advice.target is not None:
@@ -55,15 +64,6 @@ def advice_figure(advice: Advice) -> Figure:
         what = "expected error of the tip, model right [mm]" if advice.of_tip else "largest std of a length [mm]"
         axes[1].set(xlabel="runs m", ylabel=what, ylim=(0, None))
     return figure
-
-
-def _draw_efficiencies(axes: Axes, advice: Advice) -> None:
-    good = set(advice.efficient_runs())
-    efficiencies = [design.efficiency or float("nan") for design in advice.designs]
-    axes.plot(advice.runs, efficiencies, color=AFTER, lw=1)
-    colors = [AFTER if m in good else "white" for m in advice.runs]
-    axes.scatter(advice.runs, efficiencies, c=colors, edgecolors=AFTER, s=30, zorder=3)
-    axes.set(xlabel="runs m", ylabel="D-efficiency", title="filled: within 0.1 % of the bound")
 
 
 def advice_tables(advice: Advice) -> list[Any]:

@@ -172,8 +172,10 @@ class Campaign:
             tested = bool(self.elsewhere) or bool(self.said("validate"))
             return [*self.beyond, *([] if done else [look]), *([] if tested else [hold]), use]
         if given.measurements:
-            return data_actions(**names)
-        return plan_actions(names["arm"], next(iter(given.plans), "plan.csv"))
+            return data_actions(**names, fit=given.measurements[names["rows"]].fit)
+        plan, fits = next(iter(given.plans), "plan.csv"), [one.fit for one, _ in given.plans.values()]
+        fits += [data.get("fit") or "" for data in self.said("design")]
+        return plan_actions(names["arm"], plan, next(iter(fits), ""))
 
     @property
     def sections(self) -> list[Section]:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
-from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from rich.table import Table
 
 from doe.report.terminal import table
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from identification.arrays import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FLOOR = 1e-9  # losses below this are shown there
 MOST = 10  # failures shown
@@ -105,6 +105,8 @@ def performance_profile(rows: pl.DataFrame) -> dict[Setting, Curve]:
 
 def profile_figure(rows: pl.DataFrame) -> Figure:
     """The performance profile: on the left who is fastest, on the right who gets there at all."""
+    from matplotlib.figure import Figure  # deferred: tables need no pictures
+
     curves = performance_profile(rows)
     styles = _styles(list(curves))
     end = 1.3 * max((float(tau[-1]) for tau, _ in curves.values() if tau.size), default=1.0)
@@ -125,6 +127,8 @@ def profile_figure(rows: pl.DataFrame) -> Figure:
 
 def time_figure(rows: pl.DataFrame) -> Figure:
     """Value against time, one panel per problem: loss of efficiency of every run, those without loss at the bottom."""
+    from matplotlib.figure import Figure
+
     rows = with_hits(rows)
     problems = rows.select(PROBLEM).unique(maintain_order=True).rows()
     styles = _styles(rows.select(SETTING).unique(maintain_order=True).rows())
@@ -153,6 +157,8 @@ def time_figure(rows: pl.DataFrame) -> Figure:
 
 def _plain_numbers(axes: Axes) -> None:
     """1, 2, 5, 10 along a logarithmic x axis: powers of ten crowd each other where there is less than a decade."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
@@ -160,6 +166,8 @@ def _plain_numbers(axes: Axes) -> None:
 
 def _styles(settings: list[Any]) -> dict[Setting, tuple[Any, str, str]]:
     """Setting -> colour (of the solver), dashes and marker (of the number of starts)."""
+    from matplotlib import colormaps
+
     solvers = list(dict.fromkeys(solver for solver, _ in settings))
     starts = sorted({number for _, number in settings})
     return {

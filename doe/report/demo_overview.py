@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
 from doe.demo.run import Demo
+from doe.design import optimality_in_words
 from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_arm, run_colors
 from doe.report.spatial_pictures import draw_side
 
@@ -31,7 +32,10 @@ def draw_plan(figure: Figure, place: SubplotSpec, demo: Demo) -> None:
         axes.set(zlabel="")  # it would stand in the next picture
     else:
         draw_arm(axes, demo.arm, postures)
-    optimal = "certified optimal" if demo.design.certified_optimal else f"efficiency {demo.design.efficiency:.3f}"
+    design = demo.design
+    bound = None if design.bound is None else design.bound.as_dict()
+    sure = optimality_in_words(design.optimality, bound) if design.certified_optimal else None
+    optimal = sure or f"efficiency {design.efficiency:.3f}"
     within = "in the tracker's view" if space else "within the limits"
     axes.set_title(f"1. plan: {len(postures)} postures {within},\n{optimal}", fontsize=10)
 

@@ -8,6 +8,7 @@ from typing import Any
 from rich.text import Text
 
 from doe.demo.run import Demo
+from doe.design import optimality_in_words
 from doe.report.gap_sections import gap_sections
 from doe.report.gap_tables import as_table, candidate_sheet
 from doe.report.origin import Origin, origin_section
@@ -70,7 +71,10 @@ def truth_sheet(demo: Demo) -> Sheet:
 
 def demo_summary(demo: Demo) -> str:
     """The whole loop in one sentence."""
-    optimal = "certified optimal" if demo.design.certified_optimal else f"efficiency {demo.design.efficiency:.4f}"
+    design = demo.design
+    bound = None if design.bound is None else design.bound.as_dict()
+    sure = optimality_in_words(design.optimality, bound) if design.certified_optimal else None
+    optimal = sure or f"efficiency {design.efficiency:.4f}"
     return (
         f"A plan of {len(demo.design.plan)} runs ({optimal}). The RMS error on 200 fresh postures falls from "
         f"{demo.drawing_gap:.2f} mm (nominal) to {demo.gap(demo.base):.3f} mm (calibrated) and "

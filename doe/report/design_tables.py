@@ -8,13 +8,15 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from doe.design import Design
+from doe.bounds.bound import bound_in_words
+from doe.design import BEST_KNOWN, Design, optimality_in_words
 from doe.plan.expected_accuracy import ExpectedDeviations, over_draws
 from doe.plan.observability import Observability
 from doe.plan.order import Ordered
 from doe.plan.replicate_spacing import distance_to_keep
 from doe.problem.problem import DesignProblem
 from doe.report.terminal import facts, in_a_sentence, judged_by_mm, number, table
+from doe.report.verdict import none_below
 from doe.solvers.solver import LONG_PLAN
 from identification.arrays import Array
 from identification.estimation.corrected_values import NARROWED
@@ -22,7 +24,7 @@ from identification.kinematics.parameters import EFFECT
 
 WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
     "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
-    "and the error expected at the tip is that of such a fit"
+    "and only of such a fit is the error at the tip that is expected here"
 )
 
 
@@ -92,17 +94,17 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
     searched = f"{data['starts']} start{'s' * (data['starts'] != 1)}"
     table_1 = data["table_1_max_residual"]
     bounded = "upper bound" if kind == "D" else f"upper bound of {kind}"
-    cut = ", its search was cut by the time limit" if known and bound.get("cut") else ""
+    kind_of_bound = bound_in_words(bound) if known else ""
     length = expected_error(data)  # then the criterion's own scale says nothing more
     rows = {
         "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
         "expected error": length,
         f"value of {kind}": None if kind == "D" or length else number(data["value"], 7),
         "information (log det M')": None if kind == "I" else number(data["log_det"], 7),
-        bounded: None if length else f"{number(bound['value'], 7)} ({bound['source']}{cut})" if known else "-",
+        bounded: None if length else f"{number(bound['value'], 7)} ({kind_of_bound})" if known else "-",
         "efficiency": number(data["efficiency"] if known else None, 6)
-        + (f" of the bound ({bound['source']}{cut}). {judged_by_mm(data['efficiency'])}" if known and length else ""),
-        "certified optimal": certified_in_words(data),
+        + (f" of the bound ({kind_of_bound}). {judged_by_mm(data['efficiency'])}" if known and length else ""),
+        "optimal": optimal_in_words(data),
         "deviation from orthogonality (Table I)": None if table_1 is None or kind == "I" else number(table_1, 6),
         "solver": f"{data['solver']}, {searched}, {data['seconds']:.2f} s" if data["solver"] else None,
         "status": sentence,
@@ -115,8 +117,9 @@ def expected_error(data: dict[str, Any]) -> str | None:
     if (found := data.get("expected_error_mm")) is None:
         return None
     least = found["bound"] if not data["outside_limits"] else None
-    limit = "" if least is None else f"; no plan is below {in_a_sentence(least)} mm"
-    return f"{in_a_sentence(found['plan'])} mm at the tip, RMS over the workspace or --test-poses{limit}"
+    limit = "" if least is None else f"; {none_below(least, data['bound'])}"
+    fit = f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""
+    return f"{in_a_sentence(found['plan'])} mm at the tip, RMS over the workspace or --test-poses{fit}{limit}"
 
 
 def repeats_line(design: Design) -> list[Text]:
@@ -132,8 +135,10 @@ def repeats_line(design: Design) -> list[Text]:
 
 def not_estimable_line(design: Design, most: int = 4) -> list[Text]:
     """Why there is no log det: what is not estimable from the plan."""
-    if design.identifies_all:
+    if np.isfinite(design.log_det):
         return []
+    if design.identifies_all:
+        return [Text("no log det: the information matrix of the plan is singular to the precision of the computer")]
     still, combinations = design.problem.without_effect, design.not_identifiable
     if still:
         why = "under one payload, temperature, time and approach nothing depends on"
@@ -184,14 +189,15 @@ def observability_line(indices: Observability) -> Text:
     return Text(f"observability indices: {figures}")
 
 
-def certified_in_words(data: dict[str, Any], most: int = 10) -> str:
-    """`yes`, `no`, or which runs lie outside the problem, so that no bound applies."""
+def optimal_in_words(data: dict[str, Any], most: int = 10) -> str:
+    """`proven optimal` and so on, `no`, or which runs lie outside the problem, so that no bound applies."""
     outside = data["outside_limits"]
     if outside:
         more = ", ..." if len(outside) > most else ""
         are = "run {} is" if len(outside) == 1 else "runs {} are"
         return f"no: {are.format(', '.join(map(str, outside[:most])) + more)} outside joint limits or constraints"
-    return "yes" if data["certified_optimal"] else "no"
+    words = optimality_in_words(data["optimality"], data["bound"])
+    return f"{words}: the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else words or "no"
 
 
 def design_tables(design: Design) -> list[Any]:

@@ -15,6 +15,11 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
     """Problems first, then the facts, the range of each joint, what the data cannot say, and the next command."""
     data = found.to_json()
     shown: list[Any] = [Text(_head(found), style="bold"), *(Text(f"  - {sentence}") for sentence in found.problems)]
+    if (counting := found.readings.counting) is not None and set(found.readings.sentences) & set(found.problems):
+        shown.append(
+            Text("If the controller counts that way, the arm file may say so, and data and commands stay its:")
+        )
+        shown += [Text(f"    {line}") for line in counting.toml.splitlines()]
     lines = [
         ("rows", f"{found.rows} rows, {found.postures} postures"),
         ("columns besides", ", ".join(found.given) or "none"),
@@ -42,7 +47,10 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
     ]
     headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
     shown += [facts(lines), table(headings, rows, "Joints", left=("unit",))]
-    return [*shown, *(Text(f"note: {note}") for note in found.notes), *_next(found, f"{arm} {data_file}")]
+    shown += [Text(f"note: {note}") for note in found.notes]
+    if found.sag is not None and found.sag.recommended:
+        shown += ["", *(Text(line) for line in found.sag.lines), ""]
+    return [*shown, *_next(found, f"{arm} {data_file}")]
 
 
 def _enough(found: Inspection) -> list[tuple[str, str]]:

@@ -250,7 +250,8 @@ class Steps {
   get csv() {
     const quoted = cell => (/[",\r\n]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell);
     const lines = [["run", ...this.plan.columns], ...this.kept.map((run, k) => [String(k + 1), ...this.plan.rows[run]])];
-    return lines.map(line => line.map(quoted).join(",") + "\n").join("");
+    const comment = this.plan.comment ? this.plan.comment + "\n" : "";
+    return comment + lines.map(line => line.map(quoted).join(",") + "\n").join("");
   }
 
   download() {

@@ -48,6 +48,7 @@ def plan_steps(arm: Arm, plan: Plan, table: Table | None = None, name: str = "pl
     cells, around = columns(plan, table), planar_outlines(arm) if arm.chain is None else outlines(arm)
     return {
         "file": f"{name}-edited.csv",
+        "comment": f"# fit: {plan.fit}" if plan.fit else "",
         "columns": list(cells),
         "rows": [list(row) for row in zip(*cells.values(), strict=True)],
         "joints": [f"q{j} [{unit}]" for j, unit in enumerate(plan.units, start=1)],

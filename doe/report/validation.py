@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from rich.text import Text
 
-from doe.report.gap_figures import binned_rms
-from doe.report.pictures import AFTER, BEFORE, MANY, base_of, draw_residual_arrows, projections, workspace_axes
 from doe.report.terminal import in_a_sentence, number, table
-from identification.arrays import Array
 from identification.measurements import distances
 from identification.validate import DRAWN, HARDLY, Figures, Validation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 REFITTED = {
     "base": "position and rotation of the base",
@@ -70,24 +68,24 @@ def _cells(figures: Figures) -> list[str]:
     return [number(value) for value in vars(figures).values()]
 
 
-def _draw_distances(axis: Axes, distances: Array, color: str, name: str) -> None:
-    row = np.arange(1.0, len(distances) + 1.0)
-    style: dict[str, Any] = (
-        {"ms": 3, "alpha": 0.5} if len(distances) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
-    )
-    axis.plot(row, distances, ".", color=color, **style)
-    axis.plot(*binned_rms(row, distances), color=color, lw=1.8, label=name)
-
-
 def validation_figure(found: Validation) -> Figure:
     """Distances of drawing and model in the order of measurement, and their residuals over the workspace."""
+    from matplotlib.figure import Figure  # deferred: tables need no pictures
+
+    from doe.report.gap_figures import binned_rms
+    from doe.report.pictures import AFTER, BEFORE, MANY, base_of, draw_residual_arrows, projections, workspace_axes
+
     views = len(projections(found.residuals.shape[1]))
     figure = Figure(figsize=(10.0, 2.8 + 4.6 * views), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 1.7 * views]))
     pairs = ((found.nominal_residuals, BEFORE, "drawing"), (found.residuals, AFTER, "model"))
-    axis = top.subplots()
+    axis, row = top.subplots(), np.arange(1.0, len(found.residuals) + 1.0)
+    few: dict[str, Any] = {"ms": 3, "alpha": 0.5}
+    style = few if len(row) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
     for residuals, color, name in pairs:
-        _draw_distances(axis, distances(residuals[found.measurements.sequence]), color, name)
+        errors = distances(residuals[found.measurements.sequence])
+        axis.plot(row, errors, ".", color=color, **style)
+        axis.plot(*binned_rms(row, errors), color=color, lw=1.8, label=name)
     axis.set(xlabel="measurement, in order", ylabel="distance [mm]", ylim=(0, None))
     axis.legend(frameon=False, fontsize=8)
     largest = max(float(distances(residuals).max()) for residuals, _, _ in pairs) or 1.0

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from doe.bounds.bound import postures_in_words
+from doe.design import optimality_in_words
 from doe.report.gap_tables import is_described
 from doe.report.identification_tables import tip_in_words
 from doe.report.page import Action
@@ -151,7 +153,8 @@ def correct(arm: str) -> Action:
 # -- the other commands ------------------------------------------------------------------------------------------------
 def design_verdict(data: Data) -> str:
     """How good a plan is, by `armcal design` or `score`."""
-    optimal = ", certified optimal" if data["certified_optimal"] else ""
+    sure = optimality_in_words(data.get("optimality"), data.get("bound")) if data["certified_optimal"] else ""
+    optimal = f", {sure}" if sure else ""
     if error := data.get("expected_error_mm"):
         runs = f"{data['runs']} runs (criterion {data['criterion']}{optimal})"
         return f"The plan of {runs} lets expect {expected_by_plan(data, error)}"
@@ -159,12 +162,21 @@ def design_verdict(data: Data) -> str:
     return f"The plan of {data['runs']} runs{known or ' has no known bound'} ({data['criterion']}{optimal})."
 
 
+def none_below(error: float, bound: Data | None) -> str:
+    """`no plan from all postures is below 0.08 mm (a numerical bound)`;  bound : as in JSON, None: not in the file"""
+    known = bound or {"source": "continuous"}
+    kind = " (a numerical bound)" if not known.get("rigorous", False) else ""
+    return f"no plan from {postures_in_words(known)} is below {in_a_sentence(error)} mm{kind}"
+
+
 def expected_by_plan(data: Data, error: Data) -> str:
     """What a plan by criterion I promises in mm, and what its bound is worth."""
     promised = f"an error of {in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace"
+    if fit := data.get("fit"):
+        promised += f", if fitted by armcal identify --{fit}"
     if error["bound"] is None or data["efficiency"] is None:
         return f"{promised}."
-    least = f"; none is below {in_a_sentence(error['bound'])} mm"
+    least = f"; {none_below(error['bound'], data.get('bound'))}"
     return f"{promised}{least}. Efficiency {data['efficiency']:.4f}. {judged_by_mm(data['efficiency'])}"
 
 
@@ -216,19 +228,25 @@ def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyon
     return [*far, zeros, anew]
 
 
-def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv") -> list[Action]:
-    """From a plan to a calibration."""
+def identify_command(arm: str, rows: str, fit: str = "", out: str = "calibrated.toml") -> str:
+    """The command that fits measurements;  fit : of `Plan`, without which it does not keep what the plan promises"""
+    return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out {out}"
+
+
+def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv", fit: str = "") -> list[Action]:
+    """From a plan to a calibration;  fit : of the plan"""
+    why = ", as the plan is meant: what it promises is of this fit" if fit else ""
     return [
         Action(f"Measure the postures of {plan}, and write the positions beside the angles (armcal help formats)."),
         Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
-        Action("Identify the arm:", f"armcal identify {arm} data.csv --out calibrated.toml"),
+        Action(f"Identify the arm{why}:", identify_command(arm, "data.csv", fit)),
     ]
 
 
-def data_actions(arm: str = "arm.toml", rows: str = "data.csv") -> list[Action]:
-    """From measurements to a calibration."""
+def data_actions(arm: str = "arm.toml", rows: str = "data.csv", fit: str = "") -> list[Action]:
+    """From measurements to a calibration;  fit : of the plan that they are of"""
     return [
-        Action("Identify the arm:", f"armcal identify {arm} {rows} --out calibrated.toml"),
+        Action("Identify the arm:", identify_command(arm, rows, fit)),
         Action("Look for what the model lacks:", f"armcal diagnose {arm} {rows} --report gap.html"),
     ]
 

@@ -107,5 +107,5 @@ def design_of(
     postures = result.postures
     if np.isfinite(result.value):  # else the plan is refused, and no room for it may be left
         postures = spread_free_joints(problem, postures, generator)
-    plan = Plan(problem.clip(postures), joint_types=problem.model.joint_types)
+    plan = Plan(problem.clip(postures), joint_types=problem.model.joint_types, fit=problem.fit)
     return Design(problem, plan, bound, result.status, solver.name, result.starts, perf_counter() - began)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array, readonly
 from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.data_frames import frame_of_columns
+from identification.kinematics.counting import counting_in, in_columns
 from identification.kinematics.parameters import REVOLUTE
 from identification.validate.row_groups import extrapolated
 
@@ -110,8 +111,16 @@ class Compensation:
             found.append(f"{out} of {len(self.targets)} targets are out of reach: {frame}?")
         if self.sided and self.reached.any():
             side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
-            found.append(f"{side}. Drive the targets in this order, and to the first with every joint rising")
+            found.append(f"{side}. Drive the targets in this order, and to the first with every joint {self._rising}")
         return found
+
+    @property
+    def _rising(self) -> str:
+        """How joints that all rise move as the controller counts."""
+        counting, joints = counting_in(self.joint_types), self.commands.shape[1]
+        moves = np.ones(joints) if counting is None else counting.signs_of_columns(np.ones((1, joints)))[0]
+        falling = [str(j) for j, sign in enumerate(moves, start=1) if sign < 0.0]
+        return f"rising, but {', '.join(falling)} falling" if falling else "rising"
 
     def to_json(self) -> dict[str, Any]:
         """Counts, largest errors over targets reached and over the others, unreached rows, and a row for each target
@@ -165,9 +174,10 @@ class Compensation:
 
     @property
     def commands_in_file_units(self) -> Array:
-        """(k, n) [deg], of prismatic joints [mm]."""
+        """(k, n) [deg], of prismatic joints [mm], as the controller counts."""
+        commands = in_columns(self.commands, self.joint_types)
         turning = np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
-        return np.where(turning, np.degrees(self.commands), self.commands)
+        return np.where(turning, np.degrees(commands), commands)
 
     def to_frame(self, kind: str = "polars") -> Any:
         """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`; polars or pandas."""

@@ -80,8 +80,10 @@ def _relative_weights(weights: ArrayLike | None, m: int) -> Array:
 def weighting(
     model: Model, measurements: Measurements, sigma: ArrayLike | str | None, weights: ArrayLike | None
 ) -> Noise:
-    """Which sigma holds (argument, then rows, then arm), and the weights that follow. Raises `InputError`."""
+    """Which sigma holds (argument, then rows, then arm), and the weights that follow; of rows that are copied the first
+    counts, the others have no weight. Raises `InputError`."""
     relative = _relative_weights(weights, len(measurements))
+    relative = np.where(measurements.originals == np.arange(len(measurements)), relative, 0.0)
     if isinstance(sigma, str) and sigma not in RELIANCE:
         raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
     reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"

@@ -17,19 +17,23 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.estimation.intervals import freedom_of, quantile_95
 from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.instrument import RADIUS
-from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE, Parameter
+from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter
 from identification.kinematics.spatial import SpatialChain
 from identification.model import Model
 
 LITTLE = 0.1  # share of its variance before that the measurements take from a value that the prior holds
 NARROWED = 0.5  # of its standard deviation before, below which the measurements say more than the prior
 STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
-UPRIGHT = 89.0  # [deg] of pitch, from which roll and yaw turn about nearly one axis and only their sum is determined
+UPRIGHT = 85.0  # [deg] of pitch, from which a small turn may be a large roll and yaw (gimbal lock)
 LINK = "length of the link"
 ZERO = "add to the zero of joint {j}: real position = reading + this; or take it off every command"
 FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y, z, then roll, pitch, yaw"
-TOGETHER = ("roll_deg", "yaw_deg")
+TURNED_FRAME = (
+    "frame of joint {j} in that of {before}: x, y, z, then how it is turned from the drawing about its own x, y and z "
+    "axis; its pitch is near 90 deg, where small turns are large changes of roll and yaw"
+)
 BASE = "pose of the base for the instrument, turned about its own x, y and z axis"
 TOOL = "measured point in the frame of the tip"
 BALL = "of ball and stylus tip together; known as well as the size of the arm"
@@ -86,7 +90,6 @@ class _Quantity(NamedTuple):
     unit: str
     convention: str
     bounds: tuple[float, float] = (-np.inf, np.inf)
-    determined: bool = True  # its standard deviation means something
 
 
 def corrected_values(
@@ -109,7 +112,7 @@ def corrected_values(
     model, found = Model(arm), found or arm.calibration or Calibration({})
     values = {**model.fixed, **found.values}
     names = {*found.parameter_names, *unknown}
-    geometry = _planar(arm, values) if arm.chain is None else _spatial(arm.chain, values, names)
+    geometry = _planar(arm, values) if arm.chain is None else _spatial(arm, arm.chain, values, names)
     spread = freedom_of(found) if freedom is None else np.array([*freedom], dtype=float)
     prior = model.prior if {*model.prior} <= {*found.parameter_names} else {}
     before = np.diag([prior.get(name, 0.0) for name in found.parameter_names]) if known is None else known
@@ -131,7 +134,7 @@ def _row(
 ) -> CorrectedValue:
     at, slope = _slope(quantity, places)
     undetermined, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
-    if found.covariance is not None and at.size and not undetermined and quantity.determined:
+    if found.covariance is not None and at.size and not undetermined:
         deviation = max(float(slope @ found.covariance[np.ix_(at, at)] @ slope), 0.0) ** 0.5
     half = float(quantile_95(freedom[at].min(initial=np.inf))) * deviation
     limits = np.clip([quantity.value - half, quantity.value + half], *quantity.bounds)
@@ -165,16 +168,19 @@ def _planar(arm: Arm, values: Values) -> Iterator[_Quantity]:
         value = length + values.get(name, 0.0)
         yield _Quantity(f"length of link {j}", name, length, value, {name: 1.0}, "mm", LINK)
     stands = any(spec.name == "base_offset" for spec in arm.effects)
-    for j in range(1, arm.links + 1):
-        zero = _zero(j, REVOLUTE, values)
-        yield zero._replace(convention=TURNED) if stands and j == 1 else zero
+    for zero in _zeros(arm, values):
+        yield zero._replace(convention=TURNED) if stands and zero.name == "zero of joint 1" else zero
 
 
-def _zero(j: int, kind: str, values: Values) -> _Quantity:
-    """What joint j, counted from 1, adds to what is read."""
-    p, said = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind]), ZERO.format(j=j)
-    value = values.get(p.name, 0.0) * p.to_file
-    return _Quantity(f"zero of joint {j}", p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, said)
+def _zeros(arm: Arm, values: Values) -> Iterator[_Quantity]:
+    """What each joint adds to what is read, as the controller counts: of coupled joints what both add."""
+    shares = np.eye(arm.links) if arm.counting is None else arm.counting.matrix
+    for j, kind in enumerate(arm.joint_types, start=1):
+        p = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind])
+        slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in enumerate(shares[j - 1].tolist(), start=1) if x}
+        value = sum(x * values.get(name, 0.0) for name, x in slopes.items())
+        alone = p.name if len(slopes) == 1 else None
+        yield _Quantity(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, ZERO.format(j=j))
 
 
 def _effects(model: Model, values: Values) -> Iterator[_Quantity]:
@@ -188,9 +194,9 @@ def _effects(model: Model, values: Values) -> Iterator[_Quantity]:
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------
-def _spatial(chain: SpatialChain, values: Values, names: Collection[str]) -> Iterator[_Quantity]:
+def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[str]) -> Iterator[_Quantity]:
     """Zeros of the joints, their frames, base and measured points; derivatives by the parameters `names`."""
-    yield from (_zero(j, kind, values) for j, kind in enumerate(chain.joint_types, start=1))
+    yield from _zeros(arm, values)
     drawn, there = _tables(chain, {}), _tables(chain, values)
     steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in names and p.kind != JOINT_OFFSET}
     ends = {
@@ -198,28 +204,31 @@ def _spatial(chain: SpatialChain, values: Values, names: Collection[str]) -> Ite
         for name, step in steps.items()
     }
     for place, table in there.items():
-        framed = place.startswith("joint ")
-        upright = framed and abs(table["pitch_deg"]) > UPRIGHT
         for key, value in table.items():
             slopes = {
                 name: _nearest(up[place][key] - down[place][key], 0.0, key) / (2.0 * steps[name])
                 for name, (up, down) in ends.items()
                 if up[place][key] != down[place][key]
             }
-            nominal = drawn[place][key] + 0.0 if framed else None  # no -0
-            said = _convention(place, upright and key in TOGETHER)
+            nominal = drawn[place][key] + 0.0 if place.startswith("joint ") else None  # no -0
             axis, _, unit = key.rpartition("_")
             value = value if nominal is None else _nearest(value, nominal, key)
-            determined = not (upright and key in TOGETHER)
-            yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, said, determined=determined)
+            yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, _convention(place, table))
     if chain.instrument.free_radius:
         yield _Quantity("sphere radius", RADIUS, None, values.get(RADIUS, 0.0), {RADIUS: 1.0}, "mm", BALL)
 
 
 def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:
     """Place -> its numbers in file units: frame of each joint, base, measured points."""
-    found = CorrectedGeometry(chain, values).tables()
+    geometry = CorrectedGeometry(chain, values)
+    found = geometry.tables()
     rows = {f"joint {row.pop('joint')}": row for row in found["geometry"]}
+    for j, joint in enumerate(chain.joints, start=1):
+        if abs(joint.origin[2, 0]) > np.sin(np.radians(UPRIGHT)):
+            place, drawn = geometry.origin(j), joint.origin[:3, :3]
+            turned = pose_table(pose(place[:3, 3], drawn.T @ place[:3, :3]))
+            # as drawn is zero, whatever the product of matrices rounds it to
+            rows[f"joint {j}"] = {k: round(v, 12) if k.endswith("_deg") else v for k, v in turned.items()}
     hidden = {f"{name.partition('.')[2]}_deg" for name in chain.instrument.hidden(chain.base)}
     hidden |= {key.replace("_deg", "_mm") for key in hidden}
     base = {} if found["base"] is None else {"base": {k: v for k, v in found["base"].items() if k not in hidden}}
@@ -232,9 +241,9 @@ def _nearest(value: float, to: float, key: str) -> float:
     return value - 360.0 * round((value - to) / 360.0) if key.endswith("_deg") else value
 
 
-def _convention(place: str, together: bool) -> str:
+def _convention(place: str, table: Mapping[str, float]) -> str:
     if not place.startswith("joint "):
         return BASE if place == "base" else TOOL
     j = int(place.removeprefix("joint "))
-    said = FRAME.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
-    return f"{said}; pitch is upright, so that roll and yaw are determined together only" if together else said
+    said, before = FRAME if "roll_deg" in table else TURNED_FRAME, "the base" if j == 1 else f"joint {j - 1}"
+    return said.format(j=j, before=before)

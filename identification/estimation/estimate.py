@@ -105,21 +105,10 @@ def _estimated(residuals: Array, rank: int) -> float | None:
 def _result(
     problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, noise: Noise
 ) -> Identification:
-    rows, known = fitted_rows(problem, data, solution.parameters[0], decomposed), noise.sigma is not None
+    rows, known = FittedRows.of(problem, data, solution.parameters[0], decomposed.rank), noise.sigma is not None
     made = uncertainty(rows, decomposed, known=known, reliance=noise.reliance)
     scale = float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = scale if noise.sigma is None or scale is None else noise.sigma * scale
     return identification(
-        problem, data, method, solution, decomposed, noise, Spread(made, scatter, rows.squares, rows.freedom)
+        problem, data, method, solution, decomposed, noise, Spread(made, scatter, rows.squares, round(rows.freedom))
     )
-
-
-def fitted_rows(problem: Problem, data: Measurements, parameters: Array, decomposed: Spectrum) -> FittedRows:
-    """The rows of weight above zero with what the fit left of them."""
-    kept = problem.weights > 0.0
-    position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
-    residual = problem.root_weights * (problem.positions[0] - position)
-    weighted = problem.root_weights[:, :, None] * jacobian
-    postures = np.unique(data.posture_numbers[kept], return_inverse=True)[1]
-    sequence = np.cumsum(kept)[data.sequence[kept[data.sequence]]] - 1
-    return FittedRows(weighted[kept], residual[kept], decomposed.rank, sequence, postures)

@@ -9,6 +9,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.estimation.base_and_tool import base_and_tool
 from identification.estimation.plausibility import limited
 from identification.kinematics.joint_range import range_of
 from identification.measurements import POINT
@@ -75,7 +76,7 @@ def hardly_determined(found: Identification) -> list[str]:
     what the arm was off before, within the angles measured; or by more than all of it, within the joint limits."""
     inside, anywhere = found.expected_tip_measured, found.expected_tip
     if inside is None or anywhere is None:
-        return []
+        return base_and_tool(found, None)
     equations = found.residuals_before.size
     spare = equations - len(places := placing(found.model.parameters))
     off = found.rms_before if len(places) < len(found.names) else found.rms_after  # its place says nothing of the arm
@@ -84,6 +85,9 @@ def hardly_determined(found: Identification) -> list[str]:
     far = f"{found.rms_before:{'.3g' if found.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
     if inside > max(SHARE * before, noise):
+        postures = working_postures(found.model.arm, found.provenance, measured=True)
+        if cause := base_and_tool(found, lambda c: expected_tip(found.model, found.parameters, c, postures)):
+            return cause
         said = (
             f"at other postures within the same angles the tip may be {inside:.3g} mm (RMS) from where it is computed"
         )

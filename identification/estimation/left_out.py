@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.measurements import POINT, Measurements, rms_distance
@@ -17,34 +18,43 @@ ALONE = 1e-9  # of 1: what is left of a posture that alone determines something
 
 
 @single_thread()
-def left_out_rms(found: Identification, measurements: Measurements) -> float | None:
-    """Root mean square distance [mm] of each posture's positions from where a fit to all other postures puts them.
+def left_out_residuals(found: Identification, measurements: Measurements) -> Array | None:
+    """(m, d) each posture's positions less where a fit to all other postures puts them [mm].
 
     With the leverages H_g of the rows of a posture the residuals without them are (I - H_g)^-1 r_g: exact for a model
     that is linear in its parameters, and to first order for any other (R. D. Cook, S. Weisberg, "Residuals and
     Influence in Regression", 1982, section 2.2). The noise of one measurement is in it.
 
-    measurements : the rows of the fit. None where something is not identifiable, or a posture alone determines it.
+    measurements : the rows of the fit; copies do not count
+
+    None where something is not identifiable, or a posture alone determines it.
     """
     if found.not_identifiable or len(measurements) != len(found.residuals_after):
         return None
-    weights = np.ones(len(measurements))
+    kept, weights = measurements.originals == np.arange(len(measurements)), np.ones(len(measurements))
     if (sigma := measurements.sigma) is not None:
         weights = np.sqrt(np.mean(sigma**2)) / sigma
     _, jacobian = found.model.linearize(measurements.postures, found.parameters, measurements.conditions)
-    rows = weights[:, None, None] * jacobian
+    weights = weights[kept]
+    rows = weights[:, None, None] * jacobian[kept]
     m, d, p = rows.shape
     prior = np.zeros((0, p)) if found.prior is None else found.prior.rows(found.model.parameters, found.scatter or 0.0)
     leverage = _orthonormal(np.concatenate([rows.reshape(-1, p), prior]))[: m * d].reshape(m, d, -1)
-    residuals = weights[:, None] * found.residuals_after
+    residuals = weights[:, None] * found.residuals_after[kept]
     without = np.empty_like(residuals)
-    for group in _groups(measurements):
+    for group in _groups(measurements.posture_numbers[kept]):
         block = leverage[group].reshape(-1, leverage.shape[-1])
         left = np.eye(len(block)) - block @ block.T
         if np.linalg.eigvalsh(left)[0] < ALONE:
             return None
         without[group] = np.linalg.solve(left, residuals[group].ravel()).reshape(-1, d)
-    return rms_distance((without / weights[:, None])[:, POINT])
+    return np.asarray(without / weights[:, None])
+
+
+def left_out_rms(found: Identification, measurements: Measurements) -> float | None:
+    """Root mean square distance [mm] of `left_out_residuals`; None as there."""
+    residuals = left_out_residuals(found, measurements)
+    return None if residuals is None else rms_distance(residuals[:, POINT])
 
 
 def _orthonormal(rows: Array) -> Array:
@@ -53,8 +63,7 @@ def _orthonormal(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(rows / sizes)[0])
 
 
-def _groups(measurements: Measurements) -> list[Array]:
-    """Row numbers of each posture, its repeats together."""
-    numbers = measurements.posture_numbers
+def _groups(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Row numbers of each posture, from the number of each row's (m,)."""
     order = np.argsort(numbers, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1)

@@ -33,6 +33,7 @@ SMALL_FALL = 1e-8  # of a sum of squares, relative
 RIDGE = 1e-14  # of a normal matrix of unit columns: keeps its inverse alive where it is singular and not used
 FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) standard deviations
 LEAST = 0.1  # share of a step's length that is tried where it failed, see `_next_damping`
+VANISHED = 1e-4  # of the length that a column had at the start: its parameter has no effect to speak of
 NEGLIGIBLE = 0.1  # damping below this share of the stiffness is none
 Index = NDArray[np.intp]
 Linearize = Callable[[Array, Index], tuple[Array, Array]]
@@ -112,10 +113,12 @@ class Solution:
     iterations: Index
 
     def record(self, points: Points, active: NDArray[np.bool_], status: NDArray[np.object_], iteration: int) -> None:
-        """Store the results of some searches."""
-        self.parameters[points.problems], self.squares[points.problems] = points.parameters, points.squares
-        self.active[points.problems], self.status[points.problems] = active, status
-        self.iterations[points.problems] = iteration
+        """Store the results of some searches, where they are lower than those that are there."""
+        self.iterations[points.problems] += iteration
+        lower = points.squares < (1.0 - SMALL_FALL) * self.squares[points.problems]
+        rows = points.problems[lower]
+        self.parameters[rows], self.squares[rows] = points.parameters[lower], points.squares[lower]
+        self.active[rows], self.status[rows] = active[lower], status[lower]
 
 
 class Steps(NamedTuple):
@@ -130,30 +133,98 @@ class Steps(NamedTuple):
 
 
 def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
-    """Stationary points of K problems from starts (K, p), which are moved inside the bounds first."""
+    """Stationary points of K problems from starts (K, p), which are moved inside the bounds first.
+
+    Where a search ends with columns of the Jacobian that have vanished (a factor that is zero, on its bound say, leaves
+    the other without effect), the point is stationary and may yet be no minimum: the search goes on from where those
+    parameters make another one descend, see `_revived`.
+    """
     count, p = starts.shape
     x = np.clip(starts, problem.lower, problem.upper)
     every = np.arange(count)
     residuals, jacobians = problem.linearize(x, every)
     points = Points(every, x, residuals, jacobians, _squares(residuals), np.zeros(count))
-    failed = np.full(count, Status.solver_failed, dtype=object)
-    solution = Solution(x.copy(), points.squares.copy(), np.zeros((count, p), dtype=bool), failed, np.zeros(count, int))
-    points = points.at(np.isfinite(points.squares))
+    failed, squares = np.full(count, Status.solver_failed, dtype=object), points.squares.copy()
+    points = points.at(np.isfinite(squares))
+    squares[points.problems] = np.inf  # until a search has ended
+    solution = Solution(x.copy(), squares, np.zeros((count, p), dtype=bool), failed, np.zeros(count, int))
+    lengths = np.sqrt(np.einsum("knp,knp->kp", jacobians, jacobians))
+    while len(points.problems):
+        before = solution.squares.copy()
+        ended = _search(problem, points, solution)
+        points = _revived(problem, ended.at(solution.squares[ended.problems] < before[ended.problems]), lengths)
+    return solution
+
+
+def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points:
+    """Where searches from these points end, recorded in the solution."""
+    ends = []
     for iteration in range(problem.iterations):
         found = _steps(problem, points)
         ended = found.stationary | (points.damping > MAX_DAMPING)
         status = outcomes(found.stationary[ended], Status.converged, Status.almost_solved)
         solution.record(points.at(ended), found.active[ended], status, iteration)
+        ends.append(points.at(ended))
         points = points.at(~ended)
         if len(points.problems) == 0:
-            return solution
+            break
         points = _moved(problem, points, found.steps[~ended], found.stiffness[~ended])
-    # a flat curved valley (nearly undetermined combination, few rows) is left slowly: what is missing is far below its
-    # standard deviation
-    found = _steps(problem, points._replace(damping=np.zeros(len(points.problems))))
-    status = outcomes(found.explained <= FLAT, Status.almost_solved, Status.iteration_limit)
-    solution.record(points, found.active, status, problem.iterations)
-    return solution
+    else:
+        # a flat curved valley (nearly undetermined combination, few rows) is left slowly: what is missing is far below
+        # its standard deviation
+        found = _steps(problem, points._replace(damping=np.zeros(len(points.problems))))
+        status = outcomes(found.explained <= FLAT, Status.almost_solved, Status.iteration_limit)
+        solution.record(points, found.active, status, problem.iterations)
+        ends.append(points)
+    return Points._make(np.concatenate(arrays) for arrays in zip(*ends, strict=True))
+
+
+def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
+    """Of searches that ended, those with parameters that have no effect there: moved along these, within the bounds, to
+    where the gradient of one parameter is the largest that leads inside.
+
+    lengths : (K, p) of the Jacobian's columns at the start
+
+    Second derivatives by differences of the gradient; the gradient is exactly linear in the factors of a product.
+    """
+    void = np.sqrt(np.einsum("knp,knp->kp", points.jacobians, points.jacobians)) <= VANISHED * lengths[points.problems]
+    void &= problem.lower < problem.upper
+    points, void = points.at(some := void.any(axis=1)), void[some]
+    if not len(points.problems):
+        return points
+    x, (own, column) = points.parameters, np.nonzero(void)
+    up, down = problem.upper - x, x - problem.lower
+    size = np.maximum(np.abs(x), 1.0 / problem.scales)
+    above, below = (np.minimum(room, size)[own, column, None] for room in (up, down))  # of each void parameter
+    step = np.where(above >= below, above, -below)
+    tried = x[own]
+    tried[np.arange(len(own)), column] += step[:, 0]
+    residuals, jacobians = problem.linearize(tried, points.problems[own])
+    gradient, tried_gradient = (
+        np.einsum("knp,kn->kp", *pair) for pair in ((points.jacobians, points.residuals), (jacobians, residuals))
+    )
+    change = tried_gradient - gradient[own]
+    sizes = np.sqrt(np.einsum("knp,knp->kp", jacobians, jacobians))
+    in_mm = np.abs(change) / problem.scales
+    small = in_mm <= VANISHED * np.max(in_mm, axis=1, keepdims=True)
+    change[small | (np.abs(change) <= GRADIENT_TOLERANCE * sizes * np.sqrt(_squares(residuals))[:, None])] = 0.0
+    bend = change / step
+    moves, slopes = [], []
+    for sign, room in ((1.0, up), (-1.0, down)):
+        # (void parameters, p) for the gradient of each parameter
+        along = np.where(bend == 0.0, 0.0, np.where(sign * bend > 0.0, above, -below))
+        slope = sign * gradient
+        np.add.at(slope, own, sign * along * bend)
+        moves.append(along)
+        slopes.append(np.where(room > 0.0, slope / problem.scales, 0.0))
+    best = np.argmax(np.concatenate(slopes, axis=1), axis=1)
+    moved = x.copy()
+    moved[own, column] += np.concatenate(moves, axis=1)[np.arange(len(own)), best[own]]
+    moved = np.clip(moved, problem.lower, problem.upper)
+    descends = (np.max(np.concatenate(slopes, axis=1), axis=1) > 0.0) & np.any(moved != x, axis=1)
+    points, moved = points.at(descends), moved[descends]
+    residuals, jacobians = problem.linearize(moved, points.problems)
+    return Points(points.problems, moved, residuals, jacobians, _squares(residuals), np.zeros(len(moved)))
 
 
 def outcomes(condition: NDArray[np.bool_], status: Status, other: Status) -> NDArray[np.object_]:

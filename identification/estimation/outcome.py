@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.estimation.base_and_tool import turns_measured
 from identification.estimation.checks import Noise
 from identification.estimation.levenberg_marquardt import Solution
-from identification.estimation.outlying import limit_of, outlying, robust_squares
+from identification.estimation.outlying import limit_of, outlying, robust_squares, together
 from identification.estimation.plausibility import doubts, far_rows
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
@@ -78,7 +79,9 @@ def identification(
     found = identifiability_of(decomposed, model.names, model.scales)
     before, after = as_it_was(problem), problem.residuals(parameters)[0]
     doubtful = doubts(model, parameters, found.identifiable, before, after, data)
-    outlier = outlier_rows(problem, parameters, after)
+    unexplained = unexplained_rows(problem, parameters, after)
+    structure = together(unexplained, data.postures, data.posture_numbers)
+    outlier = unexplained & ~structure
     status = Status.not_identifiable if found.combinations else solution.status[0]
     return Identification(
         model=model,
@@ -98,24 +101,26 @@ def identification(
         provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
         uncertainty=spread.uncertainty,
         scatter=spread.scatter,
-        doubts=(*doubtful.sentences, *far_rows(after, outlier)),
+        doubts=(*doubtful.sentences, *far_rows(after, outlier, structure)),
+        flange_turns=turns_measured(model, data),
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
+        unexplained_rows=tuple((np.flatnonzero(structure) + 1).tolist()),
     )
 
 
-def outlier_rows(problem: Problem, parameters: Array, residual: Array) -> NDArray[np.bool_]:
+def unexplained_rows(problem: Problem, parameters: Array, residual: Array) -> NDArray[np.bool_]:
     """(m,) rows that the model does not explain, where enough equations are left to tell.
 
     parameters : (p,) of the fit;  residual : (m, d) [mm]
     """
-    outlier, used = np.zeros(len(residual), dtype=bool), problem.weights > 0.0
+    found, used = np.zeros(len(residual), dtype=bool), problem.weights > 0.0
     white = (problem.root_weights * residual)[used]
     p, d = len(parameters), white.shape[1]
     if white.size - p + len(problem.prior_rows) <= p:
-        return outlier
+        return found
     if white.size > MANY * p and robust_squares(np.sum(white**2, axis=1), d).max() < CLEAR * limit_of(d):
-        return outlier
+        return found
     columns = problem.jacobian(parameters).reshape(len(used), -1)[used].reshape(white.size, p)
     held = problem.prior_rows
-    outlier[used] = outlying(white, columns, held, held @ (problem.prior_center - parameters))
-    return outlier
+    found[used] = outlying(white, columns, held, held @ (problem.prior_center - parameters))
+    return found

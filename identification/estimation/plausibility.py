@@ -14,12 +14,14 @@ from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
 from identification.inspection.data_checks import DRAWN
 from identification.inspection.readings import read_differently
+from identification.kinematics.counting import in_columns
 from identification.kinematics.parameters import FILE_UNITS, JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.kinematics.turns import turned_into
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
+from identification.workspace import ColumnLimits
 
 # reasons: identification/README.md, "Doubtful fits"
 FLIPPED = 0.5  # of a link's nominal length: no drawing and no machining is that wrong
@@ -64,6 +66,7 @@ def doubts(
         *([] if implausible else (read and far_zeros(model, parameters)) or read),
         *another_frame(arm, measurements),
         *outside_limits(arm, measurements),
+        *copied_rows(measurements),
     ]
     said += [] if residual.size <= parameters.size else only_rounding(residual, measurements)
     return Doubts(tuple(said), bool(bad))
@@ -92,21 +95,34 @@ def far_zeros(model: Model, parameters: Array) -> list[str]:
     """Joints whose zero is another one than the drawing's; that of a planar arm's first is the frame's rotation."""
     values = {p.joint: x for p, x in zip(model.parameters, parameters, strict=True) if p.kind == JOINT_OFFSET}
     turning = [joint for joint, kind in enumerate(model.arm.joint_types, start=1) if joint > 1 and kind == REVOLUTE]
-    offsets = {j: (values.get(j, 0.0) + np.pi) % (2.0 * np.pi) - np.pi for j in turning}
+    counting = model.arm.counting
+    shares = np.eye(model.arm.links) if counting is None else counting.matrix
+    added = shares @ [values.get(j, 0.0) for j in range(1, model.arm.links + 1)]  # as the controller counts
+    offsets = {j: (added[j - 1] + np.pi) % (2.0 * np.pi) - np.pi for j in turning}
     far = [f"{np.degrees(x):.1f} deg at joint {j}" for j, x in offsets.items() if abs(x) > FAR_ZERO]
     return [f"zeros differ from the drawing's: {', '.join(far)}"] if far else []
 
 
-def far_rows(residual: Array, outlier: NDArray[np.bool_]) -> list[str]:
-    """Which rows nothing explains; residual : (m, d) [mm];  outlier : (m,)."""
-    if not outlier.any():
-        return []
-    off = distances(residual[:, POINT])
-    far, usual = f"up to {off[outlier].max():.4g} mm off", f"the others {np.median(off[~outlier]):.3g} mm in the median"
-    return [
-        f"{rows_in_words(outlier)}: {far}, {usual}: a lost beam, an arm that was still moving, or what the model lacks "
-        "there. armcal diagnose tells these apart; identify --without-outliers leaves such rows out"
-    ]
+def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:
+    """Which rows nothing explains; residual : (m, d) [mm];  outlier, together : (m,) by themselves, and those that come
+    together (`outlying.together`)."""
+    off, sentences = distances(residual[:, POINT]), []
+    for rows in (outlier, together):
+        if rows.any():
+            far = f"{rows_in_words(rows)}: up to {off[rows].max():.4g} mm off"
+            sentences.append(f"{far}, the others {np.median(off[~(outlier | together)]):.3g} mm in the median: ")
+    causes = []
+    if outlier.any():
+        causes.append(
+            "a lost beam, an arm that was still moving, or what the model lacks there. armcal diagnose tells these "
+            "apart; identify --without-outliers leaves such rows out"
+        )
+    if together.any():
+        causes.append(
+            "not single rows but whole postures or neighbors: what the model lacks there (gravity, play), or postures "
+            "where the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong"
+        )
+    return [sentence + cause for sentence, cause in zip(sentences, causes, strict=True)]
 
 
 def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
@@ -174,8 +190,13 @@ def limited(arm: Arm) -> NDArray[np.bool_]:
 
 
 def beyond_limits(arm: Arm, postures: Array) -> NDArray[np.bool_]:
-    """(m, n) True where a joint lies outside its limits; limits left out do not count."""
-    return limited(arm) & ((postures < arm.lower - OVERSHOOT) | (postures > arm.upper + OVERSHOOT))
+    """(m, n) True where a joint lies outside its limits, one that is counted together with others outside those of the
+    controller; limits left out do not count."""
+    beyond = limited(arm) & ((postures < arm.lower - OVERSHOOT) | (postures > arm.upper + OVERSHOOT))
+    for tied in (each for each in arm.constraints if isinstance(each, ColumnLimits)):
+        column = postures @ np.array(tied.coefficients)
+        beyond[:, tied.joint - 1] = (column < tied.lower - OVERSHOOT) | (column > tied.upper + OVERSHOOT)
+    return beyond
 
 
 def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
@@ -187,7 +208,7 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     row = int(np.argmax(outside.any(axis=1)))
     joint = int(np.argmax(outside[row]))
     _, factor, unit = FILE_UNITS[JOINT_UNITS[arm.joint_types[joint]]]
-    low, high, place = (v[joint] * factor for v in (arm.lower, arm.upper, q[row]))
+    low, high, place = (v[joint] * factor for v in (*arm.column_limits, in_columns(q[row], arm.joint_types)))
     count = int(outside.any(axis=1).sum())
     first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
     return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}{_turns(arm, q)}"]
@@ -204,14 +225,12 @@ def _turns(arm: Arm, postures: Array) -> str:
 
 
 def copied_rows(measurements: Measurements) -> list[str]:
-    """Rows that repeat posture and position of another row to the last digit, as no instrument does."""
-    _, first, numbers = np.unique(
-        np.column_stack([measurements.postures, measurements.positions]), axis=0, return_index=True, return_inverse=True
-    )
-    rows = np.flatnonzero(first[numbers.ravel()] != np.arange(len(measurements)))
+    """Rows that repeat posture and position of another row to the last digit, as hardly any instrument does."""
+    rows = np.flatnonzero(measurements.originals != np.arange(len(measurements)))
     if not rows.size:
         return []
-    copy, original = int(rows[0]) + 1, int(first[numbers.ravel()[rows[0]]]) + 1
+    copy, original = int(rows[0]) + 1, int(measurements.originals[rows[0]]) + 1
     number = "1 row is an exact copy" if rows.size == 1 else f"{rows.size} rows are exact copies"
+    no = "it is no measurement of its own" if rows.size == 1 else "they are no measurements of their own"
     seen = f"{number} of another (of {len(measurements)} rows): the first row {copy} of row {original}"
-    return [f"{seen}: they are no measurements of their own, and make everything look surer than it is"]
+    return [f"{seen}: {no}, which identify does not count"]

@@ -49,9 +49,11 @@ class Identification:
         what is left unexplained
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
     doubts : what is doubtful about the fit, in sentences
-    outlier_rows : numbers from 1 of rows that the model does not explain, which are in the fit all the same
+    outlier_rows : numbers from 1 of single rows that the model does not explain, which are in the fit all the same
+    unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
     contradictions : parameters whose prior, an earlier calibration, the measurements contradict
+    flange_turns : (3,) see `base_and_tool.flange_turns`, of a fit of both base and measured points; None: of others
     covariance_seen : (p, p) with the noise that is there without that prior; None: no such prior
     """
 
@@ -72,10 +74,12 @@ class Identification:
     scatter: float | None
     doubts: tuple[str, ...] = ()
     outlier_rows: tuple[int, ...] = ()
+    unexplained_rows: tuple[int, ...] = ()
     prior: Prior | None = None
     machining_factor: float | None = None
     contradictions: tuple[Contradiction, ...] = ()
     covariance_seen: Array | None = None
+    flange_turns: Array | None = None
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -219,7 +223,7 @@ class Identification:
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
         chain = getattr(self.model, "arm", None) and self.model.arm.chain
-        return None if chain is None else CorrectedGeometry(chain, self._everything)
+        return None if chain is None else CorrectedGeometry(chain, self._everything, self.model.arm.counting)
 
     def calibrated_arm(self) -> Arm:
         """The arm with this calibration in it."""
@@ -248,6 +252,7 @@ class Identification:
             "status": self.status.name,
             "warnings": list(self.warnings),
             "outlier_rows": list(self.outlier_rows),
+            "unexplained_rows": list(self.unexplained_rows),
             "scatter_mm": self.scatter,
             **({} if self.machining_factor is None else {"machining_factor": self.machining_factor}),
             "intervals": self.uncertainty.kind,
@@ -297,4 +302,13 @@ class Identification:
 
 _OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")
 # by a calibration, which has them elsewhere or is read without them
-_NOT_KEPT = ("parameters", "p_value", "status", "warnings", "outlier_rows", "clusters", *_OF_GEOMETRY)
+_NOT_KEPT = (
+    "parameters",
+    "p_value",
+    "status",
+    "warnings",
+    "outlier_rows",
+    "unexplained_rows",
+    "clusters",
+    *_OF_GEOMETRY,
+)

@@ -6,8 +6,11 @@ H_gg = J_g B J_g^T (B. A. Pustejovsky, E. Tipton, 2018: CR2, after R. M. Bell, D
 
     cov = B [ sum_g J_g^T A_g r_g r_g^T A_g J_g ] B,     A_g = (I - H_gg)^(-1/2),
 
-which is unbiased if the model is complete and the noise white. Intervals are Student's, with the degrees of freedom of
-the chi-square that has the same first two moments as the variance (Satterthwaite), for each parameter its own.
+which is unbiased if the model is complete and the noise white. With a prior, whose rows R are whitened as J is, the
+estimates are those of the posterior's mode, B = (J^T J + R^T R)^-1, and the prior adds s^2 R^T R in the middle, s^2
+being the variance of white noise: its part of the errors is as the prior says. Intervals are Student's, with the
+degrees of freedom of the chi-square that has the same first two moments as the variance (Satterthwaite), for each
+parameter its own.
 """
 
 from __future__ import annotations
@@ -30,21 +33,29 @@ class Sandwich(NamedTuple):
     freedom: Array
 
 
-def sandwich(jacobian: Array, residual: Array, root: Array, groups: NDArray[np.int64]) -> Sandwich | None:
+def sandwich(
+    jacobian: Array, residual: Array, root: Array, groups: NDArray[np.int64], variance: float = 1.0
+) -> Sandwich | None:
     """The covariance of least-squares estimates; None where one group alone determines a combination of parameters.
 
-    jacobian : (m, d, p) and residual : (m, d), whitened;  root : (p, rank), root @ root.T = (J^T J)^-1
-    groups : (m,) number of the group of each row, 0, 1, ...
+    jacobian : (m, d, p) and residual : (m, d), whitened;  root : (p, rank), root @ root.T = (J^T J + R^T R)^-1
+    groups : (m,) number of the group of each row, 0, 1, ...;  variance : of white noise, beside a prior
     """
-    leverages, vectors, scores = decomposed_groups(jacobian @ root, residual, groups)
+    columns = jacobian @ root
+    leverages, vectors, scores = decomposed_groups(columns, residual, groups)
     if leverages.max() > 1.0 - ALONE:
         return None
     factors = 1.0 / np.sqrt(1.0 - np.maximum(leverages, 0.0))
     corrected = (
         root @ (vectors @ (factors * scores)[:, :, None])[:, :, 0].T
     )  # (p, G): what each group adds to the estimates
-    freedom = np.array([_freedom(row @ vectors, leverages, factors, vectors) for row in root])
-    return Sandwich(corrected @ corrected.T, freedom)
+    held = np.eye(root.shape[1]) - np.einsum("mdr,mds->rs", columns, columns, optimize=True)  # R^T R; without it zero
+    held = root @ held @ root.T
+    known = np.maximum(np.diag(held), 0.0)
+    freedom = np.array(
+        [_freedom(row @ vectors, leverages, factors, vectors, k) for row, k in zip(root, known, strict=True)]
+    )
+    return Sandwich(corrected @ corrected.T + variance * held, freedom)
 
 
 def decomposed_groups(columns: Array, residual: Array, groups: NDArray[np.int64]) -> tuple[Array, Array, Array]:
@@ -71,15 +82,15 @@ def decomposed_groups(columns: Array, residual: Array, groups: NDArray[np.int64]
     return values, vectors, scores
 
 
-def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array) -> float:
-    """Satterthwaite's degrees of freedom of one variance, 2 E^2 / var, under white noise.
+def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array, known: float) -> float:
+    """Satterthwaite's degrees of freedom of one variance, 2 E^2 / var, under white noise of variance one.
 
     The variance is |P^T e|^2 of white e with P^T P = diag(d) - W W^T: d_g = |A_g Q_g a|^2 and W_g = Q_g^T A_g Q_g a.
-    turned : (G, r) a in the eigenvectors of each group
+    turned : (G, r) a in the eigenvectors of each group;  known : the prior's part of the variance
     """
     diagonal = np.sum(leverages * np.square(factors * turned), axis=1)
     inner = (vectors @ (leverages * factors * turned)[:, :, None])[:, :, 0]
     gram = inner.T @ inner
     first = diagonal.sum() - np.trace(gram)
     second = np.sum(diagonal**2) - 2.0 * np.sum(diagonal * np.sum(inner**2, axis=1)) + np.sum(gram**2)
-    return float(first**2 / second) if second > 0.0 else float("inf")
+    return float((first + known) ** 2 / second) if second > 0.0 else float("inf")

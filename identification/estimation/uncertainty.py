@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
 from identification.arrays import Array
+from identification.estimation.problem import Problem
 from identification.estimation.sandwich import Sandwich, sandwich
 from identification.information import Spectrum
+from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Covariance and intervals"
 BELIEVED = (0.1, 0.99)  # p-values of chi2 between which intervals rely on the sigma that is given
@@ -23,25 +25,45 @@ STRETCHES = 40  # of a session whose rows are correlated; Student's quantile is 
 class FittedRows:
     """m rows of d whitened coordinates with what a fit left of them.
 
-    jacobian : (m, d, p);  residual : (m, d);  rank : number of combinations estimated
-    sequence : (m,) row numbers in the order of measurement;  postures : (m,) equal numbers mark repeats of one posture
+    jacobian : (m, d, p);  residual : (m, d);  rank : number of combinations estimated, with a prior by the data alone
+    sequence : (m,) row numbers in the order of measurement
+    postures, repeats : (m,) `Measurements.posture_numbers` and `repeat_numbers`, from 0
+    pull : (p,) R^T R (center - values) of a prior's rows R, None: no prior
     """
 
     jacobian: Array
     residual: Array
-    rank: int
+    rank: float
     sequence: NDArray[np.int64]
     postures: NDArray[np.int64]
+    repeats: NDArray[np.int64]
+    pull: Array | None = None
+
+    @classmethod
+    def of(cls, problem: Problem, data: Measurements, parameters: Array, rank: float) -> FittedRows:
+        """The rows of weight above zero, linear about parameters (p,)."""
+        kept = problem.weights > 0.0
+        position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
+        residual = problem.root_weights * (problem.positions[0] - position)
+        weighted = problem.root_weights[:, :, None] * jacobian
+        postures, repeats = (
+            np.unique(numbers[kept], return_inverse=True)[1] for numbers in (data.posture_numbers, data.repeat_numbers)
+        )
+        sequence = np.cumsum(kept)[data.sequence[kept[data.sequence]]] - 1
+        prior = problem.prior_rows
+        pull = prior.T @ (prior @ (problem.prior_center - parameters)) if len(prior) else None
+        return cls(weighted[kept], residual[kept], rank, sequence, postures, repeats, pull)
 
     def unbounded(self, root: Array) -> FittedRows:
         """The rows with the residuals that the linear model leaves without bounds: an active bound hides what is behind
         it, and residuals that the parameters could explain would count as misfit."""
         columns = self.jacobian @ root
-        explained = np.einsum("mdr,r->md", columns, np.einsum("mdr,md->r", columns, self.residual))
-        return replace(self, residual=self.residual - explained)
+        slope = np.einsum("mdr,md->r", columns, self.residual)
+        slope += 0.0 if self.pull is None else root.T @ self.pull
+        return replace(self, residual=self.residual - columns @ slope)
 
     @property
-    def freedom(self) -> int:
+    def freedom(self) -> float:
         """Equations less combinations estimated."""
         return self.residual.size - self.rank
 
@@ -54,6 +76,24 @@ class FittedRows:
     def p_value(self) -> float | None:
         """Probability of a sum of squares at least this large, if noise is white with variance one."""
         return float(chdtrc(self.freedom, self.squares)) if self.freedom > 0 else None
+
+    @property
+    def several(self) -> bool:
+        """Whether a posture has several rows, which share what is left unexplained there."""
+        return int(self.postures.max()) + 1 < len(self.postures)
+
+    def of_postures(self, root: Array) -> tuple[float, float]:
+        """Sum of squares of what the rows of each posture have in common, their sum over the root of their number; and
+        its expectation if noise is white with variance one, the degrees of freedom.
+
+        root : (p, rank), root @ root.T = (J^T J + R^T R)^-1
+        """
+        share = 1.0 / np.sqrt(np.bincount(self.postures))[self.postures, None]
+        both = np.concatenate([self.residual[:, :, None], self.jacobian @ root], axis=2) * share[:, :, None]
+        sums = np.zeros((int(self.postures.max()) + 1, *both.shape[1:]))
+        np.add.at(sums, self.postures, both)
+        squares = np.sum(sums**2, axis=(0, 1))
+        return float(squares[0]), float(sums[:, :, 0].size - squares[1:].sum())
 
 
 @dataclass(frozen=True)
@@ -83,29 +123,46 @@ class Uncertainty:
 
 
 def uncertainty(
-    rows: FittedRows, decomposed: Spectrum, *, known: bool, reliance: str | None = None, doubtful: bool = False
+    rows: FittedRows,
+    decomposed: Spectrum,
+    *,
+    known: bool,
+    reliance: str | None = None,
+    doubtful: bool = False,
+    noise: float | None = None,
 ) -> Uncertainty:
     """The covariance that holds, and the degrees of freedom of its intervals.
 
     known : the rows are divided by a sigma that is given
     reliance : `given` or `estimated`: what the intervals rely on, whatever the residuals say; None: the sigma given as
-        long as chi2 does not contradict it; else the scatter, robustly where something is left unexplained
+        long as chi2 does not contradict it, that of the rows and that of what the rows of each posture have in common;
+        else the scatter, robustly where postures have several rows or something is left unexplained
     doubtful : something is known to be left unexplained, or the noise to be no constant
+    noise : with a prior, the standard deviation of the whitened rows that the prior was weighed against; None: no prior
     """
     p, plain = rows.p_value, decomposed.covariance
-    trusted = p is None or BELIEVED[0] <= p <= BELIEVED[1]
+    trusted = p is None or BELIEVED[0] <= p <= BELIEVED[1] if noise is None else noise == 1.0
+    if trusted and rows.several:
+        squares, freedom = rows.of_postures(decomposed.root)
+        trusted = freedom < 1.0 or float(chdtrc(freedom, squares)) >= BELIEVED[0]
     if known and (reliance == "given" or (reliance is None and trusted)):
         return Uncertainty("given", plain, np.full(len(plain), np.inf))
-    robust = None
-    if reliance is None and p is not None and not (known and p > BELIEVED[1]):
-        robust = _robust(rows, decomposed, known or doubtful)
-    if robust is not None:
-        return robust
-    variance = rows.squares / rows.freedom if rows.freedom > 0 else np.nan
-    return Uncertainty("scatter", variance * plain, np.full(len(plain), float(rows.freedom)))
+    variance = noise**2 if noise else rows.squares / rows.freedom if rows.freedom > 0 else np.nan
+    freedom = rows.freedom if noise is None else max(rows.freedom, 1.0)
+    if reliance is None and p is not None:
+        misfit = doubtful or (known and p < BELIEVED[0] and noise is None)
+        if rows.several or not (known and p > BELIEVED[1]):
+            robust = _robust(rows, decomposed, misfit, variance)
+            if robust is not None:
+                return robust
+        if rows.several:  # too few postures for a sandwich: what their rows have in common, as one row each
+            squares, spare = rows.of_postures(decomposed.root)
+            if spare >= 1.0 and squares / spare > variance:
+                variance, freedom = squares / spare, spare
+    return Uncertainty("scatter", variance * plain, np.full(len(plain), float(freedom)))
 
 
-def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool) -> Uncertainty | None:
+def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool, variance: float) -> Uncertainty | None:
     """The widest sandwich over postures or stretches of time; None with too few rows, where nothing asks for it, and
     where the rows determine no parameter."""
     root = decomposed.root
@@ -113,29 +170,31 @@ def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool) -> Uncertainty
         return None
     rows = rows.unbounded(root)
     length = correlated(rows, root)
-    if not (misfit or length > 1 or lack_of_fit(rows) < LEVEL):
+    if not (misfit or rows.several or length > 1 or lack_of_fit(rows) < LEVEL):
         return None
-    found = [(kind, groups, made) for kind, groups, made in _made(rows, root, length) if made is not None]
+    found = [(kind, groups, made) for kind, groups, made in _made(rows, root, length, variance) if made is not None]
     if not found:
         return None
     kind, groups, widest = max(found, key=lambda one: _size(one[2], root))
     return Uncertainty("sandwich", widest.covariance, widest.freedom, kind, int(groups.max()) + 1)
 
 
-def _made(rows: FittedRows, root: Array, length: int) -> list[tuple[str, NDArray[np.int64], Sandwich | None]]:
+def _made(
+    rows: FittedRows, root: Array, length: int, variance: float
+) -> list[tuple[str, NDArray[np.int64], Sandwich | None]]:
     """Sandwiches over rows or postures and, where rows are correlated in time, over stretches of time."""
-    single = int(rows.postures.max()) + 1 == len(rows.postures)
-    found = [("rows" if single else "postures", rows.postures, _enough(rows, root, rows.postures))]
+    kind = "postures" if rows.several else "rows"
+    found = [(kind, rows.postures, _enough(rows, root, rows.postures, variance))]
     while length > 1:
         groups = stretches(rows.sequence, length)
-        if (made := _enough(rows, root, groups)) is not None:
+        if (made := _enough(rows, root, groups, variance)) is not None:
             return [*found, ("stretches", groups, made)]
         length //= 2
     return found
 
 
-def _enough(rows: FittedRows, root: Array, groups: NDArray[np.int64]) -> Sandwich | None:
-    made = sandwich(rows.jacobian, rows.residual, root, groups)
+def _enough(rows: FittedRows, root: Array, groups: NDArray[np.int64], variance: float) -> Sandwich | None:
+    made = sandwich(rows.jacobian, rows.residual, root, groups, variance)
     return made if made is not None and made.freedom.min() >= FEWEST else None
 
 
@@ -177,10 +236,11 @@ def stretches(sequence: NDArray[np.int64], length: int) -> NDArray[np.int64]:
 
 def lack_of_fit(rows: FittedRows) -> float:
     """p-value of the F test of lack of fit against the scatter of repeats; 1 where too few postures are repeated."""
-    d, count = rows.residual.shape[1], int(rows.postures.max()) + 1
-    sizes = np.bincount(rows.postures)[:, None]
-    means = np.stack([np.bincount(rows.postures, column) for column in rows.residual.T], axis=1) / sizes
-    pure = float(np.sum((rows.residual - means[rows.postures]) ** 2))
+    numbers = np.unique(rows.repeats, return_inverse=True)[1]
+    d, count = rows.residual.shape[1], int(numbers.max()) + 1
+    sizes = np.bincount(numbers)[:, None]
+    means = np.stack([np.bincount(numbers, column) for column in rows.residual.T], axis=1) / sizes
+    pure = float(np.sum((rows.residual - means[numbers]) ** 2))
     pure_freedom, fit_freedom = d * (len(rows.residual) - count), d * count - rows.rank
     if pure_freedom < 1 or fit_freedom < 1 or pure == 0.0:
         return 1.0

@@ -25,7 +25,7 @@ from identification.estimation.prior import Prior, effective_count
 from identification.estimation.prior_sizes import LinearizedProblem, Widths, likeliest, widened
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
-from identification.estimation.uncertainty import Uncertainty
+from identification.estimation.uncertainty import FittedRows, uncertainty
 from identification.information import spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.measurements import Measurements
@@ -70,7 +70,9 @@ def estimate_with_prior(
     if decomposed.rank < len(parameters):
         effective = effective_count(jacobian, problem.prior_rows)
     dof = round(model.dimension * np.count_nonzero(problem.weights) - effective)
-    made = _uncertainty(problem, decomposed.covariance, float(dof), noise)
+    rows = FittedRows.of(problem, measurements, parameters, effective)
+    known = noise.sigma is not None
+    made = uncertainty(rows, decomposed, known=known, reliance=noise.reliance, noise=problem.noise)
     spread = Spread(made, problem.noise * (noise.sigma or 1.0), float(problem.squares(parameters)[0]), dof)
     found = identification(problem, measurements, "gauss_newton", solution, decomposed, noise, spread)
     found = replace(found, prior=problem.prior, machining_factor=widths.machining if model.prior else None)
@@ -148,10 +150,3 @@ class _Linearizations:
             return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
 
         return replace(problem.least_squares, linearize=linearize)
-
-
-def _uncertainty(problem: Problem, covariance: Array, dof: float, noise: Noise) -> Uncertainty:
-    """`given` where the noise is sigma; else `scatter`, with Student's t."""
-    given = noise.sigma is not None and problem.noise == 1.0
-    freedom = np.full(len(covariance), np.inf if given else max(dof, 1.0))
-    return Uncertainty("given" if given else "scatter", problem.noise**2 * covariance, freedom)

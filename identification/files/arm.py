@@ -32,7 +32,9 @@ from identification.files.arm_schema import (
     ConstraintTable,
 )
 from identification.files.io import PathLike, read_toml
-from identification.kinematics.parameters import chain_parameters
+from identification.files.joint_counting import counting_of, limits_of_joints
+from identification.files.schema import require_count
+from identification.kinematics.parameters import REVOLUTE, chain_parameters
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox, WorkspaceConstraint
 
 
@@ -64,28 +66,39 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
         raise InputError(f"kind: found {kind!r}, allowed: planar or spatial")
     file: ArmFile = PLANAR.validated(tables)
     links = len(file.links_mm)
-    limits = file.joint_limits_deg
+    counting = counting_of(file.joints, (REVOLUTE,) * links)
+    constraints: list[WorkspaceConstraint] = [_constraint(table) for table in file.constraints]
+    lower, upper = None, None
+    if (limits := file.joint_limits_deg) is not None:
+        lower, upper = np.radians(limits.lower), np.radians(limits.upper)
+        if counting is not None:
+            for side, values in (("lower", limits.lower), ("upper", limits.upper)):
+                require_count(f"joint_limits_deg.{side}", values, links)
+            lower, upper, tied = limits_of_joints(counting, (REVOLUTE,) * links, lower, upper)
+            constraints += tied
     effects = effects_of(file.effects, links)
     check_tables(file.gravity, effects)
     names = file_names(chain_parameters(np.ones(links)), effects)
     return Arm(
         lengths=readonly(file.links_mm),
-        lower=None if limits is None else np.radians(limits.lower),  # type: ignore[arg-type]
-        upper=None if limits is None else np.radians(limits.upper),  # type: ignore[arg-type]
+        lower=lower,  # type: ignore[arg-type]
+        upper=upper,  # type: ignore[arg-type]
         sigma=None if file.measurement is None else file.measurement.sigma_mm,
         name=file.name,
         gravity=gravity_of(file.gravity, links),
-        constraints=tuple(_constraint(table) for table in file.constraints),
+        constraints=tuple(constraints),
         effects=with_geometry(effects, file.effects, chain_parameters(np.ones(links))),
         calibration=None if file.calibration is None else _calibration(file.calibration, names),
         gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
+        counting=counting,
     )
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 def _warn_if_radians(path: PathLike, tables: Mapping[str, Any]) -> None:
     limits = tables.get("joint_limits_deg")
-    if limits and max(abs(value) for key in ("lower", "upper") for value in limits[key]) <= 2.0 * np.pi + 0.01:
+    values = [abs(value) for key in ("lower", "upper") for value in limits[key]] if limits else []
+    if values and max(values) <= 2.0 * np.pi + 0.01:
         message = "joint_limits_deg: all limits are within 6.3 deg and look like radians; write them in degrees"
         warnings.warn(f"{path}: {message}", UserWarning, stacklevel=3)
 

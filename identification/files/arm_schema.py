@@ -35,6 +35,16 @@ class LimitsTable(StrictTable):
     upper: list[Angle] = Field(description=f"one angle [deg] for each link, up to {LARGEST_ANGLE:g}")
 
 
+class JointsTable(StrictTable):
+    """`[joints]`: how the controller counts them (identification/kinematics/counting.py)."""
+
+    sign: list[int] | None = Field(None, description="1 or -1 for each joint")
+    coupled_to: list[int] | None = Field(
+        None, description="a joint from 1, negative: against its sense, or 0, for each"
+    )
+    zero_deg: list[Angle] | None = Field(None, description=f"one angle [deg] for each joint, up to {LARGEST_ANGLE:g}")
+
+
 class MeasurementTable(StrictTable):
     """`[measurement]`."""
 
@@ -165,6 +175,7 @@ class ArmFile(StrictTable):
     kind: Literal["planar"] = Field("planar", description="planar or spatial")
     name: str = Field("arm", description="a text")
     joint_limits_deg: LimitsTable | None = Field(None, description="a table with lower and upper")
+    joints: JointsTable | None = Field(None, description="a table with sign, coupled_to, zero_deg")
     measurement: MeasurementTable | None = Field(None, description="a table with sigma_mm")
     gravity: GravityTable | None = Field(
         None, description="a table with acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg"
@@ -205,6 +216,7 @@ PLANAR = Schema(
     {
         "": ArmFile,
         "joint_limits_deg": LimitsTable,
+        "joints": JointsTable,
         "measurement": MeasurementTable,
         "gravity": GravityTable,
         "effects": EffectTable,

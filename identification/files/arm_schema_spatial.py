@@ -8,7 +8,14 @@ from pydantic import BaseModel, Field, model_validator
 
 from identification.arm import LARGEST_ACCELERATION, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS
 from identification.errors import InputError
-from identification.files.arm_schema import BoxTable, CovarianceTable, EffectTable, GravityTable, MeasurementTable
+from identification.files.arm_schema import (
+    BoxTable,
+    CovarianceTable,
+    EffectTable,
+    GravityTable,
+    JointsTable,
+    MeasurementTable,
+)
 from identification.files.schema import (
     Acceleration,
     Angle,
@@ -199,6 +206,7 @@ class SpatialArmFile(StrictTable):
     dh: list[DHTable] | None = Field(None, min_length=1, max_length=MAX_LINKS, description=f"1 to {MAX_LINKS} [[dh]]")
     joint_limits_deg: AnglesTable | None = Field(None, description="a table with lower and upper")
     joint_limits_mm: TravelsTable | None = Field(None, description="a table with lower and upper")
+    joints: JointsTable | None = Field(None, description="a table with sign, coupled_to, zero_deg")
     base: PoseTable | None = Field(None, description="a table with x_mm, y_mm, z_mm, rx_deg, ry_deg, rz_deg")
     tool: dict[str, Any] | None = Field(None, description="a table with x_mm, y_mm, z_mm, or one for each marker")
     machining: MachiningTable | None = Field(None, description="a table with translation_mm, rotation_deg")
@@ -247,6 +255,7 @@ _TABLES: dict[str, type[BaseModel]] = {
     "dh": DHTable,
     "joint_limits_deg": AnglesTable,
     "joint_limits_mm": TravelsTable,
+    "joints": JointsTable,
     "base": PoseTable,
     "machining": MachiningTable,
     "measurement": SpatialMeasurementTable,

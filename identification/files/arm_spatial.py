@@ -40,15 +40,24 @@ from identification.files.arm_schema_spatial import (
     TravelsTable,
 )
 from identification.files.io import PathLike, named_file, read_toml
+from identification.files.joint_counting import counting_of, limits_of_joints
 from identification.files.schema import require_count
 from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
 from identification.kinematics.corrected import before_errors
+from identification.kinematics.counting import Counting
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_to_z
 from identification.kinematics.instrument import Instrument
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, Joint, SpatialChain
-from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox, WorkspaceConstraint
+from identification.workspace import (
+    ColumnLimits,
+    KeepOutCircle,
+    KeepOutCylinder,
+    LineOfSight,
+    WorkspaceBox,
+    WorkspaceConstraint,
+)
 
 
 def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:
@@ -60,6 +69,10 @@ def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:
     chain = _standing(file, _chain(file, folder))
     joints = len(chain)
     file.require_counts(joints)
+    constraints: list[WorkspaceConstraint] = [_constraint(table) for table in file.constraints]
+    if (counting := counting_of(file.joints, chain.joint_types)) is not None:
+        chain, tied = _of_columns(file, chain, counting)
+        constraints += tied
     effects = effects_of(file.effects, joints, chain.dimension)
     check_tables(file.gravity, effects, file.instrument)
     table, calibration = file.calibration, None
@@ -73,7 +86,8 @@ def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:
         sigma=None if file.measurement is None else file.measurement.sigma_mm,
         name=file.name,
         gravity=gravity_of(file.gravity, joints),
-        constraints=tuple(_constraint(table) for table in file.constraints),
+        constraints=tuple(constraints),
+        counting=counting,
         effects=with_geometry(effects, file.effects, chain.every_parameter),
         calibration=calibration,
         gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
@@ -94,6 +108,13 @@ def urdf_of(tables: Mapping[str, Any], folder: PathLike) -> tuple[Urdf, str, str
         str(tables["base_link"]),
         str(tables["tip_link"]),
     )
+
+
+def urdf_masses(path: PathLike) -> tuple[float, ...] | None:
+    """[kg] of the links, from the URDF file that an arm file names; None without one, or where it gives no mass."""
+    named = urdf_of(read_toml(path), Path(path).parent)
+    masses = () if named is None else named[0].masses(*named[1:])
+    return masses if any(masses) else None
 
 
 def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:
@@ -163,6 +184,22 @@ def _limited(
     for k, lower, upper in zip(own, table.lower, table.upper, strict=True):
         found[k] = replace(found[k], lower=lower * factor, upper=upper * factor)
     return tuple(found)
+
+
+def _of_columns(
+    file: SpatialArmFile, chain: SpatialChain, counting: Counting
+) -> tuple[SpatialChain, list[ColumnLimits]]:
+    """The chain whose limits from tables of the file, which are the controller's, are those of its joints, and the
+    controller's of coupled joints; limits of a URDF are the joints' already."""
+    tables = {REVOLUTE: file.joint_limits_deg, PRISMATIC: file.joint_limits_mm}
+    given = [tables[kind] is not None for kind in chain.joint_types]
+    limits = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
+    lower, upper, tied = limits_of_joints(counting, chain.joint_types, *limits)
+    joints = tuple(
+        replace(joint, lower=float(low), upper=float(high)) if own else joint
+        for joint, low, high, own in zip(chain.joints, lower, upper, given, strict=True)
+    )
+    return replace(chain, joints=joints), [each for each in tied if given[each.joint - 1]]
 
 
 def _standing(file: SpatialArmFile, chain: SpatialChain) -> SpatialChain:

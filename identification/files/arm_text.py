@@ -18,9 +18,10 @@ from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables
 from identification.files.arm_effects import GEOMETRY_KEY, FileName, built, curve_name, file_names
 from identification.files.io import PathLike, read_toml
+from identification.files.joint_counting import joints_table
 from identification.files.toml import Plain, append_tables, replace_table
 from identification.kinematics.parameters import GEOMETRY, chain_parameters
-from identification.workspace import KeepOutCircle, KeepOutCylinder, WorkspaceBox, WorkspaceConstraint
+from identification.workspace import ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 if TYPE_CHECKING:
     from identification.effects import Effect
@@ -34,22 +35,25 @@ def dump_arm(arm: Arm) -> str:
     """
     calibration = arm.calibration
     if arm.chain is None:
-        tables: Plain = {
-            "name": arm.name,
-            "links_mm": arm.lengths.tolist(),
-            "joint_limits_deg": {"lower": _degrees(arm.lower), "upper": _degrees(arm.upper)},
-        }
+        tables: Plain = {"name": arm.name, "links_mm": arm.lengths.tolist()}
+        limits = arm.column_limits
+        if np.all(np.isfinite(limits)):
+            tables["joint_limits_deg"] = {"lower": _degrees(limits[0]), "upper": _degrees(limits[1])}
+        elif np.any(np.abs([arm.lower, arm.upper]) != np.pi):
+            found = "limits of coupled joints, none of which is the controller's"
+            raise InputError(f"arm {arm.name}: {found}, allowed: with a constraint ColumnLimits for each")
     else:
         from identification.files.arm_text_spatial import calibration_with_places, chain_tables
 
         tables, calibration = chain_tables(arm, arm.chain), calibration_with_places(arm.chain, calibration)
+    tables |= {} if arm.counting is None else {"joints": joints_table(arm.counting)}
     tables |= {} if arm.gear_ratios is None else {"gear_ratio": _floats(arm.gear_ratios)}
     if arm.sigma is not None:
         tables.setdefault("measurement", {})["sigma_mm"] = float(arm.sigma)
     if arm.gravity is not None:
         tables["gravity"] = _gravity_table(arm.gravity)
-    if arm.constraints:
-        tables["constraints"] = [_constraint_table(constraint) for constraint in arm.constraints]
+    if constraints := [each for each in arm.constraints if not isinstance(each, ColumnLimits)]:
+        tables["constraints"] = [_constraint_table(constraint) for constraint in constraints]
     text = with_effects(tomlkit.dumps(tables), arm.effects)
     return text if calibration is None else with_calibration(text, calibration)
 
@@ -125,7 +129,7 @@ def _gravity_table(gravity: Gravity) -> Plain:
     } | ({} if gravity.payload_at is None else {"payload_at_mm": _floats(gravity.payload_at)})
 
 
-def _constraint_table(constraint: WorkspaceConstraint) -> Plain:
+def _constraint_table(constraint: WorkspaceBox | KeepOutCircle | KeepOutCylinder | LineOfSight) -> Plain:
     """`[[constraints]]`, of the plane or of space."""
     if isinstance(constraint, WorkspaceBox):
         sides = zip("xyz", (constraint.x, constraint.y, constraint.z), strict=True)

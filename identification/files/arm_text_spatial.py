@@ -27,9 +27,10 @@ def chain_tables(arm: Arm, chain: SpatialChain) -> Plain:
     tables: Plain = {"name": arm.name, "kind": "spatial"}
     tables["urdf"] = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
     tables |= {"base_link": BASE_LINK, "tip_link": TIP}
+    lower, upper = arm.column_limits
     for unit, own, factor in (("deg", ~sliding, 180.0 / np.pi), ("mm", sliding, 1.0)):
-        if own.any():
-            sides = (("lower", arm.lower[own]), ("upper", arm.upper[own]))
+        if own.any() and np.all(np.isfinite([lower[own], upper[own]])):  # else those of the drawing
+            sides = (("lower", lower[own]), ("upper", upper[own]))
             tables[f"joint_limits_{unit}"] = {side: [_tidy(factor * x) for x in values] for side, values in sides}
     if BASE in chain.known:
         tables["base"] = pose_table(chain.base)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import hashlib
 import io
@@ -34,6 +35,8 @@ KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
     r"|marker|surface|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
 )
+FIT = re.compile(r"#\s*fit\s*:\s*(.*)")
+FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal identify`
 Test = Callable[[Array], NDArray[np.bool_]]
 
 
@@ -46,6 +49,7 @@ class Table:
     frame : the columns, all of them strings; an empty cell is null
     lines : (m,) line number of every row in the file, from 1; the header is line 1; empty: a table without lines
     sha256 : of the file's bytes; empty: no file
+    fit : what a comment `# fit: library-prior` above the header says, as options of `armcal identify`; empty: nothing
     """
 
     path: str
@@ -53,6 +57,7 @@ class Table:
     lines: NDArray[np.int64]
     sha256: str
     decimal_commas: bool = False
+    fit: str = ""
 
     def __len__(self) -> int:
         return self.frame.height
@@ -136,6 +141,7 @@ def _numbers(text: pl.Series) -> Array:
 def read_table(path: PathLike) -> Table:
     """Reads a Parquet file, or a text file of columns with one header line.
 
+    Lines above the header that begin with # are comments; `# fit: ...` among them says how the rows are to be fitted.
     Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
     points or commas. Between commas numbers with decimal commas are in quotation marks.
 
@@ -147,17 +153,18 @@ def read_table(path: PathLike) -> Table:
         return _of_parquet(path, content)
     if content.startswith(SPREADSHEETS):
         raise InputError(f"{path}: found a spreadsheet, allowed: CSV or Parquet; save it as CSV")
-    separator, header = _header(path, content)
-    frame = _frame(path, content, header, separator)
-    lines = pl.arange(2, frame.height + 2, eager=True, dtype=pl.Int64)
+    sha256 = hashlib.sha256(content).hexdigest()
+    content, above, fit = _without_comments(path, content)
+    separator, header = _header(path, content, above)
+    frame = _frame(path, content, above, header, separator)
+    lines = pl.arange(above + 2, above + frame.height + 2, eager=True, dtype=pl.Int64)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
     frame, lines = frame.filter(filled), lines.filter(filled)
     if frame.height == 0:
         raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
-    frame = _without_unnamed(path, frame)
-    sha256 = hashlib.sha256(content).hexdigest()
+    frame = _without_unnamed(path, frame, above)
     commas = separator != "," or (b'"' in content and _decimal_commas(path, frame))
-    return Table(str(path), frame, lines.to_numpy(), sha256, decimal_commas=commas)
+    return Table(str(path), frame, lines.to_numpy(), sha256, decimal_commas=commas, fit=fit)
 
 
 def _decimal_commas(path: PathLike, frame: pl.DataFrame) -> bool:
@@ -205,26 +212,45 @@ def _texts(column: Any) -> list[str | None]:
     return [None if gone else str(value) for gone, value in zip(missing, values, strict=True)]
 
 
-def _header(path: PathLike, content: bytes) -> tuple[str, list[str]]:
-    """The separator of the columns, and their names."""
+def _without_comments(path: PathLike, content: bytes) -> tuple[bytes, int, str]:
+    """What follows the comments, how many lines these are, and `Table.fit`.
+
+    A spreadsheet makes cells of a line: it may come back in quotation marks and with separators at its end. Raises
+    `InputError` for a fit that is not known.
+    """
+    rest, above, fit = content.removeprefix(codecs.BOM_UTF8), 0, ""
+    while rest.lstrip(b'"').startswith(b"#"):
+        line, _, rest = rest.partition(b"\n")
+        above += 1
+        if asked := FIT.match(decode(path, line).rstrip("\r,;\t ").strip('"')):
+            fit = " ".join(asked[1].split())
+            if not FITS.fullmatch(fit):
+                allowed = "library-prior, or library-prior --missing NAMES"
+                raise InputError(f"{path}: line {above}: fit {fit!r}, allowed: {allowed}")
+    return (rest, above, fit) if above else (content, 0, "")
+
+
+def _header(path: PathLike, content: bytes, above: int) -> tuple[str, list[str]]:
+    """The separator of the columns, and their names;  above : lines of comments before."""
+    line = f"line {above + 1}"
     first = decode(path, content.split(b"\n", 1)[0]).rstrip("\r")
     if "\r" in first:
         raise InputError(f"{path}: lines end with a bare carriage return, allowed: line feeds (LF or CRLF)")
     if not first.strip():
-        raise InputError(f"{path}: line 1 is blank, allowed: the names of the columns")
+        raise InputError(f"{path}: {line} is blank, allowed: the names of the columns")
     separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
     try:
         header = [cell.strip() for cell in next(csv.reader([first], delimiter=separator, strict=True))]
     except csv.Error as error:  # a quotation mark that never ends, a name of 131,072 characters
-        raise InputError(f"{path}: line 1: {error}, allowed: the names of the columns, {QUOTED}") from None
-    _check_names(path, header)
+        raise InputError(f"{path}: {line}: {error}, allowed: the names of the columns, {QUOTED}") from None
+    _check_names(f"{path}: {line}", path, header)
     return separator, header
 
 
-def _check_names(path: PathLike, header: list[str]) -> None:
+def _check_names(place: str, path: PathLike, header: list[str]) -> None:
     for cell in header:
         if _is_number(cell):
-            raise InputError(f"{path}: line 1 has the number {cell!r}, allowed: the names of the columns")
+            raise InputError(f"{place} has the number {cell!r}, allowed: the names of the columns")
     for cell in filter(None, header):
         if header.count(cell) > 1:
             raise InputError(f"{path}: column {cell!r} is there {header.count(cell)} times, allowed: once")
@@ -238,29 +264,29 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _frame(path: PathLike, content: bytes, header: list[str], separator: str) -> pl.DataFrame:
+def _frame(path: PathLike, content: bytes, above: int, header: list[str], separator: str) -> pl.DataFrame:
     """All rows as strings. Polars fills short rows up with nulls: a null in the last column asks for a closer look."""
     try:
         frame = pl.read_csv(io.BytesIO(content), infer_schema=False, separator=separator)
     except pl.exceptions.PolarsError as error:
-        _raise_for_ragged_row(path, content, len(header), separator)
+        _raise_for_ragged_row(path, content, above, len(header), separator)
         raise InputError(f"{path}: not a valid CSV file: {str(error).splitlines()[0]}, allowed: {QUOTED}") from None
     if frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
-        _raise_for_ragged_row(path, content, len(header), separator)
+        _raise_for_ragged_row(path, content, above, len(header), separator)
     # an unnamed column gets a name that no header can have
     frame.columns = [name or f"\n{k}" for k, name in enumerate(header)]
     return frame
 
 
-def _raise_for_ragged_row(path: PathLike, content: bytes, columns: int, separator: str) -> None:
+def _raise_for_ragged_row(path: PathLike, content: bytes, above: int, columns: int, separator: str) -> None:
     """Raises `InputError` for a row of another length, or with quotation marks that do not enclose a whole cell."""
     reader = csv.reader(io.StringIO(decode(path, content), newline=""), delimiter=separator, strict=True)
-    row, line = -1, 0  # the header
+    row, line = -1, above  # the header
     try:
         for cells in reader:
             if not any(cell.strip() for cell in cells):
                 continue
-            row, line = row + 1, reader.line_num
+            row, line = row + 1, above + reader.line_num
             if len(cells) != columns:
                 allowed = f"{columns}, as in the header{_hint(cells, columns, separator)}"
                 raise InputError(f"{path}: row {row} (line {line}): found {len(cells)} cells, allowed: {allowed}")
@@ -280,11 +306,11 @@ def _hint(cells: list[str], columns: int, separator: str) -> str:
     return ""
 
 
-def _without_unnamed(path: PathLike, frame: pl.DataFrame) -> pl.DataFrame:
+def _without_unnamed(path: PathLike, frame: pl.DataFrame, above: int) -> pl.DataFrame:
     """The frame without unnamed empty columns, which spreadsheets leave behind; unnamed data are an error."""
     for k, column in enumerate(frame.columns):
         if column.startswith("\n"):
             if frame[column].null_count() < frame.height:
-                raise InputError(f"{path}: column {k + 1} has no name in line 1, allowed: a name")
+                raise InputError(f"{path}: column {k + 1} has no name in line {above + 1}, allowed: a name")
             frame = frame.drop(column)
     return frame

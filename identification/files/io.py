@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import shutil
 import stat
+import sys
+import tempfile
 import tomllib
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
@@ -16,6 +19,10 @@ from identification.errors import InputError
 
 PathLike = str | os.PathLike[str]
 DESCRIPTORS = "/proc/self/fd"
+PARTS = 100  # of a dotted key; the library keeps every prefix of one, so that its memory grows with their square
+# Each part is looked at once from each of the `PARTS` before it; from inside a word or a text no search begins.
+_PART = r"""(?:[A-Za-z0-9_-]++|"(?:\\.|[^"\\\n])*+"|'[^'\n]*+')"""
+TOO_LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_PART}[ \t]*+\.[ \t]*+){{{PARTS}}}")
 EXISTS = "the file exists, allowed: a new file name, or --force to replace it"
 
 
@@ -62,10 +69,17 @@ def read_text(path: PathLike) -> str:
 def read_toml(path: PathLike) -> dict[str, Any]:
     """The tables of a TOML file. Raises `InputError` as `read_text` does; a syntax error has line and column."""
     text = read_text(path)
+    if found := TOO_LONG_KEY.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        reason = f"line {line} has a key of more than {PARTS} parts"
+        raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0, less nested")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0") from None
+    except ValueError:  # as Python says it of its own limit
+        reason = f"a whole number of more than {sys.get_int_max_str_digits()} digits"
         raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0") from None
     except RecursionError:
         raise InputError(f"{path}: not valid TOML: nested too deeply, allowed: TOML 1.0, less nested") from None
@@ -194,6 +208,20 @@ def _unnamed(folder: Path) -> int | None:
         return os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
     except OSError:
         return None
+
+
+def provide_temporary_folder(*folders: Path) -> None:
+    """Where the system has no folder for temporary files (a root file system that is read-only), name one of these,
+    the first that can be written to: some libraries want one as soon as they are loaded. Folders may be missing yet;
+    what counts is where they would be made."""
+    try:
+        tempfile.gettempdir()
+    except FileNotFoundError:
+        for folder in folders:
+            existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
+            if os.access(existing, os.W_OK):
+                os.environ["TMPDIR"] = str(existing)  # for processes started from here too
+                return
 
 
 def sync_folder(folder: Path) -> None:

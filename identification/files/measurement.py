@@ -22,4 +22,4 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
 
 def measurement_text(measurements: Measurements, joint_types: JointTypes = None) -> str:
     """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad)."""
-    return csv_text(measurement_columns(measurements, joint_types))
+    return csv_text(measurement_columns(measurements, joint_types), measurements.fit)

@@ -19,6 +19,7 @@ from identification.files.csv import KNOWN, Table, Test
 from identification.files.length_columns import SURFACE, lengths_of, read_lengths, session_of_rows, unit_of
 from identification.files.order_columns import order_columns, read_gaps, read_order
 from identification.files.orientation import angle_columns, orientation_columns_of, read_orientations
+from identification.kinematics.counting import counting_in, in_columns, in_joints
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.spelling import close_names
 
@@ -55,7 +56,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         if instrument is not None
         else np.column_stack([millimetres(table, axis) for axis in axes]),
         "order": (order := read_order(table)),
-        **read_conditions(table, n),
+        **read_conditions(table, n if types is None else types),
         "sigma": _sigma(table),
         "repeats": _repeats(table),
         "session": (session := session_of_rows(table, instrument)),
@@ -63,6 +64,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         "marker": table.texts("marker") if chain is not None and "marker" in table else None,
         "orientations": read_orientations(table) if poses else None,
         "commanded": _commanded(table, types, n),
+        "fit": table.fit,
         "provenance": MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
     }
     _warn_unused(table, types, axes, chain)
@@ -100,7 +102,7 @@ def measurement_columns(measurements: Measurements, joint_types: JointTypes = No
         columns |= {name.replace("q", "commanded", 1): column for name, column in asked.items()}
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
     columns |= order_columns(measurements)
-    directions = () if measurements.directions is None else measurements.directions.T
+    directions = () if measurements.directions is None else _signs_of_columns(measurements.directions, joint_types).T
     optional = {
         "temperature_C": measurements.temperature,
         "payload_kg": measurements.payload,
@@ -129,8 +131,8 @@ def _units(types: JointTypes, joint: int) -> tuple[str, str]:
 
 
 def read_postures(table: Table, types: JointTypes = None) -> Array:
-    """(m, n) joint positions [rad, mm]; n as `types` say, or what the table has. Raises `InputError` for anything
-    else."""
+    """(m, n) joint positions [rad, mm] of the columns, which are as the controller counts (`JointKinds`); n as `types`
+    say, or what the table has. Raises `InputError` for anything else."""
     columns = joint_columns(table, types)
     joints = [int(column[1:].partition("_")[0]) for column in columns]
     n = max(joints, default=1) if types is None else types if isinstance(types, int) else len(types)
@@ -147,7 +149,7 @@ def read_postures(table: Table, types: JointTypes = None) -> Array:
     if n > MAX_LINKS:
         raise InputError(f"{table.path}: found column {columns[-1]}, allowed: 1 to {MAX_LINKS} joints")
     table.require(wanted[j - 1] for j in range(1, n + 1) if j not in joints)
-    return np.column_stack([_joint_positions(table, column) for column in columns])
+    return in_joints(np.column_stack([_joint_positions(table, column) for column in columns]), types)
 
 
 def _joint_positions(table: Table, column: str) -> Array:
@@ -167,19 +169,20 @@ def up_to(table: Table, column: str, allowed: str, most: float) -> Array:
 
 
 def posture_columns(postures: Array, types: JointTypes = None) -> dict[str, NDArray[np.generic]]:
-    """Columns `q1_deg..qn_deg` of (m, n) joint positions [rad, mm]; `q1_mm` for a prismatic joint."""
+    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) joint positions [rad, mm]; `q1_mm` for a prismatic
+    joint."""
     found: dict[str, NDArray[np.generic]] = {}
-    for j, column in enumerate(postures.T, start=1):
+    for j, column in enumerate(in_columns(postures, types).T, start=1):
         unit = _units(types, j)[0]
         # 30 rather than 29.999999999999996; 12 decimals are 2e-14 rad;  + 0: no -0
         found[f"q{j}_{unit}"] = (np.round(np.degrees(column), 12) if unit == "deg" else column) + 0.0
     return found
 
 
-def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
+def csv_text(columns: dict[str, NDArray[np.generic]], fit: str = "") -> str:
     """CSV of columns of one length; whole floats that only count (`order`, directions) lose their `.0`.
 
-    NaN is an empty cell.
+    NaN is an empty cell;  fit : `Table.fit`, for the comment above the header
     """
     series = []
     for name, values in columns.items():
@@ -191,7 +194,7 @@ def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
             series.append(pl.Series(name, values).fill_nan(None).cast(pl.Int64))
         else:
             series.append(pl.Series(name, values.astype(np.int64) if small else np.ascontiguousarray(values)))
-    return pl.DataFrame(series).fill_nan(None).write_csv()
+    return (f"# fit: {fit}\n" if fit else "") + pl.DataFrame(series).fill_nan(None).write_csv()
 
 
 def warn_unknown(table: Table, known: Iterable[str], hint: str = "") -> None:
@@ -212,14 +215,15 @@ def warn_unknown(table: Table, known: Iterable[str], hint: str = "") -> None:
         warnings.warn(f"{table.path}: {columns} not used: {', '.join(unknown)}{more}", UserWarning, stacklevel=3)
 
 
-def read_conditions(table: Table, n: int) -> dict[str, Array | None]:
-    """`payload` (m,) [kg], `temperature` (m,) [deg C] and `directions` (m, n), each None if the table has none."""
+def read_conditions(table: Table, types: int | Sequence[str]) -> dict[str, Array | None]:
+    """`payload` (m,) [kg], `temperature` (m,) [deg C] and `directions` (m, n) of the joints, each None if the table has
+    none."""
     return {
         "payload": _optional(
             table, "payload_kg", f">= 0 [kg], up to {LARGEST_MASS:g}", lambda v: (v >= 0.0) & (v <= LARGEST_MASS)
         ),
         "temperature": _optional(table, "temperature_C", ">= -273.15 [deg C]", lambda v: v >= -273.15),
-        "directions": _directions(table, n),
+        "directions": _directions(table, types),
     }
 
 
@@ -241,8 +245,15 @@ def _optional(table: Table, column: str, allowed: str, test: Test) -> Array | No
     return table.floats(column, f"a number {allowed}", test) if column in table else None
 
 
-def _directions(table: Table, n: int) -> Array | None:
-    """(m, n) +1 or -1, NaN where the cell is empty: unknown."""
+def _signs_of_columns(directions: Array, types: JointTypes) -> Array:
+    """(m, n) signs of the columns' motions, of those of the joints."""
+    counting = counting_in(types)
+    return directions if counting is None else counting.signs_of_columns(directions)
+
+
+def _directions(table: Table, types: int | Sequence[str]) -> Array | None:
+    """(m, n) +1 or -1 of the joints, NaN where the cell is empty: unknown; or where coupled joints leave it open."""
+    n, counting = types if isinstance(types, int) else len(types), counting_in(types)
     columns = [column for column in table.columns if _DIRECTION.fullmatch(column)]
     if not columns:
         return None
@@ -253,7 +264,8 @@ def _directions(table: Table, n: int) -> Array | None:
             raise InputError(f"{table.path}: found column {column}, but there are {n} joints, allowed: {allowed}")
     allowed = "+1 or -1, empty: unknown"
     signs = [table.floats(f"direction{j}", allowed, lambda v: np.abs(v) == 1.0, empty=np.nan) for j in range(1, n + 1)]
-    return np.column_stack(signs)
+    found = np.column_stack(signs)
+    return found if counting is None else counting.signs_of_joints(found)
 
 
 def _commanded(table: Table, types: JointTypes, n: int) -> Array | None:
@@ -262,7 +274,8 @@ def _commanded(table: Table, types: JointTypes, n: int) -> Array | None:
         return None
     pairs = [[f"commanded{joint}_{unit}" for unit in _units(types, joint)] for joint in range(1, n + 1)]
     table.require(first for first, other in pairs if other not in table)
-    return np.column_stack([_joint_positions(table, other if other in table else first) for first, other in pairs])
+    found = [_joint_positions(table, other if other in table else first) for first, other in pairs]
+    return in_joints(np.column_stack(found), types)
 
 
 def _repeats(table: Table) -> NDArray[np.int64] | None:

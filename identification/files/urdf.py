@@ -168,7 +168,7 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
     if found := re.search(r"<!(DOCTYPE|ENTITY)", text):
         raise InputError(f"{path}: found {found.group()}, allowed: XML without document types and entities")
     try:
-        root = ElementTree.fromstring(text)
+        root = ElementTree.fromstring(_declared_first(text))
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: not XML: {error}, allowed: a URDF file") from None
     if root.tag != "robot":
@@ -184,6 +184,12 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
     _check_once(path, "joint", [str(joint.get("name")) for joint in by_child.values()])
     _check_once(path, "link", links)
     return found_file
+
+
+def _declared_first(text: str) -> str:
+    """The text for a parser of XML, which allows nothing before its declaration: where blank lines are before it, it is
+    blank too, so that places in the text stay the same."""
+    return re.sub(r"\A\s+<\?xml\b[^>]*>", lambda found: re.sub(r"[^\s]", " ", found[0]), text)
 
 
 def _check_once(path: PathLike, what: str, names: Sequence[str]) -> None:
@@ -264,7 +270,7 @@ def _origin_places(text: bytes, names: Mapping[str, Array]) -> Iterator[tuple[in
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda tag: path.pop()
-    parser.Parse(text, True)
+    parser.Parse(_declared_first(text.decode()).encode(), True)
     for name in names:
         at, end, closed = places.get(name, (opened[name], opened[name], True))
         yield at, end, name, closed

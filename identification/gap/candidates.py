@@ -32,9 +32,8 @@ def certainty(found: Fit, given: float | None, doubtful: bool) -> Uncertainty:
     sigma = None if doubtful else rows.sigma or given
     unit, m, d = sigma or 1.0, len(rows), rows.dimension
     jacobian, residual = found.jacobian / unit, found.residual / unit
-    fitted = FittedRows(
-        jacobian.reshape(m, d, -1), residual.reshape(m, d), found.rank, rows.sequence, rows.posture_numbers
-    )
+    tall, numbers = jacobian.reshape(m, d, -1), (rows.posture_numbers, rows.repeat_numbers)
+    fitted = FittedRows(tall, residual.reshape(m, d), found.rank, rows.sequence, *numbers)
     return uncertainty(fitted, spectrum(jacobian, found.model.scales), known=sigma is not None, doubtful=doubtful)
 
 

@@ -12,6 +12,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.checks import check_measurements
+from identification.estimation.outlying import outlying, together
 from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.gap.average import Average, average
 from identification.gap.candidate import Candidate
@@ -23,7 +24,7 @@ from identification.gap.confirmation.holdout import (
     confirmation_of,
     gap_of,
     held_out,
-    held_out_conditions,
+    refitted_in_words,
 )
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
@@ -31,7 +32,7 @@ from identification.gap.hypotheses.detectability import assess, require_spare
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.noise.misfit import Misfit, misfit
 from identification.gap.noise.repeats import noise_floor, repeat_finding
-from identification.gap.notes import alias_list, curve_notes, notes
+from identification.gap.notes import alias_list, curve_notes, notes, unexplained_note
 from identification.gap.order_range import order_ranges
 from identification.gap.posterior import Explanation, Posterior, posterior, refit
 from identification.gap.result import Diagnosis, Residuals
@@ -154,6 +155,7 @@ def diagnosis_of(
     there = None if holdout is None else held_out(base, predicting, measurements, kept, holdout)
     residuals = show_residuals(library.arm, measurements, base, left)
     before, after = residuals.before[kept], residuals.after[kept]
+    unexplained = kept & unexplained_rows(best, found.rows)
     gap = gap_of(before, after, there, noise_floor(left, measurements, kept, library.arm.sigma))
     confirmation = None
     if holdout is not None and there is not None:
@@ -184,8 +186,14 @@ def diagnosis_of(
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=tests,
-        warnings=fit_doubts(library.arm, measurements, best, after),
-        notes=(*curve_notes(predicting.curves), *worse, *notes(found, measurements, best, holdout, gap, over_sigma)),
+        warnings=(*fit_doubts(library.arm, measurements, best, after), *refitted_in_words(there)),
+        notes=(
+            *curve_notes(predicting.curves),
+            *worse,
+            *notes(found, measurements, best, holdout, gap, over_sigma),
+            *unexplained_note(left, unexplained),
+        ),
+        unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
         shapes=order_ranges(fitted, fitted.rows, named.effects),
         replication=replications(fitted, measurements, kept, named.effects),
         curves=predicting.curves,
@@ -242,6 +250,14 @@ def findings(found: Posterior) -> tuple[Finding, ...]:
         shares[noise.name] = shares.get(noise.name, 0.0) + one.probability
         sizes.setdefault(noise.name, (one.probability, noise.size))
     return tuple(Finding(name, 1.0 - p, sizes[name][1]) for name, p in shares.items() if name and p >= 0.5)
+
+
+def unexplained_rows(found: Fit, rows: Rows) -> NDArray[np.bool_]:
+    """(m,) True for rows that a fit does not explain and that come together, so that they are no outliers."""
+    predicted, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
+    residual = rows.whiten(rows.positions - predicted).reshape(predicted.shape)
+    far = outlying(residual, rows.whiten(jacobian / found.model.scales))
+    return together(far, rows.postures, rows.posture_numbers)
 
 
 def geometry(base: Fit) -> Average:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
+from identification.arrays import Array, rows_in_words
 from identification.gap.candidate import Candidate
 from identification.gap.confirmation.holdout import Gap
 from identification.gap.curves.curve import Curve
@@ -14,7 +16,7 @@ from identification.gap.hypotheses.detectability import NEAR, Detectability
 from identification.gap.noise.misfit import Misfit
 from identification.gap.posterior import MOST_ROWS, Posterior
 from identification.inspection.data_checks import gap_notes
-from identification.measurements import Measurements
+from identification.measurements import Measurements, distances
 from identification.status import Status
 
 
@@ -44,6 +46,14 @@ def curve_notes(curves: tuple[Curve, ...]) -> list[str]:
     )
     beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
     return [f"the error curves hold for the angles measured ({said}); {beyond}"]
+
+
+def unexplained_note(residual: Array, unexplained: NDArray[np.bool_]) -> list[str]:
+    """A sentence about rows (m,) that nothing explains and that come together;  residual : (m, d) [mm]"""
+    if not unexplained.any():
+        return []
+    far = f"up to {distances(residual)[unexplained].max():.3g} mm off"
+    return [f"{rows_in_words(unexplained)} are not explained ({far}); they stay in, as whole postures or neighbors"]
 
 
 def inseparable(joint: int) -> str:

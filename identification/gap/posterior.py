@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from identification.arrays import Array
+from identification.estimation.outlying import together
 from identification.gap.blocks import Block, Linearized, linearized
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
@@ -164,12 +165,14 @@ def _searched(library: HypothesisSet, problem: Linearized, chosen: tuple[str, ..
 
 
 def _striking(rows: Rows, at: Fit) -> list[int]:
-    """Rows whose residual is large, those of the largest first."""
+    """Rows whose residual is large, and that do not come together as whole postures or neighbors do."""
     left = rows.whiten(at.position_residuals(rows, rows.conditions)).reshape(len(rows), -1)
     sizes = np.sqrt(np.mean(np.square(left), axis=1))
     limit = STRIKING * float(np.median(sizes)) / 0.83
     order = np.argsort(-sizes, kind="stable")
-    return sorted(int(k) for k in order[:MOST_WRONG] if sizes[k] > limit)
+    far = np.zeros(len(rows), dtype=bool)
+    far[[k for k in order[:MOST_WRONG] if sizes[k] > limit]] = True
+    return np.flatnonzero(far & ~together(far, rows.postures, rows.posture_numbers)).tolist()
 
 
 def _likelihoods(

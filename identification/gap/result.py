@@ -56,6 +56,7 @@ class Diagnosis:
     candidates, named : ambiguity set, and best set of effects;  predicting : the posterior's average, or the geometry alone
         where that predicts other rows better;  aliases : triples (effect, effect like it, likeness)
     scatter : significant properties of the noise;  outlier_rows : numbers of the rows left out, from 1
+    unexplained_rows : of rows that the best set does not explain either, but that come together and stay in
     gap : RMS distances before and after;  sigma : noise of one coordinate estimated from the residuals [mm]
     trials : test of every effect against the base model;  detectability : smallest detectable sizes in these data
     misfit : test against the given sigma, None without one;  confirmation : on held-out rows, None without
@@ -91,6 +92,7 @@ class Diagnosis:
     replication: tuple[Replication, ...] = ()
     curves: tuple[Curve, ...] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
+    unexplained_rows: tuple[int, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -202,6 +204,7 @@ class Diagnosis:
             "curves": [curve.to_json() for curve in self.curves],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
             "outlier_rows": list(self.outlier_rows),
+            "unexplained_rows": list(self.unexplained_rows),
             "excluded": {name: vars(size) for name, size in self.excluded.items()},
             "gap": self.gap.to_json(),
             "confirmed": self.confirmed,

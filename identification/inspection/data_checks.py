@@ -6,12 +6,13 @@ some millimetres; another unit or another point is off by far more. So it is for
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
@@ -21,7 +22,7 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.planar import joint_points
 from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
-from identification.model.placed import placed_model
+from identification.model.placed import placed_model, tip_frames
 
 PLACED = 6  # numbers of a center, or a plane with three turns, and a measured point
 STANDS = 6  # numbers of where an arm stands, of each session
@@ -31,10 +32,11 @@ ANGLES = {  # factors to radians as read, and what the numbers then were
     "small": {180.0 / np.pi: "radians: name the columns q1_rad.. instead of q1_deg.."},
     "large": {np.pi / 180.0: "degrees: name the columns q1_deg.. instead of q1_rad.."},
 }
-UNITS = {1000.0: "metres", 25.4: "inches"}  # factor to millimetres
-# distances from their middle as shares of the reach: numbers that may be of a larger unit (two reaches, in inches), and
-# farther than any arm moves
-NEAR, BEYOND = 2.0 / 25.4, 2.5
+UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
+FITS = 0.02  # relative: so near is a measured factor that of a unit
+OTHER_SIZE = 2.0  # times as large or as small as the drawing, which no drawing is wrong by
+STEPS = 2.0 ** np.arange(-3, 4)  # times what the spreads say, to which a point far from the tip adds
+HUGE = 20000.0  # [mm] farther than any arm reaches
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit is suspected
 CERTAINLY = 10.0  # times better, and no worse than a drawing: there is no doubt
@@ -79,25 +81,25 @@ def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
     for how far apart they are.
     """
     found = _units(measurements, arm)
-    if not found.sentences or found.misfit > DRAWN or CERTAINLY * found.relative >= found.relative_as_read:
+    if found.misfit > DRAWN or CERTAINLY * found.relative >= found.relative_as_read:
         return None
     near = f"read that way, half of the rows agree with the drawing to {100.0 * found.misfit:.2g} % of the reach"
     return f"{'; '.join(found.sentences)} ({near})"
 
 
 def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
-    """Radians in `_deg` columns, degrees in `_rad` columns, other units of length in `_mm` columns or in the arm file,
-    where that fits the arm clearly better.
+    """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
+    where that fits the arm clearly better; and an arm that reaches farther than any does.
 
-    Suspected only where all angles are below 7 deg, or one is above 7 rad, or the positions lie within a twelfth of the
-    reach, or some of them farther apart than the arm could reach.
+    Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
+    are those of the other is measured, and a unit is named where that is a unit's factor (`FITS`).
     """
     return _units(measurements, arm).sentences
 
 
 class _Units(NamedTuple):
     """What to do about other units, in sentences; in them the median distance from the drawing in reaches, and as a
-    share of how far positions are from their middle; the latter as read."""
+    share of how far apart the drawn positions are; the latter as read."""
 
     sentences: list[str]
     misfit: float = 0.0
@@ -105,45 +107,92 @@ class _Units(NamedTuple):
     relative_as_read: float = 0.0
 
 
-def _length_units(arm: Arm, size: float) -> dict[float, str]:
-    """Units to try for positions that are so many reaches from their middle: factor to mm -> what to do about it."""
-    if arm.chain is not None and arm.chain.instrument.contact:  # contacts read nothing that has a unit
-        return {}
-    inverse = {1.0 / factor: words for factor, words in UNITS.items()}
-    return UNITS if size < NEAR else inverse if size > BEYOND else {}
-
-
 def _units(measurements: Measurements, arm: Arm) -> _Units:
     arm = replace(arm, effects=(), calibration=None)
+    huge = [_huge(arm)] if arm.reach > HUGE else []
     if _few(measurements, arm):
-        return _Units([])
+        return _Units(huge)
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
     largest = float(np.abs(measurements.postures[:, turning]).max(initial=0.0))
     angle = ANGLES["small"] if 0.0 < largest < SMALL_ANGLE else ANGLES["large"] if largest > LARGE_ANGLE else {}
-    size = float(distances(measurements.positions - measurements.positions.mean(axis=0)).max()) / arm.reach
-    units = _length_units(arm, size)
-    if not angle and not units:
-        return _Units([])
-    readings = [(q, f) for q in (1.0, *angle) for f in (1.0, *units)]
-    misfits = [_misfit(measurements, arm, np.where(turning, turned, 1.0), factor) for turned, factor in readings]
-    best = int(np.argmin(misfits))
-    if CLEARLY * misfits[best] >= misfits[0]:
-        return _Units([])
-    turned, factor = readings[best]
-    said = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
+    drawn = {t: _spread(_drawn_tips(arm, measurements.postures * np.where(turning, t, 1.0))) for t in (1.0, *angle)}
+    spread = 0.0  # contacts read nothing that has a unit
+    if arm.chain is None or not arm.chain.instrument.contact:
+        spread = _spread(measurements.positions[:, POINT])
+    alike = drawn[1.0] < OTHER_SIZE * spread < OTHER_SIZE**2 * drawn[1.0]
+    if not angle and (alike or not spread):
+        return _Units(huge)
+    misfits = {}  # (factor of the angles, of the lengths) -> median distance, as a share of the drawn positions' spread
+    for turned, size in drawn.items():
+
+        def misfit(factor: float, turned: float = turned, size: float = size) -> float:
+            turns = np.where(turning, turned, 1.0)
+            return _misfit(measurements, arm, turns, factor) / max(size, np.finfo(float).tiny)
+
+        misfits[turned, 1.0] = misfit(1.0)
+        factor = _length_factor(misfit, size / spread) if spread and size else 1.0
+        if max(factor, 1.0 / factor) > OTHER_SIZE and CLEARLY * (left := misfit(factor)) < misfits[turned, 1.0]:
+            misfits[turned, factor] = left
+    best = min(misfits, key=misfits.__getitem__)
+    if CLEARLY * misfits[best] >= misfits[1.0, 1.0]:
+        return _Units(huge)
+    turned, factor = best
     axes = ("distance",) if measurements.dimension == 1 else "xyz"[: arm.dimension]
-    said += [] if factor == 1.0 else [_length_unit(factor, units[factor], axes)]
-    misfit, spread = misfits[best] / arm.reach, max(size, np.finfo(float).tiny)
-    return _Units(said, misfit, misfit / (spread * factor), misfits[0] / arm.reach / spread)
+    said = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
+    said += huge
+    if factor != 1.0:
+        said += [_other_lengths(factor, axes, huge=bool(huge))]
+    return _Units(said, misfits[best] * drawn[turned] / arm.reach, misfits[best], misfits[1.0, 1.0])
 
 
-def _length_unit(factor: float, unit: str, axes: Sequence[str]) -> str:
-    """What to do about positions that a factor makes millimetres, or about the arm's lengths."""
-    if factor < 1.0:
-        return f"the positions are {1.0 / factor:g} times as large as the arm: the arm file's lengths look like {unit}"
+def _huge(arm: Arm) -> str:
+    return (
+        f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and lengths that were written in "
+        "millimetres there come out 1000 times too large"
+    )
+
+
+def _spread(points: Array) -> float:
+    """Root mean square distance of points (m, d) from their mean, of distances (m, 1) that of the points they are of,
+    if these lie on all sides."""
+    square = float(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))
+    return float(np.sqrt(square * (3.0 if points.shape[1] == 1 else 1.0)))
+
+
+def _drawn_tips(arm: Arm, postures: Array) -> Array:
+    """(m, d) as drawn [mm]."""
+    if arm.chain is None:
+        return joint_points(arm.lengths, postures)[:, -1]
+    return tip_frames(arm.chain, postures)[:, :3, 3]
+
+
+def _length_factor(misfit: Callable[[float], float], guess: float) -> float:
+    """What positions are to be multiplied by to lie nearest to the drawing."""
+    near = min(guess * STEPS, key=misfit)
+    found = minimize_scalar(
+        lambda k: misfit(float(np.exp(k))), bounds=np.log([near / 2.0, near * 2.0]), options={"xatol": 1e-4}
+    )
+    return float(np.exp(found.x))
+
+
+def _other_lengths(factor: float, axes: Sequence[str], *, huge: bool) -> str:
+    """How many times the lengths of one file are those of the other, and what would make them agree.
+
+    factor : that makes positions what the arm's lengths are;  huge : it is said already that these are too large
+    """
+    small, large = ("measurements", "arm file") if factor > 1.0 else ("arm file", "measurements")
+    times = max(factor, 1.0 / factor)
+    said = f"the lengths of the {large} are {times:.4g} times those of the {small}"
+    if huge and factor > 1.0:
+        return said
+    unit = next((unit for unit in UNITS if abs(times / unit - 1.0) <= FITS), None)
+    if unit is None:
+        return f"{said}, which is the factor of no unit: another arm, or a length that is mistyped?"
+    if small == "arm file":
+        return f"{said}: they agree if the arm file's lengths are in {UNITS[unit]} (multiply them by {unit:g})"
     names, in_metres = (", ".join(f"{axis}_{end}" for axis in axes) for end in ("mm", "m"))
-    what = f"name the columns {in_metres} instead of {names}" if unit == "metres" else f"multiply {names} by {factor:g}"
-    return f"the positions look like {unit}: {what}"
+    how = f"name the columns {in_metres} instead of {names}" if unit == 1000.0 else f"multiply {names} by {unit:g}"
+    return f"{said}: they agree if the positions are in {UNITS[unit]} ({how})"
 
 
 def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
@@ -179,10 +228,9 @@ def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> 
 
 def _misfit(measurements: Measurements, arm: Arm, turned: Array, unit: float) -> float:
     """Median distance [mm] from the nominal arm, with joints times factors (n,), positions times a `unit`."""
-    postures = measurements.postures * turned
-    read = replace(measurements, postures=postures, positions=measurements.positions * unit)
+    read = replace(measurements, postures=measurements.postures * turned, positions=measurements.positions * unit)
     if arm.chain is None:
-        drawn = joint_points(arm.lengths, postures)[:, -1]
+        drawn = _drawn_tips(arm, read.postures)
         tip, seen = ((a - a.mean(axis=0)) @ np.array([1.0, 1.0j]) for a in (drawn, read.positions))
         return float(np.median(np.abs(seen - tip * np.exp(1j * np.angle(np.vdot(tip, seen))))))
     return float(np.median(_distances(arm, read, np.ones(len(read), dtype=bool))))

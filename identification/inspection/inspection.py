@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
+from identification.estimation.base_and_tool import TOGETHER
 from identification.estimation.expected_tip import FEW, hardly_determined
 from identification.estimation.plausibility import (
     another_frame,
@@ -27,24 +29,29 @@ from identification.inspection.data_checks import data_warnings, gap_notes, wron
 from identification.inspection.enough import Sufficiency, sufficiency
 from identification.inspection.reading import Readings
 from identification.inspection.readings import as_written, joints_of_unseen_sign, out_of_step, read_differently
+from identification.inspection.sag import Sag, sag
 from identification.inspection.set_up import constant_length, other_base, turned_frame
+from identification.kinematics.counting import in_columns
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.sessions import with_sessions
 from identification.status import Status
 from identification.validate import drawing_residuals
+from identification.workspace import ColumnLimits
 
 STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
 ROUGH = 0.02  # of the reach: more than a drawing is off by
 MUCH = 0.01  # of the reach: more than the effects of an arm leave where they are not in the model
+ALIKE = 1.05  # times as much is left: no telling which angles are the better ones
 HARDLY_LESS = 0.8  # of what the drawing leaves: a fit that explains nothing
 
 
 @dataclass(frozen=True)
 class JointRange:
-    """The positions of one joint [rad or mm]; `outside`: rows beyond its limits;  `limited`: False where it may
-    turn all the way round, and readings of several turns do not matter."""
+    """The positions of one joint [rad or mm], as the controller counts; `outside`: rows beyond its limits;  `limited`:
+    False where it may turn all the way round, and readings of several turns do not matter, or nothing says its limits
+    (NaN)."""
 
     joint: int
     kind: str
@@ -67,7 +74,8 @@ class JointRange:
     def to_json(self) -> dict[str, Any]:
         """An entry of `joints` (identification/files/README.md, "JSON keys")."""
         names = ("low", "high", "limit_low", "limit_high")
-        shown = {name: self.in_file_units(getattr(self, name)) for name in names}
+        values = {name: self.in_file_units(getattr(self, name)) for name in names}
+        shown = {name: None if np.isnan(value) else value for name, value in values.items()}
         return {"joint": self.joint, "unit": self.unit, **shown, "rows_outside": self.outside}
 
 
@@ -75,22 +83,25 @@ class JointRange:
 class Inspection:
     """What was seen in the measurements of an arm.
 
-    rows, postures : how many rows, and how many postures that are not repeats
+    rows, postures : how many rows, and of how many postures
+    repeated : whether a posture was measured again in the same session, by the same marker
     given : optional columns;  floor : what repeats scatter by
     readings : the columns as they are, and a better way to read them if there is one
     drawing : RMS distance [mm] that the drawing leaves with its place in the instrument's frame fitted, as of
         `validate`;  fit : the geometry fitted, None with too few rows;  enough : what the rows can say of it
+    commanded : RMS distance [mm] that a fit to commanded angles leaves, None: there are none beside those read
     other_units : the numbers are of other units, so that neither a fit nor limits would mean anything
     units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere, or
         distances off by a constant;  turned : about a frame at another angle
     step : about positions beside another posture
-    unseen : joints (from 1) whose sign and zero do not show
+    unseen : joints (from 1) whose sign and zero do not show;  sag : what gravity explains, None: not known
     rest : about copied rows and postures outside the limits;  gaps : about rows that are missing between others
     """
 
     arm: Arm
     rows: int
     postures: int
+    repeated: bool
     sessions: tuple[str, ...]
     markers: tuple[str, ...]
     given: tuple[str, ...]
@@ -100,6 +111,7 @@ class Inspection:
     drawing: float
     fit: Identification | None
     enough: Sufficiency | None
+    commanded: float | None
     other_units: bool
     units: tuple[str, ...]
     frame: tuple[str, ...]
@@ -108,6 +120,7 @@ class Inspection:
     unseen: tuple[int, ...]
     rest: tuple[str, ...]
     gaps: tuple[str, ...]
+    sag: Sag | None = None
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -119,8 +132,9 @@ class Inspection:
             off = f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns"
             said += self.step or [off]
         if self.fit is not None and not said:
-            outlier = np.isin(np.arange(self.rows) + 1, self.fit.outlier_rows)
-            said += far_rows(self.fit.residuals_after, outlier) or self._unexplained(self.fit)
+            rows = np.arange(self.rows) + 1
+            unexplained = (np.isin(rows, some) for some in (self.fit.outlier_rows, self.fit.unexplained_rows))
+            said += far_rows(self.fit.residuals_after, *unexplained) or self._unexplained(self.fit)
         if self.fit is None and not self.other_units:
             said.append("too few rows for a fit of the geometry")
         return (*(said or self._few()), *self.rest)
@@ -141,7 +155,7 @@ class Inspection:
         if self.fit.dof <= 0:
             numbers, unknowns = self.fit.residuals_after.size, len(self.fit.names)
             return [f"{FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
-        return [sentence for sentence in hardly_determined(self.fit) if sentence.startswith(FEW)]
+        return [sentence for sentence in hardly_determined(self.fit) if sentence.startswith((FEW, TOGETHER))]
 
     def _offsets(self) -> list[str]:
         """Joints whose zero is another one than the drawing's, where the fit takes that up."""
@@ -156,13 +170,17 @@ class Inspection:
         still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
         said = [] if self.other_units or not still else [_hardly(still)]
         said += [*self.turned, *(_unseen(j) for j in self.unseen if str(j) not in still)]
+        if self.fit is not None and self.commanded is not None:
+            said.append(_better_angles(rms_distance(self.fit.residuals_after), self.commanded))
         if self.fit is not None and not self.problems:
             said += _misfit(self.fit)
         if self.fit is not None and self.fit.not_identifiable:
             said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
-        if self.postures == self.rows:
+        if not self.repeated:
             said.append("no posture is repeated: the arm's repeatability is not known from these data")
         said += self.gaps
+        if self.sag is not None and self.sag.recommended:
+            said.append(self.sag.sentence)
         missing = {"temperature": "a column temperature_C", "gravity": "[gravity] in the arm file"}
         there = {*self.given, *(["gravity"] if self.arm.gravity is not None else [])}
         lacking = [how for what, how in missing.items() if what not in there]
@@ -189,8 +207,10 @@ class Inspection:
             "rms_drawing_mm": self.drawing,
             "better_reading": self.readings.to_json(),
             "rms_fitted_mm": None if fit is None else rms_distance(fit.residuals_after),
+            "rms_commanded_mm": self.commanded,
             **({} if self.enough is None else self.enough.to_json()),
             "not_identifiable": () if fit is None else fit.not_identifiable,
+            "gravity": None if self.sag is None else self.sag.to_json(),
             "ok": not self.problems,
             "problems": self.problems,
             "notes": self.notes,
@@ -202,6 +222,16 @@ def _misfit(fit: Identification) -> list[str]:
     if fit.misfit:
         return [fit.misfit.partition(". ")[0] + "; armcal diagnose looks for what is missing"]
     return [said for said in fit.doubts if said.startswith(MISFIT)]
+
+
+def _better_angles(read: float, commanded: float) -> str:
+    """Which angles explain the positions better, by what a fit leaves of them [mm]."""
+    figures = f"a fit to the angles read leaves {read:.3g} mm RMS, to those commanded {commanded:.3g} mm"
+    if max(read, commanded) <= ALIKE * min(read, commanded):
+        return f"{figures}: which of them a fit uses makes no difference"
+    if read < commanded:
+        return f"{figures}: the positions are those of the angles read, which every fit uses"
+    return f"{figures}: the positions are those of the angles commanded: give these as q1_deg.. instead"
 
 
 def _hardly(joints: list[str]) -> str:
@@ -220,8 +250,10 @@ def _list(missing: dict[str, str], there: set[str]) -> str:
     return " and ".join(what for what in missing if what not in there)
 
 
-def inspect(arm: Arm, measurements: Measurements) -> Inspection:
+def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None = None) -> Inspection:
     """Look at measurements of an arm: nothing is changed, nothing is believed.
+
+    masses : (n,) of the links [kg], of an arm whose file leaves gravity out, None: not known
 
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
@@ -232,12 +264,16 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     other_units = bool(wrong_units(measurements, arm))
     fit = None if other_units else _fit(arm, measurements)
     floor = _floor(fit, measurements)
+    asked, by_command = measurements.commanded, None
+    if asked is not None and not other_units and not np.array_equal(asked, measurements.postures):
+        by_command = _fit(arm, replace(measurements, postures=asked, commanded=None))
     units = data_warnings(measurements, arm)
     readings = (as_written if other_units else read_differently)(arm, measurements)
     return Inspection(
         arm=arm,
         rows=len(measurements),
         postures=len(np.unique(measurements.posture_numbers)),
+        repeated=len(np.unique(measurements.repeat_numbers)) < len(measurements),
         sessions=measurements.sessions,
         markers=measurements.marker_names,
         given=tuple(sorted(measurements.given)),
@@ -247,6 +283,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         drawing=_drawing(arm, measurements, readings),
         fit=fit,
         enough=None if fit is None else sufficiency(fit, measurements, floor),
+        commanded=None if by_command is None else rms_distance(by_command.residuals_after),
         other_units=other_units,
         units=tuple(units),
         frame=() if other_units else _frame(arm, measurements, fit),
@@ -255,6 +292,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         step=tuple(out_of_step(arm, measurements)),
         rest=(*copied_rows(measurements), *([] if other_units else outside_limits(arm, measurements))),
         gaps=tuple(gap_notes(measurements)),
+        sag=None if fit is None or fit.status is Status.implausible else sag(arm, measurements, fit, masses),
     )
 
 
@@ -290,7 +328,10 @@ def _drawing(arm: Arm, measurements: Measurements, readings: Readings) -> float:
 
 def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
     beyond = beyond_limits(arm, postures).sum(axis=0)
-    columns = zip(arm.joint_types, postures.T, arm.lower, arm.upper, beyond, limited(arm), strict=True)
+    tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
+    shown, (lower, upper) = in_columns(postures, arm.joint_types), arm.column_limits
+    has_limits = np.isfinite(lower) & (limited(arm) | [j in tied for j in range(1, arm.links + 1)])
+    columns = zip(arm.joint_types, shown.T, lower, upper, beyond, has_limits, strict=True)
     return tuple(
         JointRange(j, kind, float(q.min()), float(q.max()), float(low), float(high), int(outside), bool(has))
         for j, (kind, q, low, high, outside, has) in enumerate(columns, start=1)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from identification.arrays import Array
+from identification.kinematics.counting import Counting
 
 UPRIGHT, QUARTER = np.radians(20.0), np.radians(45.0)  # a base is this near to the frame's axes; or to a half turn
 
@@ -91,6 +92,18 @@ class Reading:
         """(n) what to add to each joint [rad], by the shorter way."""
         return tuple(float(np.radians(180.0 - (180.0 - 90.0 * k) % 360.0)) for k in self.quarters)
 
+    def counting(self, before: Counting | None) -> Counting | None:
+        """How the controller counts, where this is what its columns say to an arm whose file says `before`; None where
+        columns are swapped, or a joint is coupled to several."""
+        n = len(self.order)
+        if self.order != tuple(range(n)):
+            return None
+        plain = before or Counting((1,) * n, (0,) * n, (0.0,) * n)
+        # signs (sums q - zeros) are the joints as read so far, from which follow the columns
+        through = plain.matrix * np.array(self.signs)
+        zero = (plain.zero - through @ self.zeros + np.pi) % (2.0 * np.pi) - np.pi
+        return Counting.of_matrix(through @ np.array(self.sums), np.where(np.isclose(zero, -np.pi), np.pi, zero))
+
     @property
     def moved_zeros(self) -> bool:
         """Nothing but zeros of joints that are off by no whole quarter turns: a fit takes them for what they are."""
@@ -118,12 +131,14 @@ class Readings:
     alike : others as simple that explain them as well: at a wrist whose axes meet, joint 5 reversed and joint 4 half
         a turn away are the same
     explained : the better one leaves no more than a drawing may be off by
+    counting : as the better one says, where the arm file can say it; None: it cannot, or it explains nothing
     """
 
     written: Reading
     better: Reading | None
     alike: tuple[Reading, ...] = ()
     explained: bool = True
+    counting: Counting | None = None
 
     @property
     def sentences(self) -> list[str]:
@@ -142,4 +157,11 @@ class Readings:
         if (better := self.better) is None:
             return None
         also = [reading.words for reading in self.alike]
-        return {"changes": better.words, "rms_mm": better.rms, "explains": self.explained, "equally_good": also}
+        toml = None if self.counting is None else self.counting.toml
+        return {
+            "changes": better.words,
+            "arm_file": toml,
+            "rms_mm": better.rms,
+            "explains": self.explained,
+            "equally_good": also,
+        }

@@ -116,7 +116,8 @@ def _read_differently(arm: Arm, rows: Measurements) -> Readings:
         known |= {r: replace(r, rms=left(r)) for r in _signs(replace(written, rms=0.0), arm) if r not in known}
     alike = [r for r in _as_good(best, known.values()) if explained and r != best]
     best, *alike = (_turned(arm, rows, reading) for reading in (best, *alike[:OTHERS]))
-    return Readings(written, best, tuple(alike), explained)
+    counting = best.counting(arm.counting) if explained else None
+    return Readings(written, best, tuple(alike), explained, counting)
 
 
 def _as_good(best: Reading, tried: Iterable[Reading]) -> list[Reading]:

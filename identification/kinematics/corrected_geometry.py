@@ -12,7 +12,8 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected
-from identification.kinematics.frames import point_table, pose_table, roll_pitch_yaw, rotation_about, tool_tables
+from identification.kinematics.counting import Counting
+from identification.kinematics.frames import point_table, pose, pose_table, roll_pitch_yaw, rotation_about, tool_tables
 from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 
@@ -32,11 +33,12 @@ class CommonNormal(NamedTuple):
 class CorrectedGeometry:
     """A chain with the errors that were found.
 
-    chain : as nominal;  values : parameter name -> value [mm, rad]
+    chain : as nominal;  values : parameter name -> value [mm, rad];  counting : of the controller, None: as the chain's
     """
 
     chain: SpatialChain
     values: Mapping[str, float]
+    counting: Counting | None = None
 
     @cached_property
     def real(self) -> SpatialChain:
@@ -105,22 +107,27 @@ class CorrectedGeometry:
             "geometry": [self._row(j) for j in range(1, len(self.chain) + 1)],
         }
 
+    def origin(self, j: int) -> Array:
+        """(4, 4) pose of the frame of a joint, counted from 1, in that of the joint before, its offset apart [mm]."""
+        joint, offset = self.chain.joints[j - 1], self._offset_of(j)
+        back = pose(rotation=rotation_about(joint.axis, -offset))
+        return self.real.joints[j - 1].origin @ (back if joint.type == REVOLUTE else pose(-offset * joint.axis))
+
     def _row(self, j: int) -> dict[str, Any]:
-        """Where the frame of a joint is in that of the joint before, its offset apart."""
-        joint = self.chain.joints[j - 1]
-        origin, offset = self.real.joints[j - 1].origin, self._offset_of(j)
-        place, turn = origin[:3, 3], origin[:3, :3]
-        if joint.type == REVOLUTE:
-            turn = turn @ rotation_about(joint.axis, -offset)
-        else:
-            place = place - turn @ joint.axis * offset
-        angles = zip(("roll", "pitch", "yaw"), np.degrees(roll_pitch_yaw(turn)), strict=True)
-        return {"joint": j, "name": joint.name, **point_table(place), **{f"{k}_deg": float(v) for k, v in angles}}
+        """That frame as numbers, its angles the nearest to those drawn of all that make the same rotation."""
+        joint, origin = self.chain.joints[j - 1], self.origin(j)
+        turn = roll_pitch_yaw(origin[:3, :3], near=roll_pitch_yaw(joint.origin[:3, :3]))
+        angles = zip(("roll", "pitch", "yaw"), np.degrees(turn), strict=True)
+        return {"joint": j, "name": joint.name, **point_table(origin[:3, 3])} | {
+            f"{axis}_deg": float(angle) for axis, angle in angles
+        }
 
     def _offset(self, j: int) -> dict[str, Any]:
-        """What the joint adds to a command, and what a controller has to add to its own."""
-        turning = self.chain.joints[j - 1].type == REVOLUTE
-        value = float(np.degrees(self._offset_of(j))) if turning else self._offset_of(j)
+        """What the joint adds to a command, and what a controller has to add to its own, as it counts."""
+        turning, n = self.chain.joints[j - 1].type == REVOLUTE, len(self.chain)
+        shares = np.eye(n) if self.counting is None else self.counting.matrix
+        value = float(shares[j - 1] @ [self._offset_of(i) for i in range(1, n + 1)])
+        value = float(np.degrees(value)) if turning else value
         return {"joint": j, "unit": "deg" if turning else "mm", "value": value, "command": 0.0 - value}
 
     def _offset_of(self, j: int) -> float:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from identification.arrays import Array
 
 AXES = "xyz"
+LOCK = 1e-12  # cosine of the pitch below which roll and yaw turn about one axis
 
 
 def pose(translation: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
@@ -52,14 +53,29 @@ def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Array:
     return rotation_about(z, yaw) @ rotation_about(y, pitch) @ rotation_about(x, roll)
 
 
-def roll_pitch_yaw(rotation: Array) -> Array:
-    """(3,) angles [rad] with `from_roll_pitch_yaw` of them the rotation (3, 3); yaw is zero where only a sum counts."""
-    pitch = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
-    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-12:
-        roll = float(np.arctan2(-np.sign(rotation[2, 0]) * rotation[0, 1], rotation[1, 1]))
-        return np.array([roll, pitch, 0.0])
-    roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
-    return np.array([roll, pitch, float(np.arctan2(rotation[1, 0], rotation[0, 0]))])
+def roll_pitch_yaw(rotation: Array, near: ArrayLike | None = None) -> Array:
+    """(3,) angles [rad] with `from_roll_pitch_yaw` of them the rotation (3, 3).
+
+    near : (3,) angles [rad]: of the equal ones the nearest to these; None: pitch within 90 deg, and a yaw of zero where
+        only the sum or difference of roll and yaw counts (gimbal lock)
+    """
+    level = np.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = float(np.arctan2(-rotation[2, 0], level))
+    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0])) if level >= LOCK else 0.0
+    sine, cosine = np.sin(yaw), np.cos(yaw)  # roll is what this yaw leaves: near the lock each of the two is uncertain
+    across = sine * rotation[0, 2] - cosine * rotation[1, 2], cosine * rotation[1, 1] - sine * rotation[0, 1]
+    found = np.array([np.arctan2(*across), pitch, yaw], dtype=float)
+    if near is None:
+        return found
+    near, turn = np.asarray(near, dtype=float), 2.0 * np.pi
+    if level < LOCK:  # any roll and yaw with this roll - side * yaw: both go half of the way
+        side = float(np.sign(pitch))
+        way = found[0] - (near[0] - side * near[2])
+        way -= turn * round(way / turn)
+        found = np.array([near[0] + 0.5 * way, pitch, near[2] - 0.5 * side * way])
+    equal = found, np.array([found[0] + np.pi, np.pi - pitch, found[2] + np.pi])
+    nearest = [angles - turn * np.round((angles - near) / turn) for angles in equal]
+    return min(nearest, key=lambda angles: float(np.linalg.norm(angles - near)))
 
 
 def from_own_axes(x: float, y: float, z: float) -> Array:

@@ -119,7 +119,7 @@ class Model:
     @property
     def joint_types(self) -> tuple[str, ...]:
         """(n) `revolute` or `prismatic`."""
-        return self.geometry.joint_types
+        return self.arm.joint_types
 
     @property
     def sigma(self) -> float | None:

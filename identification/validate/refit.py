@@ -14,6 +14,7 @@ import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
+from identification.errors import InputError
 from identification.kinematics.base_axes import along
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
 from identification.kinematics.frames import own_axes_angles
@@ -24,6 +25,8 @@ from identification.model import Model
 from identification.model.placed import placed_model, with_markers
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import start_at_bases, with_base_offset
+
+UNNAMED = "1"  # as an arm file has it that names none
 
 
 def as_calibrated(arm: Arm) -> Arm:
@@ -52,7 +55,37 @@ def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
     """Those that a refit may estimate, among others."""
     if arm.chain is None:
         return Model(with_base_offset(arm)).all_parameters
-    return with_markers(arm.chain, measurements).every_parameter
+    return with_markers(one_unnamed(arm.chain, measurements), measurements).every_parameter
+
+
+def one_unnamed(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
+    """The chain with one measured point, where it has several and the data name none: one, to be found."""
+    if measurements.marker_names or len(chain.tools) == 1:
+        return chain
+    return replace(chain, tools={UNNAMED: np.zeros(3)}, tool_axes={})
+
+
+def check_names(chain: SpatialChain, measurements: Measurements) -> None:
+    """Raise `InputError` for measured points that a chain does not have, where they are not to be found anew."""
+    if len(chain.tools) == 1 == len(measurements.marker_names):
+        return  # one point is the one that is measured, whatever the data call it
+    found = "no column marker, and the arm has several measured points" if not measurements.marker_names else ""
+    fresh = [repr(name) for name in measurements.marker_names if name not in chain.tools]
+    found = f"unknown name {', '.join(fresh)}" if fresh else found if len(chain.tools) > 1 else ""
+    if found:
+        allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
+        raise InputError(f"measurements.marker: {found}, {allowed}")
+
+
+def fresh_points(chain: SpatialChain, measurements: Measurements) -> list[str]:
+    """What is said of measured points that the calibration does not have: they are found in these measurements."""
+    names = measurements.marker_names
+    if not names and len(chain.tools) > 1:
+        several = "where they are of several, name them in the column marker"
+        return [f"no column marker: the rows are taken as of one reflector, which is found in them; {several}"]
+    if len(chain.tools) == 1 == len(names) or not (fresh := [name for name in names if name not in chain.tools]):
+        return []
+    return [f"the calibration has no reflector {', '.join(fresh)}: found in these rows"]
 
 
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
@@ -79,10 +112,11 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
     arm = as_calibrated(arm)
     assert arm.chain is not None
     if refit == "none":
+        check_names(arm.chain, measurements)
         model = Model(replace(arm, chain=with_markers(arm.chain, measurements)))
         free: set[str] = set()
     else:
-        chain = replace(arm.chain, known=frozenset())
+        chain = replace(one_unnamed(arm.chain, measurements), known=frozenset())
         model = placed_model(Model(replace(arm, chain=chain)), measurements)
         model = replace(model, arm=_of_points(model.arm, chain))
         free = {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
+from identification.estimation import estimate
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.gap.confirmation.confirmation import LEVEL, mean_of
@@ -23,7 +24,8 @@ from identification.html_tables import html_lines, html_table
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.validate.refit import placed_values, refit_model, refit_parameters
+from identification.sessions import placing, with_sessions
+from identification.validate.refit import fresh_points, placed_values, refit_model, refit_parameters
 from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
 
 # of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
@@ -198,18 +200,33 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
         values, residuals[rows], determined = _refitted(arm, session, conditions, refit)
         refitted.append(values)
         free += len(values) - determined
-    nominal = drawing_residuals(arm, measurements, refit)
+    nominal = _drawing_refitted(arm, measurements, refit)
     found = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
     angles = found.rms_angles
     said = _hardly_better(found)
     said += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
     left = (distances(each) for each in (residuals, nominal))
     said += [seen] if (seen := seen_in_words(arm, measurements.postures, *left)) else []
+    said += [] if arm.chain is None or refit == "none" else fresh_points(arm.chain, measurements)
     return replace(found, notes=(*said, *_notes(arm, measurements, free)))
 
 
-def drawing_residuals(arm: Arm, measurements: Measurements, refit: str = "base") -> Array:
-    """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, `refit` as for `validate`."""
+def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
+    """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
+    measurements places it: a base for each session, one place for a measured point that several sessions share."""
+    drawing = replace(arm, effects=(), calibration=None)
+    if arm.chain is None or len(measurements.sessions) < 2:
+        return _drawing_refitted(arm, measurements, "base")
+    check_validation(Model(drawing), measurements)
+    drawing = replace(drawing, chain=replace(arm.chain, known=frozenset()))
+    model = Model(with_sessions(drawing, measurements))
+    free = {model.names[k] for k in placing(model.parameters)}
+    held = {name: value for name, value in model.best_known.items() if name not in free}
+    return estimate(replace(model, known=held), measurements).residuals_after
+
+
+def _drawing_refitted(arm: Arm, measurements: Measurements, refit: str) -> Array:
+    """(m, d) residuals [mm] of an arm as it is drawn, `refit` as for `validate`."""
     drawing, residuals = replace(arm, effects=(), calibration=None), np.empty_like(measurements.positions)
     for rows in measurements.session_rows:
         conditions = conditions_of(arm, measurements, refit).rows(rows)

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from doe.bounds.bound import Bound
+from doe.bounds.planar_theorem import closed_form_bound
+from doe.criteria import A
 from doe.design import score, score_plan
 from doe.plan.plan import Plan
 from doe.report.design_tables import not_estimable_line
+from doe.solvers import solve
 from identification.arm import Arm, EffectSpec
+from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, SIX, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det
 
@@ -83,10 +88,17 @@ def test_a_plan_outside_the_limits_is_never_certified() -> None:
     runs = np.arange(5)
     fourier = np.outer(2 * np.pi * runs / 5, np.ones(4))  # orthogonal columns, log det M' = 0: above the bound
     found = score_plan(problem(FOUR), fourier)
-    assert found.value > found.bound.value
     assert found.outside == (2, 3, 4, 5)
     assert not found.certified_optimal
     assert found.to_json()["outside_limits"] == [2, 3, 4, 5]
+    closed = closed_form_bound(problem(FOUR))
+    assert found.value > closed.value
+    for judged in (found, replace(found, bound=closed)):  # none is looked for, and none that is known applies
+        assert judged.efficiency is judged.optimality is None
+        assert (
+            judged.to_json()["no_efficiency"]
+            == "4 runs are outside joint limits or constraints, where no bound applies"
+        )
     assert score_plan(problem(Arm(FOUR.lengths, *np.radians([[-360] * 4, [360] * 4]))), fourier).certified_optimal
 
 
@@ -107,14 +119,37 @@ def test_travels_to_workers_and_caches() -> None:
     assert again.to_json() == found.to_json()
 
 
-def test_efficiency_is_above_one_only_if_the_bound_is_none() -> None:
+def test_no_efficiency_is_above_one() -> None:
+    """Rounding, and what a search for a bound may miss, count as one; beyond that the bound is none."""
     case, plan = problem(FOUR), some_plan()
     value = score(case, plan).value
-    for excess, expected in ((-1e-15, 1.0), (-8e-13, 1.0), (-8e-9, 1.000000001), (8e-9, 0.999999999)):
-        found = score(case, plan, Bound(value + excess, "continuous")).efficiency
-        assert found == pytest.approx(expected, abs=1e-15 if expected == 1.0 else 1e-12)
-        assert found is not None
-        assert (found > 1.0) == (expected > 1.0)
+    for excess, expected in ((-1e-15, 1.0), (-8e-13, 1.0), (-8e-9, 1.0), (8e-9, 0.999999999)):
+        assert score(case, plan, Bound(value + excess, "continuous")).efficiency == pytest.approx(expected, abs=1e-12)
+    beaten = score(case, plan, Bound(value - 8e-3, "continuous"))
+    assert beaten.efficiency is beaten.to_json()["efficiency"] is None
+    assert "better than the bound" in str(beaten.no_efficiency)
+    assert not beaten.certified_optimal
+
+
+def test_what_is_called_optimal_says_by_what() -> None:
+    """Two links, criterion A, a box that does not bind: the bound comes from a search, and the plan reaches it."""
+    box = WorkspaceBox((-1000.0, 1000.0), (-1000.0, 1000.0))
+    boxed = solve(problem(Arm([300.0, 200.0], constraints=(box,)), criterion=A()), 4, seed=1)
+    assert (boxed.bound.source, boxed.bound.rigorous) == ("continuous", False)
+    assert boxed.certified_optimal
+    assert boxed.to_json()["optimality"] == "numerical"
+    assert "optimal up to a numerical bound" in str(boxed)
+    assert "proven" not in str(boxed)
+    free = solve(problem(Arm([300.0, 200.0])), 4, seed=1)
+    assert (free.optimality, free.bound.proof, free.bound.scope) == ("proven", "proven", "all postures")
+    assert "proven optimal" in str(free)
+    best = solve(problem(FOUR), 5, seed=1, starts=1)
+    assert (best.certified_optimal, best.optimality) == (False, "best known")
+    assert score(best.problem, best.plan, best.bound).optimality is None  # a plan that was given
+    choices = np.random.default_rng(0).uniform(-3.0, 3.0, (3, 2))
+    listed = solve(problem(Arm([300.0, 200.0]), choices=choices), 3, seed=1)
+    judged = replace(listed, bound=Bound(listed.value, "grid", rigorous=True, candidates=3))
+    assert "proven optimal among the list of 3 postures" in str(judged)
 
 
 def test_what_the_plan_does_not_tell_is_said() -> None:

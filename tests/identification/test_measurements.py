@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -185,3 +186,51 @@ def test_the_table_has_the_past_on_demand() -> None:
     assert wide.shape == (2, Conditions.columns(2, past=True))
     np.testing.assert_array_equal(wide[1, 6:], np.repeat(q[0], REMEMBERED))
     np.testing.assert_array_equal(Conditions().table(2, 2, 1.0, q)[:, 6:], np.repeat(q, REMEMBERED, axis=1))
+
+
+# -- postures and repeats ----------------------------------------------------------------------------------------------
+def test_reflectors_of_one_posture_share_it_and_are_no_repeats() -> None:
+    """Three reflectors at each of 982 random postures, read one after the other or in three rounds: no repeats. Read
+    twice, rows of equal posture and reflector are repeats, in each session its own."""
+    generator = np.random.default_rng(41)
+    q = generator.uniform(-2.5, 2.5, (982, 6))
+    for posture in (np.repeat(np.arange(982), 3), np.tile(np.arange(982), 3)):
+        marker = np.array(["a", "b", "c"])[np.arange(3 * 982) % 3 if posture[1] == 0 else np.arange(3 * 982) // 982]
+        data = Measurements(q[posture], np.ones((3 * 982, 3)), marker=marker)
+        assert np.array_equal(same(data.posture_numbers), same(posture))
+        assert len(np.unique(data.repeat_numbers)) == 3 * 982
+    twice, marker = np.tile(posture, 2), np.tile(marker, 2)
+    read = q[twice] + np.radians(0.005) * generator.uniform(-1.0, 1.0, (len(twice), 6))
+    data = Measurements(read, np.ones((len(twice), 3)), marker=marker)
+    assert np.array_equal(same(data.posture_numbers), same(twice))
+    assert np.array_equal(np.bincount(data.repeat_numbers), np.full(3 * 982, 2))
+    days = replace(data, session=np.repeat(["first", "second"], 3 * 982))
+    assert np.array_equal(same(days.posture_numbers), same(twice))
+    assert len(np.unique(days.repeat_numbers)) == len(twice)
+
+
+def same(numbers: np.ndarray) -> np.ndarray:
+    """(m,) the first row of each row's number: equal for equal groupings."""
+    return np.unique(numbers, return_index=True)[1][np.unique(numbers, return_inverse=True)[1]]
+
+
+@pytest.mark.parametrize("step", [0.002, 0.01, 0.02, 0.028])
+def test_a_slow_scan_repeats_nothing(step: float) -> None:
+    """A joint that is read every few thousandths of a degree; every row is another posture, unless its angles are equal
+    to another's, as of two reflectors."""
+    q = np.zeros((100, 3))
+    q[:, 1] = np.radians(step * np.arange(100))
+    assert len(np.unique(Measurements(q, np.ones((100, 2))).posture_numbers)) == 100
+    two = Measurements(np.repeat(q, 2, axis=0), np.ones((200, 3)), marker=np.tile(["a", "b"], 100))
+    assert np.array_equal(same(two.posture_numbers), np.repeat(np.arange(0, 200, 2), 2))
+    assert len(np.unique(two.repeat_numbers)) == 200
+
+
+@given(st.integers(0, 2**32), st.integers(1, 12), st.integers(1, 5))
+@settings(max_examples=40)
+def test_rows_that_an_arm_came_back_to_are_one_posture_in_any_order(seed: int, postures: int, times: int) -> None:
+    generator = np.random.default_rng(seed)
+    number = generator.permutation(np.repeat(np.arange(postures), times))
+    q = 0.1 * generator.permutation(postures)[:, None] * np.ones(4)
+    read = q[number] + np.radians(0.01) * generator.uniform(-1.0, 1.0, (len(number), 4))
+    assert np.array_equal(same(Measurements(read, np.ones((len(number), 2))).posture_numbers), same(number))

@@ -12,7 +12,7 @@ import numpy as np
 
 from identification.arm import MAX_LINKS
 from identification.errors import InputError, printable
-from identification.files.arm_schema import ArmFile
+from identification.files.arm_schema import PLANAR, ArmFile
 from identification.files.arm_schema_spatial import SpatialArmFile
 from identification.files.io import PathLike
 from identification.files.urdf import Urdf, read_urdf
@@ -42,7 +42,9 @@ WRIST = (0.0, 90.0, 200.0)  # of every further joint
 def planar_files(links: str) -> dict[str, str]:
     """Of a planar arm: file name -> text.
 
-    links : how many, `3`, or their lengths [mm], `612,572.3,115.7`. Raises `InputError` for anything else.
+    links : how many, a whole number, `3`, or their lengths [mm], `612,572.3,115.7`; one length has a point, `612.0`
+
+    Raises `InputError` for anything else, and where the reader of arm files refuses the lengths, in its words.
     """
     lengths, example = _lengths(links)
     n = len(lengths)
@@ -99,11 +101,12 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
         "name": _text(urdf.robot.get("name") or "arm"),
         "urdf": _text(file),
         "base": _text(base),
+        "base_name": printable(base),
         "tip": _text(tip),
         "others": printable(", ".join(others)),
         **_limits([low for low, _ in degrees], [high for _, high in degrees]),
         "massed": any(masses),
-        "masses": _numbers(masses if any(masses) else [10.0] * len(chain)),
+        "masses": _numbers([float(f"{mass:.12g}") for mass in masses] if any(masses) else [10.0] * len(chain)),
     }
     title = html.escape(printable(" ".join((urdf.robot.get("name") or "the arm").split())), quote=False)
     about = {"title": title, "example": False, "urdf": file, "kind": instrument}
@@ -147,16 +150,17 @@ def _files(arm: str, columns: Sequence[str], model: Any, about: Mapping[str, Any
 
 def _lengths(links: str) -> tuple[list[float], bool]:
     """Lengths [mm], and whether they are made up."""
-    words = [word.strip() for word in links.split(",")]
-    if len(words) == 1 and words[0].isascii() and words[0].isdigit() and 1 <= int(words[0]) <= MAX_LINKS:
-        return [float(round(600.0 * 0.8**j)) for j in range(int(words[0]))], True
+    whole = links.strip().isascii() and links.strip().isdigit()
+    if whole and (count := links.strip().lstrip("0")) in map(str, range(1, MAX_LINKS + 1)):
+        return [float(round(600.0 * 0.8**j)) for j in range(int(count))], True
     try:
-        lengths = [float(word) for word in words]
+        lengths = [float(word) for word in ([] if whole else links.split(","))]
     except ValueError:
         lengths = []
-    if not 1 <= len(lengths) <= MAX_LINKS or not all(0.0 < length < np.inf for length in lengths):
-        allowed = f"allowed: how many, 1 to {MAX_LINKS}, or lengths > 0 [mm], as 612,572.3,115.7"
+    if not lengths:
+        allowed = f"allowed: how many, 1 to {MAX_LINKS}, or lengths [mm], one with a point, 13.0, or 612,572.3,115.7"
         raise InputError(f"--links: found {links!r}, {allowed}")
+    PLANAR.validated({"links_mm": lengths}, "--links: ")
     return lengths, False
 
 
@@ -169,11 +173,13 @@ def _filled(template: str, values: Mapping[str, Any]) -> str:
 
 
 def _limits(lower: Sequence[float], upper: Sequence[float]) -> dict[str, str]:
-    return {"lower": _numbers(lower), "upper": _numbers(upper)}
+    """Of angles, converted from radians: to 1e-4 deg."""
+    return {key: _numbers([round(float(x), 4) for x in values]) for key, values in (("lower", lower), ("upper", upper))}
 
 
 def _numbers(values: Sequence[float]) -> str:
-    return f"[{', '.join(repr(round(float(value), 4)) for value in values)}]"
+    """As they are read back, to the last digit."""
+    return f"[{', '.join(repr(float(value)) for value in values)}]"
 
 
 def _text(value: str) -> str:

@@ -23,6 +23,7 @@ from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables, load_arm
 from identification.files.arm_text import dump_arm
 from identification.files.io import PathLike, named_file, read_toml
+from identification.kinematics.counting import JointKinds
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -113,8 +114,10 @@ def load_study(path: PathLike) -> Study:
     try:
         file = parse_study(tables)
         arms = [load_arm(_beside(folder, name, "arms")) for name in file.arms]
+        kinds = _kinds_of_plans(arms) if any(name.endswith(".csv") for name in file.plans) else None
         plans = [
-            (name, load_plan(_beside(folder, name, "plans"))) if name.endswith(".csv") else name for name in file.plans
+            (name, load_plan(_beside(folder, name, "plans"), kinds)) if name.endswith(".csv") else name
+            for name in file.plans
         ]
         return Study(
             arms,
@@ -129,6 +132,13 @@ def load_study(path: PathLike) -> Study:
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _kinds_of_plans(arms: Sequence[Arm]) -> JointKinds | None:
+    """How the columns of plans are counted, None: as the model's joints. Raises `InputError` for arms that differ."""
+    if any(arm.counting != arms[0].counting for arm in arms):
+        raise InputError("plans: found files for arms with different [joints], allowed: the same in all arms")
+    return arms[0].joint_types if arms[0].counting is not None else None
 
 
 _beside = partial(named_file, whose="the study file")

@@ -16,6 +16,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation import estimate_batch
 from identification.estimation.batch import sessions
+from identification.kinematics.counting import in_columns, in_joints
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -79,10 +80,11 @@ def true_values(model: Model, truth: Model) -> Array:
 
 
 def in_file_units(postures: Array, joint_types: tuple[str, ...]) -> Array:
-    """Postures [rad, mm] in degrees, of prismatic joints in millimetres."""
-    return np.where(np.array(joint_types) == REVOLUTE, np.degrees(postures), postures)
+    """Postures [rad, mm] as files have them, in degrees, of prismatic joints in millimetres."""
+    columns = in_columns(postures, joint_types)
+    return np.where(np.array(joint_types) == REVOLUTE, np.degrees(columns), columns)
 
 
 def in_api_units(postures: Array, joint_types: tuple[str, ...]) -> Array:
     """The reverse of `in_file_units`."""
-    return np.where(np.array(joint_types) == PRISMATIC, postures, np.radians(postures))
+    return in_joints(np.where(np.array(joint_types) == PRISMATIC, postures, np.radians(postures)), joint_types)

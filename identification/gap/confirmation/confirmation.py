@@ -74,9 +74,12 @@ def groupings(postures: Array, repeats: Groups, time: Array) -> tuple[Groups, Gr
 
     postures : (m, n) [rad];  repeats : (m,) equal numbers mark repeats of one posture;  time : (m,)
     """
-    stretches = np.empty(len(time), dtype=np.int64)
-    for group, rows in enumerate(np.array_split(np.argsort(time, kind="stable"), min(GROUPS, len(time)))):
-        stretches[rows] = group
+    sequence = np.argsort(time, kind="stable")
+    stays = np.cumsum(np.diff(repeats[sequence], prepend=repeats[sequence[0]]) != 0)  # at one posture, from 0
+    count, stretches = int(stays[-1]) + 1, np.empty(len(time), dtype=np.int64)
+    sizes = np.cumsum(np.bincount(stays))
+    ends = np.unique(np.searchsorted(sizes, np.arange(1, GROUPS) * len(time) / GROUPS))
+    stretches[sequence] = np.searchsorted(ends, np.arange(count), side="left")[stays]
     first = np.unique(repeats, return_index=True)[1]
     return stretches, regions(postures[first])[np.unique(repeats, return_inverse=True)[1]]
 
@@ -106,6 +109,7 @@ class Confirmation:
     shrinks, as_predicted : conclusions; None where the rows are too few
     named : False if no effect was named, so that no gap has to shrink
     file : that the rows come from, where only its order numbers tell that they are another session; else None
+    refitted : what was fitted to these rows first, since they are of another set-up: `base`, `reflector C`
     """
 
     transfer: str
@@ -121,6 +125,7 @@ class Confirmation:
     as_predicted: bool | None
     named: bool = True
     file: str | None = None
+    refitted: tuple[str, ...] = ()
 
     @property
     def where(self) -> str:
@@ -151,7 +156,8 @@ class Confirmation:
     def __str__(self) -> str:
         kind = "held-out" if self.by == "holdout" else "cross-validated"
         figures = f"{self.before:.4g} mm before, {self.after:.4g} mm after, {self.predicted:.4g} mm predicted"
-        return f"{self.answer}: {figures} ({self.rows} {kind} rows in {self.groups} independent groups)"
+        other = f"; another set-up, {' and '.join(self.refitted)} refitted to these rows" if self.refitted else ""
+        return f"{self.answer}: {figures} ({self.rows} {kind} rows in {self.groups} independent groups{other})"
 
     def to_json(self) -> dict[str, object]:
         """An entry of `confirmation.tests` (identification/files/README.md, "JSON keys")."""
@@ -168,7 +174,7 @@ class Confirmation:
             "as_predicted",
             "confirmed",
         )
-        return {name: getattr(self, name) for name in names} | lengths
+        return {name: getattr(self, name) for name in names} | {"refitted": [*self.refitted]} | lengths
 
 
 class HeldOut(NamedTuple):
@@ -176,6 +182,7 @@ class HeldOut(NamedTuple):
 
     before, after : (m,) [mm^2];  predicted : expected mean of `after`, with its uncertainty
     moved : (m,) squared distance between the two models [mm^2];  sigma : noise of one of the d coordinates [mm]
+    refitted : what was fitted to these rows first, see `Confirmation`
     """
 
     before: Array
@@ -184,6 +191,7 @@ class HeldOut(NamedTuple):
     moved: Array
     sigma: float
     dimension: int
+    refitted: tuple[str, ...] = ()
 
 
 def confirm(

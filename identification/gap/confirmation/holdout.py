@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.effects.places import widths
 from identification.errors import InputError
 from identification.gap.confirmation.confirmation import (
     Confirmation,
@@ -18,11 +19,14 @@ from identification.gap.confirmation.confirmation import (
     groupings,
     mean_of,
 )
+from identification.gap.confirmation.set_up import Predicted, SetUp, point_names, set_up_of
+from identification.gap.average import Average
 from identification.gap.fits.fit import Fit
 from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 
 SESSION = "another session"
+OTHER_ROWS = "other rows"
 
 
 @dataclass(frozen=True)
@@ -63,8 +67,9 @@ def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Co
     """Conditions of the hold-out on the scales of the data.
 
     Temperatures count from where those of the data do; time is on the scale of the data if both are of one session.
+    Measured points have the numbers of the data, those that the data do not have that of the first.
     """
-    conditions = holdout.conditions
+    conditions = replace(holdout.conditions, marker=point_names(measurements, holdout)[0])
     if measurements.temperature is not None and holdout.temperature is not None:
         conditions = replace(conditions, temperature=holdout.temperature - measurements.reference_temperature)
     own, other = measurements.order, holdout.order
@@ -81,7 +86,7 @@ def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
     """
     own, other = measurements.order, holdout.order
     if own is None or other is None:
-        return "other rows"
+        return OTHER_ROWS
     pause = max(other.min() - own.max(), own.min() - other.max())
     if len(np.intersect1d(own, other)) or pause > np.ptp(own):
         return SESSION
@@ -103,7 +108,8 @@ def confirmation_of(measurements: Measurements, holdout: Measurements, there: He
     """Test the named model on the hold-out;  named : False if nothing was named."""
     every, transfer = np.ones(len(holdout), dtype=bool), transfer_of(measurements, holdout)
     found = confirm(there, groups_of(holdout, every), transfer, named=named)
-    return replace(found, file=holdout.provenance.get("file") if transfer == SESSION else None)
+    file = holdout.provenance.get("file") if transfer == SESSION else None
+    return replace(found, file=file, refitted=there.refitted)
 
 
 def held_out(
@@ -120,7 +126,7 @@ def held_out(
     mismatch : mean square distance [mm^2] due to a possibly wrong choice of effects
     """
     there = held_out_conditions(measurements, holdout)
-    before, after = (fit.position_residuals(holdout, there)[:, POINT] for fit in (base, named))
+    before, after, set_up = placed_residuals(base, named, measurements, holdout)
     own = np.square(named.position_residuals(measurements, measurements.conditions)[kept, POINT]).sum(axis=1)
     white = 2.0 * float(np.mean(own)) ** 2 / max(named.freedom, 1)  # the variance that white Gaussian noise gives
     left = mean_of(own, groups_of(measurements, kept), white)
@@ -134,7 +140,39 @@ def held_out(
         np.square(before - after).sum(axis=1),
         float(np.sqrt(scale * left.value / before.shape[1])),
         before.shape[1],
+        set_up.words,
     )
+
+
+def placed_residuals(
+    base: Fit, named: Fit, measurements: Measurements, holdout: Measurements
+) -> tuple[Array, Array, SetUp]:
+    """(m, d) residuals [mm] of both models in a hold-out, and what another set-up of it has had refitted: the least
+    that the second model needs, the same for both."""
+    there, (_, fresh) = held_out_conditions(measurements, holdout), point_names(measurements, holdout)
+    renamed = not {*holdout.marker_names} <= {*measurements.marker_names}
+    elsewhere = renamed or transfer_of(measurements, holdout) in (SESSION, OTHER_ROWS)
+    names = np.full(len(holdout), "") if holdout.marker is None else np.asarray(holdout.marker)
+
+    def predicted(fit: Fit) -> Predicted:
+        left = fit.position_residuals(holdout, there)[:, POINT]
+        measured, axes = holdout.positions[:, POINT], None
+        if fit.model.arm.chain is not None and fit.model.arm.chain.instrument.whole:
+            sizes = widths(holdout.links, len(left.T))
+            first = sum([*sizes.values()][: [*sizes].index("tool")])
+            axes = fit.model.place_levers(holdout.postures, fit.values, there)[0][:, POINT, first : first + len(left.T)]
+        return Predicted(measured - left, axes, measured, fit.model.reach, names)
+
+    own = predicted(named)
+    set_up = set_up_of(own, fresh, elsewhere)
+    return predicted(base).residuals(set_up), own.residuals(set_up), set_up
+
+
+def refitted_in_words(there: HeldOut | None) -> list[str]:
+    """A sentence about what another set-up of the hold-out has had refitted, if anything."""
+    if there is None or not there.refitted:
+        return []
+    return [f"the hold-out is of another set-up: {' and '.join(there.refitted)} refitted to its rows, for both models"]
 
 
 def groups_of(measurements: Measurements, kept: NDArray[np.bool_]) -> tuple[Groups, Groups]:
@@ -157,22 +195,24 @@ def parameter_part(found: Fit, rows: Measurements, there: Conditions) -> Mean:
 
 
 def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements) -> None:
-    """Raise `InputError` for a hold-out whose residuals are larger than any missing effect could make them.
+    """Raise `InputError` for a hold-out whose residuals are larger than any missing effect could make them, also where
+    it may be of another set-up and that is refitted.
 
     The limit is the larger of ten times the expected residual of the base model and a hundredth of the reach: another
-    payload or part of the workspace stays below it; other links or another set-up of base and instrument do not.
+    payload or part of the workspace stays below it; other links do not.
     """
     there = held_out_conditions(measurements, holdout)
     left = distances(base.position_residuals(measurements, measurements.conditions)) ** 2
     expected = float(np.sqrt(np.mean(left) + parameter_part(base, holdout, there).value))
     limit = max(10.0 * expected, 0.01 * base.model.reach)
     # the median, since a few outliers do not make it another arm
-    missed = float(np.median(distances(base.position_residuals(holdout, there))))
+    residuals, _, set_up = placed_residuals(base, base, measurements, holdout)
+    missed = float(np.median(distances(residuals)))
     if missed > limit:
+        refitted = f", {' and '.join(set_up.words)} refitted to these rows" if set_up.words else ""
         raise InputError(
-            f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data, allowed: up to {limit:.3g} "
-            "mm; another arm, set-up or unit? Where base or instrument stand elsewhere: give both files as DATA, "
-            "sessions with a base each, or refit the base (armcal validate --refit base)"
+            f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data{refitted}, allowed: up to "
+            f"{limit:.3g} mm; another arm or unit? armcal check tells what the columns of the file look like"
         )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
-from identification.measurements import Conditions, Measurements
+from identification.measurements import Conditions, Measurements, repeats_of
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Rows:
     postures : (m, n) [rad];  positions : (m, d) [mm];  order : (m,) rank of each row in time
     spread : (m, d, d) symmetric square root of the relative covariance of each row, None: the same for all
     correlation : lag-1 correlation of the noise between consecutive rows
-    numbers : (m,) equal numbers mark repeats of one posture, None: equal angles do
+    numbers : (m,) equal numbers mark rows of one posture, None: equal angles do
     sigma : standard deviation [mm] of a whitened coordinate as given by the data, None: not given
     shared : variance that all rows of one posture have in common, relative to that of each row
     """
@@ -82,10 +82,15 @@ class Rows:
 
     @property
     def posture_numbers(self) -> NDArray[np.int64]:
-        """(m,) number of each row's posture, from 0; rows with equal numbers are repeats."""
+        """(m,) number of each row's posture, from 0."""
         if self.numbers is None:
             return np.unique(np.round(self.postures, 9), axis=0, return_inverse=True)[1].ravel()
         return np.unique(self.numbers, return_inverse=True)[1]
+
+    @property
+    def repeat_numbers(self) -> NDArray[np.int64]:
+        """(m,) equal numbers mark repeats: rows of one posture, marker and session."""
+        return repeats_of(self.posture_numbers, self.conditions.marker, self.conditions.session)
 
     @cached_property
     def _inverse(self) -> Array:

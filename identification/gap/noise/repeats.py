@@ -126,13 +126,10 @@ def noise_floor(
 
 
 def repeats_in_time(measurements: Measurements, kept: NDArray[np.bool_]) -> tuple[Groups, Array]:
-    """For the kept rows (m,) a number for each posture of each session, and the time from 0 to 1 over the session."""
-    sessions = np.empty(len(measurements), dtype=np.int64)
-    for number, rows in enumerate(measurements.session_rows):
-        sessions[rows] = number
+    """`repeat_numbers` of the kept rows (m,), and the time from 0 to 1 over the session."""
     time = measurements.conditions.time
     assert time is not None  # measurements know it
-    return (measurements.posture_numbers * len(measurements.session_rows) + sessions)[kept], time[kept] + 0.5
+    return measurements.repeat_numbers[kept], time[kept] + 0.5
 
 
 def repeat_finding(

@@ -27,7 +27,7 @@ def test_a_bound_that_is_beaten_is_found_again_and_equals_the_closed_form() -> N
     problem = DesignProblem.of(Model(BOX))
     design = solve(problem, 12, seed=1)
     wrong = Bound(design.value - 0.1, "continuous")
-    assert replace(design, bound=wrong).efficiency > 1.0
+    assert "better than the bound" in replace(design, bound=wrong).no_efficiency
     bound = bound_that_holds(problem, wrong, design.plan.postures, design.value)
     assert bound is not None
     assert bound.value == pytest.approx(closed_form_log_det(problem), abs=1e-6)

@@ -62,14 +62,16 @@ def test_measurements(folder: Folder, text: str, expected: tuple[str, ...]) -> N
     refused(folder, ["identify", "arm.toml", "data.csv", "--out", "out.file"], *expected)
 
 
-@pytest.mark.parametrize(("columns", "factor", "unit"), [("xy", 1e-3, "metres"), ("q", np.pi / 180.0, "radians")])
+@pytest.mark.parametrize(
+    ("columns", "factor", "unit"), [("xy", 1e-3, "are in metres ("), ("q", np.pi / 180.0, "look like radians: ")]
+)
 def test_measurements_in_other_units(folder: Folder, columns: str, factor: float, unit: str) -> None:
     """No word helps against them; `armcal check` says what to do."""
     folder.simulated()
     frame = pl.read_csv(folder.path / "data.csv")
     wrong = [pl.col(name) * factor for name in frame.columns if name[0] in columns and name.endswith(("_mm", "_deg"))]
     frame.with_columns(wrong).write_csv(folder.path / "data.csv")
-    expected = ("data.csv: the ", f"look like {unit}: name the columns ", "instead of")
+    expected = ("data.csv: the ", f"{unit}name the columns ", "instead of")
     for verb in ("identify", "diagnose"):
         refused(folder, [verb, "arm.toml", "data.csv", "--out", "out.file", "--force"], *expected)
     refused(folder, ["validate", "truth.toml", "data.csv"], *expected)

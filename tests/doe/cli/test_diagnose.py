@@ -132,15 +132,24 @@ def test_an_arm_file_is_no_data(folder: Folder) -> None:
         assert alone.err == f"armcal: {name}: found an arm file among the data, allowed: files of measurements\n"
 
 
-def test_a_hold_out_of_another_frame_is_a_session_of_its_own(sessions: Folder) -> None:
-    """The instrument moved by 300 mm: what the message proposes works on the same two files."""
+def test_a_hold_out_of_another_frame_is_judged_where_it_stands(sessions: Folder) -> None:
+    """The instrument moved by 300 mm: the base is refitted to these rows, and the verdict is as if it had not."""
     rows = (sessions.path / "same.csv").read_text().splitlines()
     column = rows[0].split(",").index("x_mm")
     cells = [row.split(",") for row in rows[1:]]
     moved = [",".join([*row[:column], str(float(row[column]) + 300.0), *row[column + 1 :]]) for row in cells]
     sessions.write("moved.csv", "\n".join([rows[0], *moved]) + "\n")
-    done = sessions.armcal(*WORDS, "--holdout", "moved.csv")
-    assert done.code == 2
-    assert "give both files as DATA" in done.err
-    assert "armcal validate --refit base" in done.err
-    assert sessions.armcal("diagnose", "arm.toml", "data.csv", "moved.csv", "--draws", "399").code == 0
+    still, there = (sessions.armcal(*WORDS, "--holdout", name, "--json").data for name in ("same.csv", "moved.csv"))
+    assert still["confirmation"]["refitted"] == []
+    assert there["confirmation"]["refitted"] == ["base"]
+    assert there["confirmed"] is True
+    for key in ("held_out_before_mm", "held_out_after_mm"):
+        assert there["gap"][key] == pytest.approx(still["gap"][key], rel=0.05)
+    said = "the hold-out is of another set-up: base refitted to its rows, for both models"
+    assert said in there["warnings"]
+    assert said in " ".join(sessions.armcal(*WORDS, "--holdout", "moved.csv").out.split())
+    other = [",".join([*row[:column], str(2.0 * float(row[column])), *row[column + 1 :]]) for row in cells]
+    sessions.write("scaled.csv", "\n".join([rows[0], *other]) + "\n")
+    refused = sessions.armcal(*WORDS, "--holdout", "scaled.csv")
+    assert refused.code == 2
+    assert "another arm or unit?" in refused.err

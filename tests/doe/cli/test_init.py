@@ -11,13 +11,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from doe.report.first_files import dh_files, planar_files, urdf_files
 from identification import Model, load_arm, load_measurements
+from identification.arm import LENGTH_RANGE
 from identification.errors import InputError
+from identification.files.arm import arm_from_tables
 from identification.files.csv import read_table
 from identification.files.urdf import read_urdf
 from tests.doe.cli.conftest import Folder
+from tests.small_arm import MASSES, urdf
 
 URDF = Path(__file__).parents[2] / "data/spatial/six_axis.urdf"
 GRIPPER = """<robot name="two fingers"><link name="base"/>
@@ -117,6 +122,20 @@ def test_made_up_numbers_are_marked_and_given_ones_are_not() -> None:
     assert "links_mm = [612.0, 572.3, 115.7]\n" in planar_files("612,572.3, 115.7")["arm.toml"]
 
 
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(*LENGTH_RANGE), min_size=1, max_size=12))
+@example([13.0])
+@example([0.00001, 612.34567891234, 1e9])
+def test_lengths_are_read_back_as_they_were_given(lengths: list[float]) -> None:
+    text = planar_files(",".join(map(repr, lengths)))["arm.toml"]
+    assert arm_from_tables(tomllib.loads(text)).lengths.tolist() == lengths
+
+
+def test_masses_of_a_urdf_file_are_not_rounded(folder: Folder) -> None:
+    folder.path.joinpath("hand.urdf").write_text(GRIPPER.replace('"2.5"', '"2.50000001"'))
+    assert "link_masses_kg = [3.00000001]" in urdf_files(folder.path / "hand.urdf")["arm.toml"]
+
+
 def test_a_urdf_file_is_copied_and_its_chain_found(folder: Folder) -> None:
     done = folder.armcal("init", "--urdf", str(URDF), "--out", "cell")
     assert done.code == 0, done.err
@@ -141,8 +160,21 @@ def test_ends_that_cannot_be_measured_are_not_taken(folder: Folder) -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--links", "0"), "--links: found '0', allowed: how many, 1 to 12, or lengths > 0"),
-        (("--links", "3,-1"), "--links: found '3,-1'"),
+        (("--links", "0"), "--links: found '0', allowed: how many, 1 to 12, or lengths [mm]"),
+        (("--links", "13"), "found '13', allowed: how many, 1 to 12, or lengths [mm], one with a point, 13.0"),
+        (
+            ("--links", "1e9,1e-9"),
+            "--links: links_mm[2]: found 1e-09, allowed: 1 to 12 link lengths > 0 [mm], 1e-06 to",
+        ),
+        (
+            ("--links", "1e-7"),
+            "--links: links_mm[1]: found 1e-07, allowed: 1 to 12 link lengths > 0 [mm], 1e-06 to 1e+09",
+        ),
+        (("--links", "1e10"), "--links: links_mm[1]: found 10000000000.0, allowed: 1 to 12 link lengths > 0"),
+        (("--links", "nan"), "--links: links_mm[1]: found nan"),
+        (("--links", ",".join(["1"] * 13)), "--links: links_mm: found 13 values, allowed: 1 to 12 link lengths"),
+        (("--links", "3,-1"), "--links: links_mm[2]: found -1.0"),
+        (("--links", "3,x"), "--links: found '3,x', allowed: how many"),
         (("--links", "3", "--dh", "6"), "--dh: found with --links"),
         (("--instrument", "distance"), "--instrument: found for a planar arm, allowed: with --dh or --urdf"),
         (("--tip-link", "tool0"), "--tip-link: found without --urdf"),
@@ -160,3 +192,18 @@ def test_bad_input_is_one_line_and_nothing_is_written(folder: Folder, words: tup
     assert sentence in done.err
     assert len(done.err.strip().splitlines()) == 1
     assert sorted(folder.path.iterdir()) == before
+
+
+@pytest.mark.parametrize("masses", [True, False])
+def test_gravity_is_on_where_the_urdf_file_has_masses(folder: Folder, masses: bool) -> None:
+    folder.write("robot.urdf", urdf(masses=masses))
+    done = folder.armcal("init", "--urdf", "robot.urdf", "--out", "cell")
+    arm = load_arm(folder.path / "cell/arm.toml")
+    assert ("stands upright" in done.out) is masses
+    assert ("taken to stand upright" in (folder.path / "cell/arm.toml").read_text()) is masses
+    if masses:
+        assert arm.gravity is not None
+        assert arm.gravity.link_masses.tolist() == MASSES.tolist()
+        assert arm.gravity.acceleration.tolist() == [0.0, 0.0, -9.81]
+    else:
+        assert arm.gravity is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import logging
 import os
 import signal
 import socket
@@ -9,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import Executor, Future
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -16,7 +19,7 @@ import pytest
 
 from doe.jobs.row_table import RowTable, read_rows
 from doe.jobs.tasks import run_tasks
-from doe.jobs.workers import Workers, chosen_workers, cluster
+from doe.jobs.workers import Workers, _ClusterExecutor, chosen_workers, cluster
 from identification.errors import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -82,7 +85,9 @@ def test_a_killed_scheduler_is_one_line_and_keeps_what_is_finished(tmp_path: Pat
     address = f"tcp://127.0.0.1:{free_port()}"
     worker = ("dask_worker", address, "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
     path = tmp_path / "rows.parquet"
+    printed: list[logging.LogRecord] = []
     with ExitStack() as stack:
+        stack.enter_context(recorded(printed, "distributed", "distributed.client", "tornado.application", "asyncio"))
         scheduler = stack.enter_context(started(stack, "dask_scheduler", "--host", address, "--no-dashboard"))
         stack.enter_context(started(stack, *worker, "--no-dashboard"))
         workers = ready(address, 1)
@@ -93,9 +98,65 @@ def test_a_killed_scheduler_is_one_line_and_keeps_what_is_finished(tmp_path: Pat
 
         with pytest.raises(JobError, match="--resume"), RowTable.open(path) as table:
             run_tasks(work.slow_draw, keys, table, workers, progress=kill)
+    assert printed == []
     kept = read_rows(path)
     assert 5 <= len(kept) / 2 < 60
     assert kept["value"].to_list() == work.drawn(keys[: len(kept) // 2])
+    with RowTable.open(path, resume=True) as table:
+        assert run_tasks(work.draw, keys, table)["value"].to_list() == work.drawn(keys)
+
+
+@contextmanager
+def recorded(records: list[logging.LogRecord], *names: str) -> Iterator[None]:
+    """Collects what these loggers print."""
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = records.append  # type: ignore[method-assign]
+    for name in names:
+        logging.getLogger(name).addHandler(handler)
+    try:
+        yield
+    finally:
+        for name in names:
+            logging.getLogger(name).removeHandler(handler)
+
+
+class Scheduler:
+    """Stands for a dask client whose scheduler dies when a number of tasks are done: the others never end."""
+
+    def __init__(self, tasks: int) -> None:
+        self.tasks, self.status = tasks, "running"
+
+    def get_executor(self, pure: bool) -> Executor:
+        assert not pure
+        outer = self
+
+        class Some(Executor):
+            def submit(self, function, /, *arguments, **named):  # type: ignore[no-untyped-def]
+                future: Future[object] = Future()
+                if outer.status != "running":
+                    raise RuntimeError("client is closed")
+                if outer.tasks:
+                    outer.tasks -= 1
+                    future.set_result(function(*arguments, **named))
+                else:
+                    outer.status = "connecting"
+                return future
+
+            def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+                raise AssertionError("nobody waits for a scheduler that is lost")
+
+        return Some()
+
+
+@pytest.mark.parametrize("done", [0, 1, 9])
+def test_futures_that_a_lost_scheduler_never_ends(tmp_path: Path, done: int) -> None:
+    """dask drops what fails while it fetches a result: who waits for such a future waits for ever."""
+    keys, path = [{"task": task} for task in range(30)], tmp_path / "rows.parquet"
+    workers = Workers(lambda: _ClusterExecutor(Scheduler(done)), 3)
+    lost = "workers were lost; finished rows are kept, go on with --resume"
+    with pytest.raises(JobError, match=lost), RowTable.open(path) as table:
+        run_tasks(work.draw, keys, table, workers)
+    assert len(read_rows(path)) / 2 == done if done else not path.exists()
     with RowTable.open(path, resume=True) as table:
         assert run_tasks(work.draw, keys, table)["value"].to_list() == work.drawn(keys)
 
@@ -136,6 +197,17 @@ def test_scheduler_without_workers_is_one_line() -> None:
             time.sleep(0.1)
         with pytest.raises(InputError, match=f"the scheduler has no workers.*dask worker {address}"):
             cluster(address, patience=1.0)
+
+
+def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A system whose shared memory is read-only (EROFS)."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr("multiprocessing.synchronize.SemLock.__init__", refuse)
+    with RowTable.open(None) as table, pytest.raises(JobError, match=r"Read-only file system.*--workers 1"):
+        run_tasks(work.draw, [{"task": 1}], table, chosen_workers(2))
 
 
 def test_choice_of_workers() -> None:

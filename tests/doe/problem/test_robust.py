@@ -8,12 +8,15 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from doe.bounds.best_known import best_known_bound
 from doe.bounds.column_generation import continuous_design
+from doe.bounds.continuous import ContinuousSet
+from doe.bounds.multiplicative import weighted
 from doe.criteria import A, D
 from doe.design import score
 from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import average_error, missing_effects, robust_problem, workspace
+from doe.problem.robust import average_error, missing_effects, robust_problem, with_choices, workspace
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array
@@ -184,3 +187,30 @@ def test_the_best_of_all_plans_of_several_points() -> None:
         every = [np.trace(np.linalg.solve(of_each[list(four)].sum(axis=0) + prior, poses)) for four in FOURS]
         found = solve(case, 4, starts=20)
         assert -found.value / 4 == pytest.approx(min(every), rel=1e-5)
+
+
+def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
+    """Weights on postures climbed from the list beat every bound over the list, and not this one."""
+    some = replace(CASE, choices=np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (40, 2)))
+    sampled = replace(some, sampled=True)
+    listed, everywhere = best_known_bound(some, 12), best_known_bound(sampled, 12)
+    assert (listed.scope, listed.proof, listed.candidates) == ("list", "proven", 40)
+    assert (everywhere.scope, everywhere.proof, everywhere.candidates) == ("all postures", "numerical", None)
+    prior = CASE.prior.per_new_run(12)
+    found = weighted(some, prior, some.choices, 1e-3)
+    climbed = ContinuousSet(CASE, prior).best(found.gradient, found.plan.postures)[0]
+    better = weighted(CASE, prior, np.concatenate([some.choices, climbed]), 1e-3)
+    value = float(CASE.criterion.value(better.information))
+    assert listed.value < value - 1e-3 * abs(value)  # what was called a bound of all plans
+    assert value < everywhere.value
+    # and against another set of postures altogether, a fine grid with its exact bound
+    grid = np.stack(np.meshgrid(*np.linspace(ARM.lower, ARM.upper, 25).T), axis=-1).reshape(-1, 2)
+    fine = weighted(CASE, prior, grid, 1e-3)
+    assert float(CASE.criterion.value(fine.information)) < everywhere.value
+
+
+def test_only_a_list_of_its_own_making_is_a_sample() -> None:
+    assert with_choices(CASE).sampled
+    listed = replace(CASE, choices=POSTURES)
+    assert not with_choices(listed).sampled
+    assert not with_choices(listed, POSTURES[:1] + 0.1).sampled

@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from doe.bounds.bound import Bound
 from doe.design import score
 from doe.problem.robust import missing_effects, robust_problem
 from doe.report.design_tables import (
@@ -61,20 +62,23 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
     plain = problem(Arm([260.0, 180.0, 120.0], sigma=0.1))
     wide = robust_problem(plain, missing_effects(plain, ["gear_ratio"]))
     data = score(wide, np.random.default_rng(3).uniform(-1.0, 1.0, (8, 3))).to_json()
-    data |= {"bound": {"value": -1.0, "source": "grid"}, "efficiency": 0.3, "outside_limits": []}
+    data |= {"bound": Bound(-1.0, "grid", True, candidates=2000).as_dict(), "efficiency": 0.3, "outside_limits": []}
     console = Console(width=100, file=io.StringIO())
     with console.capture() as capture:
         console.print(summary_table(data, ""))
     said = " ".join(capture.get().split())
     assert data["expected_error_mm"] is not None
-    assert "efficiency 0.300000 of the bound (grid). Do not expect it near 1: the bound allows fractions of" in said
+    assert "efficiency 0.300000 of the bound (the list of 2,000 postures, proven). Do not expect it near 1:" in said
     assert "value of I" not in said
     assert "upper bound" not in said
 
 
 def test_criterion_i_is_said_in_mm() -> None:
-    data = {"expected_error_mm": {"plan": 0.1723, "bound": 0.1391}, "outside_limits": []}
+    bound = Bound(-1.0, "grid", True, candidates=2000).as_dict()
+    data = {"expected_error_mm": {"plan": 0.1723, "bound": 0.1391}, "outside_limits": [], "bound": bound}
     said = "0.172 mm at the tip, RMS over the workspace or --test-poses"
-    assert expected_error(data) == f"{said}; no plan is below 0.139 mm"
+    assert expected_error(data) == f"{said}; no plan from the list of 2,000 postures is below 0.139 mm"
+    everywhere = {**data, "bound": Bound(-1.0, "continuous").as_dict()}
+    assert expected_error(everywhere) == f"{said}; no plan from all postures is below 0.139 mm (a numerical bound)"
     assert expected_error({**data, "outside_limits": [3]}) == said  # no bound applies
     assert expected_error({"expected_error_mm": None}) is None

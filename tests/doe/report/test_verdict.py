@@ -77,10 +77,16 @@ def test_the_other_commands_in_a_sentence_each() -> None:
     error = {"criterion": "I", "efficiency": 0.329, "expected_error_mm": {"plan": 0.158, "bound": 0.0808}}
     runs = "The plan of 20 runs (criterion I) lets expect an error of 0.158 mm at the tip, RMS over the workspace"
     bound = "bound allows fractions of a run. Judge by the mm."
-    least = f"{runs}; none is below 0.0808 mm. Efficiency"
+    error["bound"] = {"value": -9.0, "source": "grid", "rigorous": True, "candidates": 2000}
+    least = f"{runs}; no plan from the list of 2,000 postures is below 0.0808 mm. Efficiency"
     assert design_verdict(design | error) == f"{least} 0.3290. Do not expect it near 1: the {bound}"
     assert design_verdict(design | error | {"efficiency": 0.95}) == f"{least} 0.9500. The {bound}"
     assert design_verdict(design | error | {"efficiency": None}) == f"{runs}."
+    everywhere = error | {"bound": {"value": -9.0, "source": "continuous", "rigorous": False}}
+    assert "; no plan from all postures is below 0.0808 mm (a numerical bound). " in design_verdict(design | everywhere)
+    sure = design | {"certified_optimal": True, "optimality": "numerical", "bound": {"source": "continuous"}}
+    assert design_verdict(sure).endswith("(D, optimal up to a numerical bound).")
+    assert design_verdict(sure | {"optimality": "proven"}).endswith("(D, proven optimal).")
     assert "3.00 to 0.250 mm" in identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25})
     figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base"}
     assert validation_verdict(figures, "c.toml", "d.csv", seen=True).startswith(

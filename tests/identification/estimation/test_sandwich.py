@@ -64,6 +64,37 @@ def test_unbiased_under_white_noise() -> None:
     np.testing.assert_allclose(total, np.linalg.inv(flat.T @ flat), rtol=1e-9)
 
 
+def with_prior(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(m, d, p) Jacobian, (2, p) rows of a prior of two combinations, and root of the posterior covariance."""
+    jacobian, _, _ = problem(seed)
+    rows = np.random.default_rng(seed + 1).standard_normal((2, 3)) * 3.0
+    flat = jacobian.reshape(-1, 3)
+    return jacobian, rows, np.linalg.cholesky(np.linalg.inv(flat.T @ flat + rows.T @ rows))
+
+
+def test_with_a_prior_it_is_the_covariance_of_the_errors_if_the_model_is_complete() -> None:
+    """The mean over white noise and over values drawn from the prior, exactly, is the posterior covariance, of whatever
+    size the noise is; and the degrees of freedom are those of the matrix of the quadratic form."""
+    jacobian, rows, root = with_prior(8)
+    flat, (m, d, p) = np.concatenate([jacobian.reshape(-1, 3), rows]), jacobian.shape
+    bread = np.linalg.inv(flat.T @ flat)
+    rest, total = np.eye(len(flat)) - flat @ bread @ flat.T, np.zeros((p, p))
+    fixed = bread @ rows.T @ rows @ bread  # what the prior's own errors add
+    for column in rest.T:  # residuals of the data after a fit to one error of one, of the data or of the prior
+        found = sandwich(jacobian, 0.2 * column[: m * d].reshape(-1, d), root, GROUPS, 0.04)
+        assert found is not None
+        total += found.covariance - 0.04 * fixed
+    np.testing.assert_allclose(total + 0.04 * fixed, 0.04 * bread, rtol=1e-9)
+    added = np.zeros((p, len(flat), GROUPS.max() + 1))
+    for g in range(GROUPS.max() + 1):
+        own = np.flatnonzero(np.repeat(GROUPS, d) == g)
+        half = np.linalg.inv(np.real(sqrtm(rest[np.ix_(own, own)])))
+        added[:, :, g] = (rest[:, own] @ half @ flat[own] @ bread).T
+    for k in range(p):
+        values = np.linalg.eigvalsh(added[k].T @ added[k])
+        assert found.freedom[k] == pytest.approx((values.sum() + fixed[k, k]) ** 2 / np.sum(values**2), rel=1e-9)
+
+
 def test_order_of_rows_and_numbering_of_groups_do_not_matter() -> None:
     jacobian, residual, root = problem(5)
     order = np.random.default_rng(1).permutation(len(GROUPS))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import tomllib
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -136,6 +138,29 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
 
 
 # -- TOML --------------------------------------------------------------------------------------------------------------
+def test_a_long_key_takes_no_memory(tmp_path: Path) -> None:
+    """The standard library's parser keeps every prefix of a dotted key: 100 kB of it took 8.7 GB."""
+    (tmp_path / "a.toml").write_text(".".join(["a"] * 50000) + " = 1\n")
+    tracemalloc.start()
+    try:
+        message_of(files.read_toml, tmp_path / "a.toml")
+        assert tracemalloc.get_traced_memory()[1] < 2e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_keys_of_some_parts_and_texts_with_points_are_read(tmp_path: Path) -> None:
+    text = 'a.b."c.d".e = 1\n[x.y]\nz = "' + "1.2, " * 500 + '"\nw = [' + "0.1, 1.5e-3, " * 500 + "]\n"
+    (tmp_path / "a.toml").write_text(text)
+    assert files.read_toml(tmp_path / "a.toml") == tomllib.loads(text)
+
+
+@pytest.mark.parametrize("unit", ['"\\"', "\"'", "'", '"', 'a"', "\\", "a ", "a.", '"a"."', " .", "-"])
+def test_looking_for_long_keys_takes_time_in_proportion(unit: str) -> None:
+    """Texts made to be searched again from every place: 2 MB of each in seconds, not in hours."""
+    files.TOO_LONG_KEY.search(unit * (2_000_000 // len(unit)))
+
+
 def test_read_toml_drops_a_byte_order_mark(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfa = 1\r\n")
     assert files.read_toml(tmp_path / "a.toml") == {"a": 1}
@@ -149,6 +174,10 @@ def test_read_toml_drops_a_byte_order_mark(tmp_path: Path) -> None:
         (b" \n\n", ["empty"]),
         (b"a = 1\nb = '\xff'\n", ["UTF-8", "byte 0xff on line 2"]),
         (b"a = " + b"[" * 5000, ["not valid TOML"]),
+        (b"a = " + b"1" * 4301, ["not valid TOML", "a whole number of more than 4300 digits, allowed: TOML 1.0"]),
+        (b"[a]\n" + b".".join([b"a"] * 50000) + b" = 1\n", ["line 2", "a key of more than 100 parts", "less nested"]),
+        (b"\n[" + b" . ".join([b'"a.b"'] * 20000) + b"]", ["line 2", "a key of more than 100 parts"]),
+        (b"a = {" + b".".join([b"'a=b'"] * 20000) + b" = 1}", ["line 1", "a key of more than 100 parts"]),
     ],
 )
 def test_bad_toml(tmp_path: Path, content: bytes, parts: list[str]) -> None:

@@ -54,6 +54,20 @@ def test_a_joint_without_an_origin_gets_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.joints[0].origin, origins[0], atol=1e-9)
 
 
+@pytest.mark.parametrize("before", ["\n", "\n  \r\n\t"])
+def test_a_blank_first_line_stays_where_it_is(tmp_path: Path, before: str) -> None:
+    """XML allows none before its declaration; other readers of URDF files do not mind."""
+    assert URDF.read_text().startswith("<?xml")
+    (tmp_path / "a.urdf").write_bytes(before.encode() + URDF.read_bytes())
+    read, origins = read_urdf(tmp_path / "a.urdf"), corrected(3)
+    assert [joint.name for joint in read.chain(*ENDS).joints][:2] == ["slide", "pan"]
+    assert with_origins(read, *ENDS, origins) == before + with_origins(read_urdf(URDF), *ENDS, origins)
+    (tmp_path / "a.urdf").write_bytes(before.encode() + URDF.read_bytes().replace(b"</robot>", b"</robots>"))
+    line = len((before + URDF.read_text()).splitlines())
+    with pytest.raises(InputError, match=f"mismatched tag: line {line}"):
+        read_urdf(tmp_path / "a.urdf")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "found"),
     [

@@ -10,6 +10,7 @@ import pytest
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.inspection.data_checks import certainly_wrong_units, data_warnings
+from identification.inspection.inspection import inspect
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.instrument import Instrument
@@ -17,7 +18,9 @@ from identification.measurements import Measurements
 from identification.model import Model
 
 QUARTER = np.pi / 2.0
-CHAIN = chain_of([DHRow(0.0, QUARTER, 350.0), DHRow(-400.0, 0.0, 0.0), DHRow(-300.0, QUARTER, 0.0, limits=(-2.0, 2.0))])
+ROWS = [DHRow(0.0, QUARTER, 350.0), DHRow(-400.0, 0.0, 0.0), DHRow(-300.0, QUARTER, 0.0, limits=(-2.0, 2.0))]
+CHAIN = chain_of(ROWS)
+INCH = 25.4
 ARM = Arm.of_chain(CHAIN)
 TOOLS = {"left": np.array([90.0, 20.0, 50.0]), "right": np.array([-80.0, 10.0, 40.0])}
 
@@ -44,27 +47,79 @@ def test_radians_and_metres() -> None:
         "the joint angles look like radians: name the columns q1_rad.. instead of q1_deg.."
     ]
     metres = replace(data, positions=data.positions / 1000.0)
-    assert data_warnings(metres, ARM) == [
-        "the positions look like metres: name the columns x_m, y_m, z_m instead of x_mm, y_mm, z_mm"
-    ]
+    (said,) = data_warnings(metres, ARM)
+    assert said.startswith("the lengths of the arm file are ")
+    assert said.endswith(
+        "agree if the positions are in metres (name the columns x_m, y_m, z_m instead of x_mm, y_mm, z_mm)"
+    )
+    assert ratio(said) == pytest.approx(1000.0, rel=0.005)
     assert len(data_warnings(replace(radians, positions=metres.positions), ARM)) == 2
 
 
-INCH = 25.4
+def ratio(said: str) -> float:
+    """The measured factor that a sentence states."""
+    return float(said.partition(" times ")[0].rpartition(" ")[2])
 
 
-def test_inches() -> None:
+UNITS = {"centimetres": 10.0, "inches": INCH, "decimetres": 100.0, "feet": 304.8, "metres": 1000.0}
+
+
+@pytest.mark.parametrize(("unit", "factor"), UNITS.items())
+def test_a_unit_is_named_where_the_measured_factor_fits_it(unit: str, factor: float) -> None:
+    """Positions in another unit, and an arm file in another unit: either makes them agree, and which of them is wrong
+    nothing tells. Errors of 1 mm in some 800 leave the factor within 0.5 %."""
     data = measured()
-    (said,) = data_warnings(replace(data, positions=data.positions / INCH), ARM)
-    assert said == "the positions look like inches: multiply x_mm, y_mm, z_mm by 25.4"
-    (said,) = data_warnings(replace(data, positions=data.positions * INCH), ARM)
-    assert said == "the positions are 25.4 times as large as the arm: the arm file's lengths look like inches"
-    (said,) = data_warnings(simulated(3.0, lengths=1.0 / INCH), PLANAR)
-    assert said == "the positions look like inches: multiply x_mm, y_mm by 25.4"
-    away = simulated(3.0, lengths=INCH)  # and from a base that stands elsewhere
-    (said,) = data_warnings(replace(away, positions=away.positions + 7e3), PLANAR)
-    assert said.endswith("the arm file's lengths look like inches")
+    for arm, good in ((ARM, data), (PLANAR, simulated(3.0))):
+        axes = "x_mm, y_mm, z_mm"[: 6 * arm.dimension - 2]
+        (said,) = data_warnings(replace(good, positions=good.positions / factor), arm)
+        assert said.startswith("the lengths of the arm file are ")
+        assert f" they agree if the positions are in {unit} (" in said
+        assert said.endswith(f"{axes})" if unit == "metres" else f"multiply {axes} by {factor:g})")
+        assert ratio(said) == pytest.approx(factor, rel=0.005)
+        shifted = good.positions + 7e3  # and a base that stands elsewhere
+        (said,) = data_warnings(replace(good, positions=shifted * factor), arm)
+        assert said.startswith("the lengths of the measurements are ")
+        assert said.endswith(f" they agree if the arm file's lengths are in {unit} (multiply them by {factor:g})")
+        assert ratio(said) == pytest.approx(factor, rel=0.005)
+
+
+@pytest.mark.parametrize("factor", [3.0, 14.0, 10.4, 50.0, 0.3, 1.0 / 27.0])
+def test_no_unit_is_named_where_the_factor_fits_none(factor: float) -> None:
+    """10.4 is 4 % from centimetres and 27 is 6 % from inches."""
+    for arm, good in ((ARM, measured()), (PLANAR, simulated(3.0))):
+        (said,) = data_warnings(replace(good, positions=good.positions / factor), arm)
+        assert ratio(said) == pytest.approx(max(factor, 1.0 / factor), rel=0.005)
+        assert "which is the factor of no unit" in said
+        assert not any(unit in said for unit in UNITS)
+
+
+@pytest.mark.parametrize("factor", [0.98, 1.0, 1.02])
+def test_lengths_that_are_a_little_off_are_no_other_unit(factor: float) -> None:
+    data = measured()
+    assert data_warnings(replace(data, positions=data.positions * factor), ARM) == []
+    assert data_warnings(simulated(3.0, lengths=factor), PLANAR) == []
     assert data_warnings(replace(data, positions=data.positions * [1.0, 1.0, 1.001]), ARM) == []
+
+
+def test_an_arm_of_a_kilometre() -> None:
+    """A URDF with millimetres where metres belong: the file is named, not the data, and no data make it right."""
+    rows = [DHRow(1e3 * r.a, r.alpha, 1e3 * r.d, r.offset, r.type, r.limits) for r in ROWS]
+    huge, data = Arm.of_chain(chain_of(rows)), measured()
+    arm, times = data_warnings(data, huge)
+    assert arm == (
+        "the arm of the file reaches 1050 m: a URDF has metres, and lengths that were written in millimetres there "
+        "come out 1000 times too large"
+    )
+    assert times.startswith("the lengths of the arm file are ")
+    assert times.endswith(" times those of the measurements")
+    assert ratio(times) == pytest.approx(1000.0, rel=0.005)
+    assert (certainly_wrong_units(data, huge) or "").startswith(f"{arm}; {times} (read that way")
+    (said,) = data_warnings(replace(data, positions=1e3 * data.positions), huge)
+    assert said.startswith("the arm of the file reaches 1050 m")
+    assert certainly_wrong_units(replace(data, positions=1e3 * data.positions), huge) is None
+    assert inspect(huge, replace(data, positions=1e3 * data.positions)).problems == (said,)
+    (said,) = data_warnings(data.rows(slice(4)), huge)  # too few to compare
+    assert said.startswith("the arm of the file reaches 1050 m")
 
 
 def test_swapped_markers_and_lost_beams_are_named() -> None:
@@ -113,7 +168,7 @@ def test_degrees_in_a_column_of_radians() -> None:
 
 def test_metres_in_a_column_of_millimetres() -> None:
     (sentence,) = data_warnings(simulated(3.0, lengths=1e-3), PLANAR)
-    assert "look like metres: name the columns x_m, y_m" in sentence
+    assert "in metres (name the columns x_m, y_m" in sentence
 
 
 def test_both_units_wrong() -> None:
@@ -136,7 +191,7 @@ def test_a_few_rows_tell_the_unit_of_an_arm_in_space() -> None:
     data = measured(20)
     assert data_warnings(data, ARM) == []
     for said, wrong in (
-        ("the positions look like metres: ", replace(data, positions=data.positions / 1000.0)),
+        ("the lengths of the arm file are ", replace(data, positions=data.positions / 1000.0)),
         ("the joint angles look like radians: ", replace(data, postures=np.radians(data.postures))),
     ):
         assert (certainly_wrong_units(wrong, ARM) or "").startswith(said)

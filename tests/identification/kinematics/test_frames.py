@@ -30,6 +30,29 @@ def test_where_only_a_sum_of_angles_counts(pitch: float, roll: float) -> None:
     np.testing.assert_allclose(from_roll_pitch_yaw(*found), rotation, atol=1e-9)
 
 
+near_lock = st.sampled_from([np.pi / 2.0, -np.pi / 2.0]) | st.floats(1e-16, 1e-3).map(lambda gap: np.pi / 2.0 - gap)
+
+
+@given(angles, angles | near_lock, angles)
+def test_angles_make_their_rotation_to_the_last_digits(roll: float, pitch: float, yaw: float) -> None:
+    """Roll and yaw that are each uncertain near gimbal lock belong together."""
+    rotation = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
+    for near in (None, (roll, pitch, yaw), (1.0, -2.0, 3.0)):
+        made = Rotation.from_euler("xyz", roll_pitch_yaw(rotation, near)).as_matrix()
+        np.testing.assert_allclose(made, rotation, rtol=0.0, atol=3e-12)
+
+
+@given(angles, angles | st.sampled_from([np.pi / 2.0, -np.pi / 2.0]), angles, st.tuples(*[st.floats(-1e-3, 1e-3)] * 3))
+def test_of_the_equal_angles_the_nearest(
+    roll: float, pitch: float, yaw: float, off: tuple[float, float, float]
+) -> None:
+    """Angles that were near are found again: also beyond 90 deg of pitch and, in gimbal lock, of a whole line of equal
+    ones, from which the nearest is at most as far as those that the rotation was made of."""
+    asked = np.array([roll, pitch, yaw])
+    found = roll_pitch_yaw(from_roll_pitch_yaw(*asked), asked + off)
+    assert np.linalg.norm(found - asked - off) <= np.linalg.norm(off) + 1e-6
+
+
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1), angles)
 def test_rotation_about_an_axis(axis: tuple[float, float, float], angle: float) -> None:
     unit = np.array(axis) / np.linalg.norm(axis)

@@ -69,6 +69,14 @@ def test_groups_keep_repeats_together_and_are_of_equal_size() -> None:
     assert all(len(set(places[number == k])) == 1 for k in range(40))
 
 
+def test_a_stretch_of_time_ends_with_a_posture() -> None:
+    """Three reflectors of 41 postures one after the other: no stretch begins between two of them."""
+    rng, number = np.random.default_rng(4), np.repeat(np.arange(41), 3)
+    stretches, _ = groupings(rng.uniform(-1.0, 1.0, (41, 4))[number], number, np.arange(123.0))
+    assert all(len(set(stretches[number == k])) == 1 for k in range(41))
+    assert np.bincount(stretches).tolist() == [18, 15, 15, 15, 15, 15, 15, 15]
+
+
 def test_regions_are_cut_at_the_median_of_the_joint_that_moves_most() -> None:
     postures = np.column_stack([np.arange(16.0), 0.1 * np.arange(16.0) % 0.4])
     assert regions(postures).tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7]

@@ -90,6 +90,20 @@ def test_a_named_posture_is_a_repeat_whatever_its_angles() -> None:
     assert named.posture_numbers.max() == 1
 
 
+def test_three_reflectors_of_one_posture_say_nothing_of_the_noise() -> None:
+    """They differ by what the model leaves of each. Read twice, only the two reads of a reflector scatter by noise."""
+    rng, marker = np.random.default_rng(6), np.tile(["a", "b", "c"], 40)
+    q = np.repeat(rng.uniform(-3.0, 3.0, (40, 3)), 3, axis=0)
+    residual = rng.standard_normal((120, 3))
+    data = Measurements(q, residual, marker=marker)
+    assert noise_floor(residual, data, np.ones(120, dtype=bool), None) == NoiseFloor(None, None, None)
+    assert repeat_finding(residual, 20, data, np.ones(120, dtype=bool)) == ()
+    twice = Measurements(np.tile(q, (2, 1)), np.tile(residual, (2, 1)), marker=np.tile(marker, 2))
+    left = np.tile(residual, (2, 1)) + 0.05 * rng.standard_normal((240, 3))
+    floor = noise_floor(left, twice, np.ones(240, dtype=bool), None)
+    assert floor.repeats == pytest.approx(np.sqrt(np.sum((left[:120] - left[120:]) ** 2) / 2.0 / 120.0), rel=1e-9)
+
+
 @pytest.mark.skipif(not SERIES_A.exists(), reason="no ../shared/data")
 def test_repeats_of_the_real_robot_scatter_as_known_from_elsewhere() -> None:
     """0.173 mm, from fits independent of this code (identification/README.md, "Real data")."""

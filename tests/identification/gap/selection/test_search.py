@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.gap.fits.whitening import Rows
-from identification.gap.hypotheses.hypotheses import Hypothesis, hypotheses
+from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.gap.selection.search import HypothesisSearch, _turn
 from identification.measurements import Measurements
 from identification.model import Model
+from tests.small_arm import drawn_arm, measured, random_postures, small_arm
 
 ARM = Arm([300.0, 200.0, 150.0], effects=(EffectSpec("base_offset"),))
 LIBRARY = hypotheses(ARM, frozenset())
@@ -82,6 +85,37 @@ def test_what_shows_through_an_effect_of_gravity_is_tested_beside_it(monkeypatch
     both = search.fit((stiffness, beside.members[k]))
     assert beside.squares - beside.reductions[k] == pytest.approx(both.squares, rel=0.2)
     assert both.by_name["payload_error.d"] == pytest.approx(4.0, rel=0.3)
+
+
+def test_beside_gravity_only_what_it_changes_is_evaluated_again() -> None:
+    """An arm in space with a compliant joint: all columns once, at the base fit; those of gravity at each set's fit.
+
+    Oracle: all columns at the set's fit, projected off its own Jacobian. Parameters move by 1e-3, and so do columns.
+    """
+    rng = np.random.default_rng(8)
+    truth = small_arm(rng, ("encoder_eccentricity", 3, {"a": 4e-4, "b": 2e-4}), ("payload_error", None, {"d": 0.5}))
+    search = HypothesisSearch(
+        hypotheses(drawn_arm(), frozenset()), Rows.of(measured(truth, random_postures(40, rng), rng))
+    )
+    names = ("joint_compliance", "encoder_eccentricity:3")
+    chosen = tuple(h for h in search.hypotheses.members if h.label in names)
+    found = search.fit(chosen)
+    columns = search.hypotheses.matrix(search.rows, found.by_name, search.slopes, found.model)
+    exact = search._state(chosen, found.residual, found.basis, columns)
+    with patch.object(HypothesisSet, "matrix", autospec=True, side_effect=HypothesisSet.matrix) as evaluated:
+        state = search.state(chosen)
+        short = search.state_without(chosen, chosen[1])
+    assert evaluated.call_count == 1
+    linear, full = ({h.label: float(r) for h, r in zip(s.members, s.reductions, strict=True)} for s in (state, exact))
+    both = [label for label in full if label in linear]
+    assert len(both) >= len(full) - 2  # what the set explains all but wholly
+    values = np.array([[linear[label], full[label]] for label in both])
+    variance = exact.squares / len(exact.residual)  # a column turned by 1 % changes its score by a tenth of sigma
+    np.testing.assert_allclose(values[:, 0], values[:, 1], rtol=0.02, atol=0.5 * variance)
+    assert {"payload_error", "gravity_tilt"} <= {*both}
+    own = HypothesisSearch(search.hypotheses, search.rows).state(chosen[:1])
+    assert short.squares == pytest.approx(own.squares, rel=1e-3)
+    assert short.strongest.label == own.strongest.label == names[1]
 
 
 @pytest.mark.parametrize("apart", [1.0, 1e-3, 1e-6, 0.0])

@@ -1,0 +1,183 @@
+"""How a controller counts its joints: what stands in its columns, against the joint angles of the model.
+
+    c_j = s_j a_j + z_j,    a_j = q_j            (coupled_to[j] = 0)
+                            a_j = q_j + a_k      (coupled_to[j] = k: joint j is counted from where joint k is)
+                            a_j = q_j - a_k      (coupled_to[j] = -k: the same, and the two axes point opposite ways)
+
+q : angle of the model's joint, from the link before;  c : column, command and limit of the controller
+s : `sign`;  z : `zero`, what the controller shows where the drawing has its zero
+
+So a joint 3 that is counted from the horizontal, behind a joint 2 that is, has coupled_to = 2: a_3 = q_3 + q_2. Files
+and commands are the controller's, all else is the model's; this is the only place where one becomes the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.kinematics.parameters import PRISMATIC
+
+
+@dataclass(frozen=True)
+class Counting:
+    """Of n joints; see above.
+
+    sign : (n) +1 or -1;  coupled_to : (n) joint from 1, negative: against its sense, 0: none;  zero : (n) [rad, mm]
+
+    Raises `InputError` for other values, other numbers of them, and joints that are coupled in a circle.
+    """
+
+    sign: tuple[int, ...]
+    coupled_to: tuple[int, ...]
+    zero: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.sign)
+        for j, sign in enumerate(self.sign, start=1):
+            _require(sign in (1, -1), f"sign: found {sign} for joint {j}, allowed: 1 or -1")
+        _require(len(self.coupled_to) == n, f"coupled_to: found {len(self.coupled_to)} values, allowed: {n}")
+        _require(len(self.zero) == n, f"zero_deg: found {len(self.zero)} values, allowed: {n}")
+        for j, other in enumerate(self.coupled_to, start=1):
+            found = f"coupled_to: found {other} for joint {j}"
+            _require(abs(other) <= n and abs(other) != j, f"{found}, allowed: another joint, 1 to {n}, or 0")
+        for j in range(1, n + 1):
+            passed, at = {j}, j
+            while at := abs(self.coupled_to[at - 1]):
+                circle = f"found a circle through joint {at}"
+                _require(at not in passed, f"coupled_to: {circle}, allowed: joints that lead to one with 0")
+                passed.add(at)
+
+    @classmethod
+    def of_matrix(cls, matrix: Array, zero: Iterable[float]) -> Counting | None:
+        """That of columns `matrix` q + `zero`, with integers (n, n); None where coupling of one joint to one other does
+        not say it."""
+        signs = np.sign(np.diag(matrix)).astype(int)
+        sums, n = signs[:, None] * matrix, len(matrix)
+        own = sums - np.eye(n)
+        coupled = []
+        for j in range(n):
+            ways = (k * s for k in range(1, n + 1) for s in (1, -1) if np.array_equal(own[j], s * sums[k - 1]))
+            coupled.append(next(ways, None if own[j].any() else 0))
+        if None in coupled or not np.all(np.diag(sums) == 1):
+            return None
+        return cls(tuple(signs.tolist()), tuple(int(k or 0) for k in coupled), tuple(map(float, zero)))
+
+    @cached_property
+    def sums(self) -> Array:
+        """(n, n) A: a = A q."""
+        n = len(self.sign)
+        parents = np.zeros((n, n))
+        for j, other in enumerate(self.coupled_to):
+            if other:
+                parents[j, abs(other) - 1] = np.sign(other)
+        return np.round(np.linalg.inv(np.eye(n) - parents))
+
+    @cached_property
+    def matrix(self) -> Array:
+        """(n, n) of c = matrix q + zero."""
+        return np.array(self.sign)[:, None] * self.sums
+
+    @cached_property
+    def inverse(self) -> Array:
+        """(n, n) of q = inverse (c - zero)."""
+        return np.round(np.linalg.inv(self.matrix))
+
+    @property
+    def coupled(self) -> tuple[int, ...]:
+        """Joints (from 0) in whose column the angle of another is."""
+        return tuple(j for j, other in enumerate(self.coupled_to) if other)
+
+    @property
+    def toml(self) -> str:
+        """As an arm file has it, without what is as usual; zeros to 0.01 degrees."""
+        lines = ["[joints]"]
+        lines += [f"sign = {list(self.sign)}"] if min(self.sign) < 0 else []
+        lines += [f"coupled_to = {list(self.coupled_to)}"] if self.coupled else []
+        zeros = [round(float(np.degrees(z)), 2) + 0.0 for z in self.zero]
+        return "\n".join([*lines, *([f"zero_deg = {zeros}"] if any(zeros) else [])])
+
+    def columns(self, joints: Array) -> Array:
+        """(..., n) what the controller shows at joint angles (..., n) [rad, mm]."""
+        return np.asarray(joints @ self.matrix.T + self.zero)
+
+    def joints(self, columns: Array) -> Array:
+        """(..., n) joint angles [rad, mm] of what the controller shows (..., n)."""
+        return np.asarray((columns - np.array(self.zero)) @ self.inverse.T)
+
+    def signs_of_columns(self, directions: Array) -> Array:
+        """(m, n) signs of the motions of columns, of those of joints (m, n); NaN where coupled ones leave it open."""
+        return _signs(self.matrix, directions)
+
+    def signs_of_joints(self, directions: Array) -> Array:
+        """(m, n) signs of the motions of joints, of those of columns (m, n); NaN where coupled ones leave it open."""
+        return _signs(self.inverse, directions)
+
+    def joint_limits(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """(n,) least and largest joint angles [rad, mm] within limits (n,) of the columns; of coupled ones, which tie
+        joints together, the box around what they allow."""
+        ends = np.stack([lower, upper]) - np.array(self.zero)
+        towards = self.inverse[:, None] * ends.T[None].swapaxes(1, 2)  # (n, 2, n)
+        return towards.min(axis=1).sum(axis=1), towards.max(axis=1).sum(axis=1)
+
+
+class JointKinds(tuple[str, ...]):
+    """(n) `revolute` or `prismatic`, and how a controller counts these joints, None: as the model does.
+
+    Whatever reads or writes angles of a file needs to know of each joint whether these are degrees or millimetres: the
+    counting goes with that.
+    """
+
+    counting: Counting | None
+
+    def __new__(cls, kinds: Iterable[str], counting: Counting | None = None) -> JointKinds:
+        found = super().__new__(cls, tuple(kinds))
+        found.counting = counting
+        return found
+
+
+def counting_in(kinds: Any) -> Counting | None:
+    """How the joints of `JointKinds` are counted; None of other sequences, of numbers of joints, of None."""
+    return kinds.counting if isinstance(kinds, JointKinds) else None
+
+
+def in_columns(joints: Array, kinds: Any) -> Array:
+    """(..., n) what the controller shows at joint angles (..., n) [rad, mm]."""
+    counting = counting_in(kinds)
+    return joints if counting is None else counting.columns(joints)
+
+
+def in_joints(columns: Array, kinds: Any) -> Array:
+    """(..., n) joint angles [rad, mm] of what the controller shows (..., n)."""
+    counting = counting_in(kinds)
+    return columns if counting is None else counting.joints(columns)
+
+
+def check_kinds(counting: Counting, kinds: Sequence[str]) -> None:
+    """Raises `InputError` for another number of joints, turning joints coupled to sliding ones, zeros of these."""
+    n = len(kinds)
+    _require(len(counting.sign) == n, f"sign: found {len(counting.sign)} values, allowed: {n}, one for each joint")
+    for j, (kind, other, zero) in enumerate(zip(kinds, counting.coupled_to, counting.zero, strict=True), start=1):
+        alike = not other or kinds[abs(other) - 1] == kind
+        _require(alike, f"coupled_to: found {other} for joint {j}, which is {kind}, allowed: a joint of its kind")
+        found = f"zero_deg: found {np.degrees(zero):g} for joint {j}, which is {kind}"
+        _require(kind != PRISMATIC or zero == 0.0, f"{found}, allowed: 0")
+
+
+def _signs(matrix: Array, directions: Array) -> Array:
+    """(m, n) signs of `matrix` times motions of these signs and any size."""
+    terms = np.where(matrix == 0.0, 0.0, matrix * directions[:, None, :])
+    forward, back = np.any(terms > 0.0, axis=2), np.any(terms < 0.0, axis=2)
+    open_ = np.any(np.isnan(terms), axis=2) | (forward & back)
+    return np.where(open_, np.nan, forward.astype(float) - back)
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise InputError(f"joints.{message}")

@@ -1,0 +1,88 @@
+"""A set-up that is another than the fit takes it for: a measured point mounted anew between two sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import fdtrc
+
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.estimation import Identification
+from identification.estimation.plausibility import SPARE
+from identification.estimation.uncertainty import LEVEL
+from identification.kinematics.corrected import composed_tools
+from identification.kinematics.spatial import TOOL
+from identification.measurements import Measurements
+
+GAIN = 1.25  # of the sum of squares: a tenth of the RMS error; less is not worth another set of parameters
+
+
+def renamed_by_session(measurements: Measurements, names: tuple[str, ...]) -> tuple[Measurements, dict[str, str]]:
+    """Measurements whose points have names of their own in every session after the first that sees them; and of each
+    new name the one that the point has in the data.
+
+    names : of the arm's points, of which the first is measured where the data have no column marker
+    """
+    marker = measurements.marker
+    own = np.full(len(measurements), names[0]) if marker is None else np.asarray(marker)
+    found, old, seen = own.astype(object), dict[str, str](), set[str]()
+    for session, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
+        for name in (here := sorted({*own[rows].tolist()} & seen)):
+            old[f"{name} of {session}"] = name
+            found[rows[own[rows] == name]] = f"{name} of {session}"
+        seen |= {*own[rows].tolist()} - {*here}
+    return replace(measurements, marker=found.astype(str), marker_names=()), old
+
+
+def with_mounting_doubted(
+    found: Identification, measurements: Measurements, fit: Callable[[Measurements], Identification]
+) -> Identification:
+    """A fit to several sessions, with a doubt where measured points that the sessions share are mounted elsewhere in
+    some of them: squares fall significantly, and by more than `GAIN`, where each session has points of its own.
+
+    fit : the same for other measurements
+    """
+    chain = found.model.arm.chain if hasattr(found.model, "arm") else None
+    if chain is None or len(measurements.sessions) < 2:
+        return found
+    renamed, old = renamed_by_session(measurements, tuple(chain.tools))
+    if not old:
+        return found
+    try:
+        apart = fit(renamed)
+    except InputError:  # the points are given, or too few rows
+        return found
+    held, free = (float(np.sum(each.residuals_after**2)) for each in (found, apart))
+    more = len(apart.names) - len(found.names)
+    if more <= 0 or apart.dof < SPARE or not held > GAIN * free:
+        return found
+    if fdtrc(more, apart.dof, (held - free) / more / max(free / apart.dof, np.finfo(float).tiny)) > LEVEL:
+        return found
+    moved = {new: size for new, size in _moved(apart, old).items() if size is not None}
+    if not moved:
+        return found
+    which = "; ".join(f"{new.replace(' of ', ' in session ', 1)}: {size:.3g} mm away" for new, size in moved.items())
+    fall = f"the RMS falls from {found.rms_after:.4g} to {apart.rms_after:.4g} mm where each has a name of its own"
+    said = f"reflectors are mounted elsewhere than in the session before ({which}): {fall}"
+    return replace(found, doubts=(f"{said}; name them otherwise there, in the column marker", *found.doubts))
+
+
+def _moved(apart: Identification, old: dict[str, str]) -> dict[str, float | None]:
+    """How far each point is from where the session before has it [mm]; None: not significantly."""
+    chain = apart.model.arm.chain
+    assert chain is not None
+    places: dict[str, Array] = composed_tools(chain, apart.model.parameters.mapping(apart.parameters))
+    index = {name: k for k, name in enumerate(apart.names)}
+    found: dict[str, float | None] = {}
+    for new, name in old.items():
+        columns = np.array([[index[f"{TOOL}[{each}].{axis}"] for axis in "xyz"] for each in (new, name)])
+        difference = np.kron([[1.0, -1.0]], np.eye(3))
+        covariance = difference @ apart.covariance[np.ix_(columns.ravel(), columns.ravel())] @ difference.T
+        by = places[new] - places[name]
+        statistic = float(by @ np.linalg.lstsq(covariance, by, rcond=None)[0]) / 3.0
+        significant = fdtrc(3, apart.dof, statistic) <= LEVEL / len(old)
+        found[new] = float(np.linalg.norm(by)) if significant else None
+    return found

@@ -1,0 +1,197 @@
+"""`[joints]` of arm files: columns, commands and limits stay the controller's, the model has its own angles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from doe.plan.file import load_plan, load_plan_conditions, plan_text
+from doe.plan.plan import Plan
+from doe.problem.problem import DesignProblem
+from identification.arm import Arm, Calibration
+from identification.compensate import compensate
+from identification.errors import InputError
+from identification.estimation import estimate
+from identification.estimation.plausibility import outside_limits
+from identification.files.arm import load_arm
+from identification.files.arm_text import dump_arm
+from identification.files.csv import read_table
+from identification.files.measurement import load_measurements, measurement_text
+from identification.files.measurement_columns import read_postures
+from identification.files.target import commands_text, load_targets
+from identification.kinematics.counting import Counting, JointKinds
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.simulate import simulate
+from tests.identification.kinematics.test_counting import countings
+
+PLANAR = """\
+links_mm = [400.0, 300.0, 200.0]
+
+[joint_limits_deg]
+lower = [-170.0, -60.0, -150.0]
+upper = [170.0, 80.0, 40.0]
+
+[measurement]
+sigma_mm = 0.05
+
+[joints]
+sign = [1, 1, -1]
+coupled_to = [0, 0, 2]
+zero_deg = [0.0, 90.0, 5.0]
+"""
+COUNTING = Counting((1, 1, -1), (0, 0, 2), (0.0, np.radians(90.0), np.radians(5.0)))
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Arm:
+    (tmp_path / "arm.toml").write_text(PLANAR)
+    return load_arm(tmp_path / "arm.toml")
+
+
+def test_limits_are_the_controllers(arm: Arm) -> None:
+    """Column 2 of -60 to 80 is joint 2 of -150 to -10. Column 3 of -150 to 40 is a sum q2 + q3 of -35 to 155, so that
+    joint 3 is anywhere in -25 to 305, and which of these angles it may have depends on joint 2."""
+    assert arm.counting == COUNTING
+    np.testing.assert_allclose(np.degrees([arm.lower, arm.upper]), [[-170.0, -150.0, -25.0], [170.0, -10.0, 305.0]])
+    problem = DesignProblem.of(Model(arm))
+    generator = np.random.default_rng(3)
+    q = generator.uniform(arm.lower, arm.upper, (2000, 3))
+    joints = np.degrees(q)
+    columns = np.column_stack([joints[:, 0], 90.0 + joints[:, 1], 5.0 - joints[:, 1] - joints[:, 2]])
+    within = np.all((columns >= [-170.0, -60.0, -150.0]) & (columns <= [170.0, 80.0, 40.0]), axis=1)
+    assert 0.1 < within.mean() < 0.9
+    np.testing.assert_array_equal(problem.feasible(q), within)
+    import casadi as ca
+
+    (constraint,) = problem.constraints
+    symbols = ca.SX.sym("q", 3)
+    function = ca.Function("margin", [symbols], [constraint.symbolic(symbols)])
+    np.testing.assert_allclose(np.array(function(q[:50].T)).T, constraint.margin(q[:50]))
+    said = outside_limits(arm, Measurements(q[~within], np.zeros((np.sum(~within), 2))))
+    first = np.flatnonzero((columns[~within][0] < [-170, -60, -150]) | (columns[~within][0] > [170, 80, 40]))[0]
+    assert f"row 1: joint {first + 1} at {columns[~within][0][first]:.5g} deg, allowed -150 to 40" in said[0]
+
+
+@pytest.mark.parametrize("space", [False, True])
+def test_an_arm_file_is_written_as_it_is_read(tmp_path: Path, arm: Arm, space: bool) -> None:
+    if space:
+        slide = DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(-100.0, 300.0))
+        rows = [DHRow(0.0, 1.5, 300.0), DHRow(400.0, 0.0, 0.0), DHRow(300.0, 0.0, 0.0), slide]
+        counting = Counting((1, 1, -1, -1), (0, 0, -2, 0), (0.1, 0.2, 0.3, 0.0))
+        arm = Arm.of_chain(chain_of(rows), counting=counting)
+    (tmp_path / "again.toml").write_text(dump_arm(arm))
+    again = load_arm(tmp_path / "again.toml")
+    assert again.counting is not None
+    assert arm.counting is not None
+    assert again.counting.coupled_to == arm.counting.coupled_to
+    np.testing.assert_allclose(again.counting.matrix, arm.counting.matrix)
+    np.testing.assert_allclose(again.counting.zero, arm.counting.zero, atol=1e-14)
+    np.testing.assert_allclose([again.lower, again.upper], [arm.lower, arm.upper], atol=1e-12)
+    assert len(again.constraints) == len(arm.constraints) == (0 if space else 1)
+    assert dump_arm(again) == dump_arm(arm)
+
+
+@given(countings(), st.randoms(use_true_random=False))
+def test_a_plan_comes_back(tmp_path_factory: pytest.TempPathFactory, counting: Counting, random: object) -> None:
+    n = len(counting.sign)
+    kinds = JointKinds(["revolute"] * n, counting)
+    q = np.random.default_rng(random.randint(0, 99)).uniform(-3.0, 3.0, (4, n))  # type: ignore[attr-defined]
+    path = tmp_path_factory.mktemp("plans") / "plan.csv"
+    for text in (plan_text(Plan(q), kinds), Plan(q, joint_types=kinds).to_frame().write_csv()):
+        path.write_text(text)
+        np.testing.assert_allclose(load_plan(path, kinds).postures, q, atol=1e-12)
+        np.testing.assert_allclose(
+            np.radians(load_plan(path).postures * 180.0 / np.pi), counting.columns(q), atol=1e-12
+        )
+
+
+def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
+    """The columns by hand, and what is read of them: angles, commands, and signs of motions."""
+    generator = np.random.default_rng(5)
+    q = generator.uniform(-1.0, 1.0, (20, 3))
+    data = Measurements(q, q[:, :2], commanded=q + 0.01, directions=np.sign(generator.standard_normal((20, 3))))
+    (tmp_path / "data.csv").write_text(measurement_text(data, arm.joint_types))
+    plain = load_measurements(tmp_path / "data.csv", 3)
+    by_hand = np.column_stack([q[:, 0], q[:, 1] + np.pi / 2.0, np.radians(5.0) - q[:, 1] - q[:, 2]])
+    np.testing.assert_allclose(plain.postures, by_hand, atol=1e-12)
+    again = load_measurements(tmp_path / "data.csv", arm)
+    np.testing.assert_allclose(again.postures, q, atol=1e-12)
+    assert again.commanded is not None
+    np.testing.assert_allclose(again.commanded, q + 0.01, atol=1e-12)
+    assert again.directions is not None
+    assert data.directions is not None
+    known = ~np.isnan(again.directions)
+    assert known[:, :2].all()
+    assert not known[:, 2].all()  # joint 2 falls, column 3 too: the joint may do either
+    np.testing.assert_array_equal(again.directions[known], data.directions[known])
+    (tmp_path / "targets.csv").write_text(plan_text(Plan(q), arm.joint_types))
+    wanted = load_targets(tmp_path / "targets.csv", arm).postures
+    assert wanted is not None
+    np.testing.assert_allclose(wanted, q, atol=1e-12)
+    (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
+    found = load_plan_conditions(tmp_path / "plan.csv", arm.joint_types)["directions"]
+    np.testing.assert_array_equal(found, [[1.0, -1.0, 1.0]])
+
+
+def test_all_that_follows_is_the_same(tmp_path: Path, arm: Arm) -> None:
+    """Data written by the controller's counting, fitted and compensated, against the same arm without any: parameters
+    to rounding, and commands that differ by the counting alone."""
+    plain = replace(arm, counting=None, constraints=())
+    q = np.random.default_rng(7).uniform(-1.0, 1.0, (30, 3))
+    truth = replace(plain, calibration=Calibration.of([0.5, -0.4, 0.3], [0.0, 0.004, -0.003]))
+    data = simulate(truth, q, np.random.default_rng(8))
+    (tmp_path / "data.csv").write_text(measurement_text(data, arm.joint_types))
+    fits = [estimate(Model(arm), load_measurements(tmp_path / "data.csv", arm)), estimate(Model(plain), data)]
+    np.testing.assert_allclose(fits[0].parameters, fits[1].parameters, atol=1e-10)
+    found, usual = (compensate(fit.calibrated_arm(), postures=q[:5]) for fit in fits)
+    np.testing.assert_allclose(found.commands, usual.commands, atol=1e-9)
+    np.testing.assert_allclose(np.radians(found.commands_in_file_units), COUNTING.columns(usual.commands), atol=1e-9)
+    (tmp_path / "commands.csv").write_text(commands_text(found.commands, found.targets, found.errors, arm.joint_types))
+    written = read_postures(read_table(tmp_path / "commands.csv"))
+    np.testing.assert_allclose(written, COUNTING.columns(usual.commands), atol=1e-9)
+
+
+def test_corrected_zeros_are_the_controllers(arm: Arm) -> None:
+    """What is added to column 3, reversed and with joint 2 in it, is -(dq2 + dq3); its deviation by the covariance."""
+    q = np.random.default_rng(7).uniform(-1.0, 1.0, (30, 3))
+    truth = replace(arm, calibration=Calibration.of([0.5, -0.4, 0.3], [0.0, 0.004, -0.003]))
+    fit = estimate(Model(arm), simulate(truth, q, np.random.default_rng(8)))
+    row = next(row for row in fit.corrected_values if row.name == "zero of joint 3")
+    both = [fit.names.index(f"joint_offset:{j}") for j in (2, 3)]
+    assert row.corrected == pytest.approx(-np.degrees(fit.parameters[both].sum()))
+    assert row.std == pytest.approx(np.degrees(np.sqrt(fit.covariance[np.ix_(both, both)].sum())))
+    # corrected columns are the columns of corrected joints
+    offsets = fit.joint_offsets
+    corrections = [next(r for r in fit.corrected_values if r.name == f"zero of joint {j}").corrected for j in (1, 2, 3)]
+    np.testing.assert_allclose(
+        COUNTING.columns(q) + np.radians(np.array(corrections, dtype=float)), COUNTING.columns(q + offsets), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("sign = [1, 1]", "joints.sign: found 2 values for 3 joints, allowed: 3"),
+        ("sign = [1, 0, 1]", "joints.sign: found 0 for joint 2, allowed: 1 or -1"),
+        ("coupled_to = [0, 3, 2]", "joints.coupled_to: found a circle through joint"),
+        ("zero_deg = [0, 1e9, 0]", "joints.zero_deg"),
+        ("signs = [1, 1, 1]", "joints.signs: unknown key"),
+    ],
+)
+def test_bad_files(tmp_path: Path, lines: str, said: str) -> None:
+    path = tmp_path / "arm.toml"
+    path.write_text(f"links_mm = [400.0, 300.0, 200.0]\n[joints]\n{lines}\n")
+    with pytest.raises(InputError) as caught:
+        load_arm(path)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    path.write_text(PLANAR.replace("-150.0]", "50.0]"))
+    with pytest.raises(InputError, match="joint 3 has lower 50 >= upper 40, allowed: lower < upper"):
+        load_arm(path)

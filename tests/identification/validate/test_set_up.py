@@ -1,0 +1,116 @@
+"""A reflector that was mounted anew between sessions, simulated by the six-axis arm's own kinematics in numpy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from identification.arm import Arm
+from identification.errors import InputError
+from identification.estimation import Identification, estimate
+from identification.measurements import Measurements, rms_distance
+from identification.model import Model
+from identification.sessions import pooled_sessions, with_sessions
+from identification.status import Status
+from identification.validate import drawing_residuals, validate
+from identification.validate.set_up import with_mounting_doubted
+from tests.doe.six_axis import CHAIN, REFLECTOR
+from tests.identification.kinematics.test_spatial import tip_by_exponentials
+
+NOISE = 0.02  # [mm]
+POINTS = {"A": REFLECTOR, "B": np.array([-90.0, 70.0, 120.0])}
+ARM = Arm.of_chain(replace(CHAIN, tools={"1": np.zeros(3)}), name="six-axis")
+MOVED = np.array([1.0, -0.5, 2.0])
+
+
+def cell(sessions: int, moved: dict[tuple[int, str], np.ndarray], seed: int, marked: bool = True) -> Measurements:
+    """Sessions of 30 postures with one or both of the points, of an arm that is off by some tenths, set up anew each
+    time; points moved by (session, name)."""
+    generator = np.random.default_rng(seed)
+    errors = {f"translation_{axis}:{j}": generator.normal(0.0, 0.2) for j in range(2, 7) for axis in "xz"}
+    tables = {}
+    for k in range(sessions):
+        turn, shift = Rotation.random(random_state=generator).as_matrix(), generator.uniform(-2e3, 2e3, 3)
+        q = np.repeat(generator.uniform(-2.0, 2.0, (30, 6)), 2 if marked else 1, axis=0)
+        names = np.tile(["A", "B"] if marked else ["A"], 30)
+        tools = [POINTS[name] + moved.get((k, name), 0.0) for name in names]
+        tips = np.array([tip_by_exponentials(CHAIN, row, errors, tool) for row, tool in zip(q, tools, strict=True)])
+        positions = tips @ turn.T + shift + NOISE * generator.standard_normal(tips.shape)
+        tables[f"day {k + 1}"] = Measurements(q, positions, marker=names if marked else None)
+    return pooled_sessions(tables)
+
+
+def fit(data: Measurements) -> Identification:
+    return estimate(Model(with_sessions(ARM, data)), data)
+
+
+@pytest.mark.parametrize("marked", [False, True])
+def test_a_reflector_mounted_anew_is_named(marked: bool) -> None:
+    data = cell(2, {(1, "A"): MOVED}, seed=1, marked=marked)
+    found = fit(data)
+    doubted = with_mounting_doubted(found, data, fit)
+    (said,) = set(doubted.doubts) - set(found.doubts)
+    name = "A" if marked else "1"
+    size = float(np.linalg.norm(MOVED))
+    assert said.startswith("reflectors are mounted elsewhere than in the session before (")
+    place, _, away = said.partition("(")[2].partition(": ")
+    assert place == f"{name} in session day 2"
+    assert float(away.split()[0]) == pytest.approx(size, abs=0.1)
+    assert "column marker" in said
+    assert "B in session" not in said
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_is_said_where_reflectors_stay(seed: int) -> None:
+    data = cell(2, {}, seed)
+    found = fit(data)
+    assert with_mounting_doubted(found, data, fit) is found
+
+
+def test_the_drawing_is_placed_as_the_fit_is() -> None:
+    """A base for each session, one place for a reflector: the drawing leaves more than the fit, whatever was moved."""
+    data = cell(2, {(1, "A"): 2.0 * MOVED}, seed=2, marked=False)
+    found = fit(data)
+    drawing = rms_distance(drawing_residuals(ARM, data))
+    assert drawing > found.rms_after
+    assert drawing == pytest.approx(found.rms_before, rel=1e-3)
+
+
+@pytest.mark.parametrize("moved", [{}, {(1, "A"): MOVED, (2, "B"): -MOVED}])
+def test_three_sessions_converge(moved: dict[tuple[int, str], np.ndarray]) -> None:
+    data = cell(3, moved, seed=3)
+    found = fit(data)
+    assert found.status is Status.converged
+    doubted = with_mounting_doubted(found, data, fit)
+    said = [doubt for doubt in doubted.doubts if doubt not in found.doubts]
+    assert bool(said) == bool(moved)
+    if moved:
+        assert "A in session day 2" in said[0]
+        assert "B in session day 3" in said[0]
+        assert "B in session day 2" not in said[0]
+
+
+def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
+    """Of two reflectors, calibrated on one day and another day measured by others, or by one that has no name."""
+    data = cell(2, {(1, "A"): 30.0 * MOVED, (1, "B"): -20.0 * MOVED}, seed=5)
+    first, second = (replace(data.rows(rows), session=None, session_names=()) for rows in data.session_rows)
+    found = fit(first)
+    arm = replace(found.model.arm, calibration=found.calibration())
+    assert second.marker is not None
+    renamed = replace(second, marker=np.char.add("new ", second.marker), marker_names=())
+    only_a = second.rows(np.flatnonzero(second.marker == "A"))
+    unnamed = replace(only_a, marker=None, marker_names=())
+    for rows, said in (
+        (renamed, "the calibration has no reflector new A, new B: found in these rows"),
+        (unnamed, "no column marker: the rows are taken as of one reflector, which is found in them"),
+    ):
+        validated = validate(arm, rows)
+        # as in the data of the fit, and what its 30 parameters from 180 equations add
+        assert validated.model.rms < 1.5 * found.rms_after
+        assert any(note.startswith(said) for note in validated.notes)
+        with pytest.raises(InputError, match=r"measurements.marker: .*allowed: A, B; or --refit base"):
+            validate(arm, rows, "none")
+    assert not any("reflector" in note for note in validate(arm, second).notes)
