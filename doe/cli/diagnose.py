@@ -76,7 +76,9 @@ def command(
     try:
         named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
         page = gap_page(found, measurements, origin(common.seed, named), output.out, [arm, *data]) if report else ""
-        answer.shown += write_diagnosis(found, arm, output, named_only, {curves: curves_text(found.curves), report: page})
+        answer.shown += write_diagnosis(
+            found, arm, output, named_only, {curves: curves_text(found.curves), report: page}
+        )
         answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), [*map(str, data)], output.out))
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -28,7 +27,7 @@ from identification.model import Model
 from identification.sessions import SESSIONS
 
 # reasons: identification/README.md, "Constants"
-WRITTEN = 0.02  # probability of a block that is part of the model
+WRITTEN = 0.05  # probability of a block that is part of the model
 LIKELY = 1e-4  # of an explanation that is averaged
 TIDY = 7  # decimals of a value in degrees, in files
 
@@ -201,7 +200,9 @@ def _curves(
         variance = np.einsum("ak,kl,al->a", functions, mixed.covariance[np.ix_(at, at)], functions, optimize=True)
         geometry = mixed.response[:, at - g] @ mixed.mean[at]
         table = finest.table(np.radians(np.round(np.degrees(error[::2]), TIDY)))
-        table = replace(table, geometry=_tied(model, dict(zip(found.library.base.names, geometry, strict=True)), values))
+        table = replace(
+            table, geometry=_tied(model, dict(zip(found.library.base.names, geometry, strict=True)), values)
+        )
         length = sum(basis.length for _, basis in there) / len(there)
         curves.append(Curve(joint + 1, table, angles, table.at(angles), np.sqrt(np.maximum(variance, 0.0)), length))
     return curves

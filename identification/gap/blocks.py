@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve, local_splines
@@ -127,19 +126,24 @@ class Linearized:
     @property
     def apart(self) -> frozenset[tuple[int, int]]:
         """Pairs of blocks of which one contains the other: a family, and the same effect at one joint."""
-        families = {b.member.effect.name: k for k, b in enumerate(self.blocks) if b.member is not None and b.member.family}
+        families = {
+            b.member.effect.name: k for k, b in enumerate(self.blocks) if b.member is not None and b.member.family
+        }
         return frozenset(
             (families[b.member.effect.name], k)
             for k, b in enumerate(self.blocks)
             if b.member is not None and b.member.effect.name in families and families[b.member.effect.name] != k
         )
 
-
     def needy_and_givers(self, library: HypothesisSet) -> tuple[frozenset[int], frozenset[int]]:
         """Blocks that show only through others in the set (`Effect.through`), and these others."""
         needy = {k for k, b in enumerate(self.blocks) if b.member is not None and not library.acts(b.member)}
         kinds = {self.blocks[k].member.effect.through for k in needy}  # type: ignore[union-attr]
-        gives = (k for k, b in enumerate(self.blocks) if b.member is not None and b.member.effect.needs & kinds and k not in needy)
+        gives = (
+            k
+            for k, b in enumerate(self.blocks)
+            if b.member is not None and b.member.effect.needs & kinds and k not in needy
+        )
         return frozenset(needy), frozenset(gives)
 
 
@@ -184,13 +188,19 @@ def outside_blocks(rows: Rows, at: Fit) -> Iterator[tuple[Block, Array]]:
         low, span = position.min(axis=0), np.maximum(np.ptp(position, axis=0), 1e-9)
         orders = [k for k in product(range(WARPS.get(d, 3) + 1), repeat=d) if 1 <= sum(k) <= WARPS.get(d, 3)]
         unit = np.pi * (position - low) / span
-        waves = np.stack([np.prod(np.cos(np.array(k) * unit), axis=1) / (1.0 + np.sum(np.square(k))) for k in orders], axis=1)
+        waves = np.stack(
+            [np.prod(np.cos(np.array(k) * unit), axis=1) / (1.0 + np.sum(np.square(k))) for k in orders], axis=1
+        )
         columns = (np.eye(d)[None, :, :, None] * waves[:, None, None, :]).reshape(m, d, -1)
         yield Block("workspace", "workspace", "workspace", OUTSIDE), columns
 
 
 def linearized(
-    library: HypothesisSet, at: Fit, rows: Rows, base_names: Sequence[str], wrong: Sequence[int] = (),
+    library: HypothesisSet,
+    at: Fit,
+    rows: Rows,
+    base_names: Sequence[str],
+    wrong: Sequence[int] = (),
     outside: frozenset[str] | None = None,
 ) -> Linearized:
     """All blocks at a fitted model `at`, which may have effects of the library in it, for rows with any noise model.
@@ -266,7 +276,11 @@ def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) 
         own = np.flatnonzero(plain & (widths == width))
         index = starts[own][:, None] + np.arange(width)
         x = white[:, index]  # (N, b, w)
-        gram = np.einsum("nbi,nbj->bij", x, x, optimize=True) if width > 1 else np.einsum("nbi,nbi->b", x, x)[:, None, None]
+        gram = (
+            np.einsum("nbi,nbj->bij", x, x, optimize=True)
+            if width > 1
+            else np.einsum("nbi,nbi->b", x, x)[:, None, None]
+        )
         lengths = np.sqrt(np.maximum(np.einsum("bii->bi", gram), 1e-300))
         values, vectors = np.linalg.eigh(gram / (lengths[:, :, None] * lengths[:, None, :]))
         clear = np.einsum("bii->b", gram) > VISIBLE * before[index].sum(axis=1)

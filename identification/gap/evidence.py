@@ -195,7 +195,9 @@ class Products:
                 break
             at[best[0]] = best[1]
         around = float(np.sum(logsumexp(profiles, axis=1) - now - np.log(len(SIZES))))
-        return Likeliest(tuple(at.tolist()), float(now) + around + self._signed(blocks, at.tolist()), without - now - around)
+        return Likeliest(
+            tuple(at.tolist()), float(now) + around + self._signed(blocks, at.tolist()), without - now - around
+        )
 
     def _signed(self, blocks: Sequence[int], at: Sequence[int]) -> float:
         """Log of the factor by which signs that physics allows make the set likelier."""

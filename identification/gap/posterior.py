@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,11 +11,12 @@ from scipy.special import logsumexp
 from identification.arrays import Array
 from identification.estimation.outlying import together
 from identification.gap.blocks import Block, Linearized, linearized
+from identification.gap.evidence import ROUNDING
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet
 from identification.gap.scatter import Noise, log_likelihood, noises
-from identification.gap.search import Search, Weighed, shares
+from identification.gap.search import Search, Weighed
 from identification.progress import Tell, say_nothing
 
 # reasons: identification/README.md, "Constants"
@@ -100,18 +102,47 @@ def _settled(
     library: HypothesisSet, rows: Rows, outside: frozenset[str] | None, chosen: tuple[str, ...], tell: Tell
 ) -> Posterior:
     """The posterior, linearized again at its best set until that stays;  outside : blocks outside the library, None: all"""
-    at = fit(library.base, rows)
-    found = None
-    for number in range(PASSES):
-        tell(f"pass {number + 1}")
-        found = _around(library, rows, at, chosen, outside)
-        best = tuple(b.label for b in found.best.blocks)
-        if best == chosen:
+    at, number = fit(library.base, rows), 0
+    for turn in range(PASSES):
+        tell(f"pass {turn + 1}")
+        wrong, every = _striking(rows, at), list(noises(rows, at))
+        problem = linearized(library, at, every[number].rows, library.base.names, wrong, outside)
+        sets = _searched(library, problem, chosen)
+        best = tuple(problem.blocks[b].label for b in sets[0].blocks)
+        first, there = _likelihoods(library, every, at, problem, sets[0])
+        prior = np.array([n.prior for n in every])
+        # with nothing and with the best set, in units of the noise that was searched
+        score = np.maximum(first - first[number], there - there[number] + sets[0].log_odds) + prior
+        likely = int(np.argmax(np.where(np.arange(len(every)) == number, score + ROUNDING, score)))
+        if (best == chosen and likely == number) or turn == PASSES - 1:
             break
-        chosen = best
-        at = refit(found, found.best)
-    assert found is not None
-    return found
+        chosen, number = best, likely
+        one = Explanation(tuple(problem.blocks[b] for b in sets[0].blocks), 0, sets[0], 1.0)
+        at = refit(Posterior((one,), (every[number],), (problem,), library, rows, at), one)
+    models = [(every[number], problem, sets, float(prior[number]))]
+    order = [int(k) for k in np.argsort(-score, kind="stable") if k != number and score[k] > score.max() - UNLIKELY]
+    for k in order[: NOISES - 1]:
+        tell(f"other noise: {every[k].name or 'white'}")
+        other = linearized(library, at, every[k].rows, library.base.names, wrong, outside)
+        offset = float(first[k] - first[number]) + every[k].prior
+        models.append((every[k], other, _searched(library, other, chosen), offset))
+    return _mixture(models, library, rows, at)
+
+
+def _mixture(
+    models: Sequence[tuple[Noise, Linearized, list[Weighed], float]], library: HypothesisSet, rows: Rows, at: Fit
+) -> Posterior:
+    """All explanations of all noise models, with their log prior odds and likelihoods, together."""
+    listed = [(number, one) for number, (_, _, sets, _) in enumerate(models) for one in sets]
+    odds = np.array([models[number][3] + one.log_odds for number, one in listed])
+    probabilities = np.exp(odds - logsumexp(odds))
+    order = np.argsort(-np.round(probabilities, 9), kind="stable")
+    explanations = []
+    for k in order.tolist():
+        number, one = listed[k]
+        blocks = tuple(models[number][1].blocks[b] for b in one.blocks)
+        explanations.append(Explanation(blocks, number, one, float(probabilities[k])))
+    return Posterior(tuple(explanations), tuple(m[0] for m in models), tuple(m[1] for m in models), library, rows, at)
 
 
 def refit(found: Posterior, one: Explanation) -> Fit:
@@ -120,39 +151,6 @@ def refit(found: Posterior, one: Explanation) -> Fit:
     kept[list(one.wrong)] = False
     rows = found.noises[one.noise].rows.pick(kept)
     return fit(found.library.model(one.effects), rows, found.at.by_name)
-
-
-def _around(
-    library: HypothesisSet, rows: Rows, at: Fit, chosen: tuple[str, ...], outside: frozenset[str] | None
-) -> Posterior:
-    """The posterior, linearized at a fit;  chosen : labels of a set that may be good""" 
-    wrong = _striking(rows, at)
-    base = library.base.names
-    white = linearized(library, at, rows, base, wrong, outside)
-    search = _searched(library, white, chosen)
-    models: list[tuple[Noise, Linearized, list[Weighed], float]] = []
-    every = list(noises(rows, at))
-    there = _likelihoods(library, every, at, white, search[0], wrong)
-    models.append((every[0], white, search, 0.0))
-    first, best = there  # log likelihoods of each noise relative to white, with nothing and with the best set
-    score = np.maximum(first, best + search[0].log_odds) + np.array([n.prior for n in every])
-    order = [int(k) for k in np.argsort(-score, kind="stable") if k and score[k] > score.max() - UNLIKELY]
-    for k in order[: NOISES - 1]:
-        other = linearized(library, at, every[k].rows, base, wrong, outside)
-        models.append((every[k], other, _searched(library, other, chosen), float(first[k]) + every[k].prior))
-    listed = [
-        (number, one, offset + one.log_odds, problem)
-        for number, (_, problem, sets, offset) in enumerate(models)
-        for one in sets
-    ]
-    odds = np.array([o for _, _, o, _ in listed])
-    probabilities = np.exp(odds - logsumexp(odds))
-    explanations = [
-        Explanation(tuple(problem.blocks[b] for b in one.blocks), number, one, float(p))
-        for (number, one, _, problem), p in zip(listed, probabilities, strict=True)
-    ]
-    explanations.sort(key=lambda e: (-round(e.probability, 9), e.noise, e.weighed.blocks))
-    return Posterior(tuple(explanations), tuple(m[0] for m in models), tuple(m[1] for m in models), library, rows, at)
 
 
 def _searched(library: HypothesisSet, problem: Linearized, chosen: tuple[str, ...]) -> list[Weighed]:
@@ -176,9 +174,9 @@ def _striking(rows: Rows, at: Fit) -> list[int]:
 
 
 def _likelihoods(
-    library: HypothesisSet, every: list[Noise], at: Fit, white: Linearized, best: Weighed, wrong: list[int]
+    library: HypothesisSet, every: list[Noise], at: Fit, problem: Linearized, best: Weighed
 ) -> tuple[Array, Array]:
-    """(K,) log likelihood of each noise relative to the first, with nothing missing, and with the best set."""
+    """(K,) log likelihood of each noise, with nothing missing, and with the best set."""
     rows = every[0].rows
     base = library.base
     names = list(at.model.names)
@@ -187,12 +185,11 @@ def _likelihoods(
     added = [k for k in range(len(names)) if k not in own]
     left = rows.positions - position + jacobian[:, :, added] @ at.values[added]
     plain = jacobian[:, :, own] / at.model.scales[own]
-    members = [white.blocks[b] for b in best.blocks]
     first = np.array([log_likelihood(n.rows, left, plain) for n in every])
-    if not members:
-        return first - first[0], first - first[0]
-    columns = white.columns_of(best.blocks)
+    if not best.blocks:
+        return first, first
+    columns = problem.columns_of(best.blocks)
     sizes = np.sqrt(np.mean(np.square(columns), axis=(0, 1)))
     wide = np.concatenate([plain, columns / np.where(sizes > 0.0, sizes, 1.0)], axis=2)
     with_best = np.array([log_likelihood(n.rows, left, wide) for n in every])
-    return first - first[0], with_best - with_best[0]
+    return first, with_best

@@ -33,7 +33,7 @@ EXPANDED = 3.0  # and within which a set is expanded
 MOST, EXCHANGED = 20, 4  # effort: sets that are expanded, and those of them with exchanges
 FEW = 3  # effort: blocks of a set up to which exchanges try wide blocks too
 PAIRS = 10  # effort: blocks that are tried in pairs
-NEGLIGIBLE = 12.0  # log odds below the best: not kept
+NEGLIGIBLE = 9.0  # log odds below the best: not kept
 
 Set = tuple[int, ...]
 

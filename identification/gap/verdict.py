@@ -1,9 +1,9 @@
 """What a posterior says: probabilities of explanations, and the verdict that follows from them.
 
-An explanation is nothing missing, a set of effects of the library (settings left out), or something outside the library. The
-verdict is the likeliest one, so that it is wrong least often: `unknown` where what is outside has half of the probability, else
-the likeliest of `none` and the sets. A set is `named` where it has half of the probability; where it has less, the verdict
-is `ambiguous`, and candidates are the sets that are not `RIVAL` times less likely than the best.
+An explanation is nothing missing, a set of effects of the library (settings left out), or something outside the library. A
+verdict that is wrong costs 1, and so it is the likeliest of these three: nothing, some effects of the library, something
+outside. To name a wrong set costs 1, to leave it open which one it is 1/2: a set is `named` where it has half of the
+probability, else the verdict is `ambiguous`, and candidates are the sets that are not `RIVAL` times less likely than the best.
 """
 
 from __future__ import annotations
@@ -68,21 +68,15 @@ class Probabilities:
 
     @property
     def best(self) -> Names:
-        """The likeliest of nothing and all sets of names."""
-        return max(self.sets, key=lambda n: (round(self.sets[n], 9), n)) if self._named else ()
-
-    @property
-    def _named(self) -> bool:
-        return bool(self.sets) and max(self.sets.values()) > self.none
+        """The likeliest set of names, empty without any."""
+        return max(self.sets, key=lambda n: (round(self.sets[n], 9), n), default=())
 
     @property
     def verdict(self) -> str:
         """`none`, `named`, `ambiguous` or `unknown`."""
-        if self.outside >= 0.5:
-            return "unknown"
-        if not self.best:
-            return "none"
-        return "named" if self.sets[self.best] >= 0.5 else "ambiguous"
+        totals = {"none": self.none, "named": sum(self.sets.values()), "unknown": self.outside}
+        likeliest = max(totals, key=lambda kind: round(totals[kind], 9))
+        return "ambiguous" if likeliest == "named" and self.sets[self.best] < 0.5 else likeliest
 
     @property
     def rivals(self) -> list[Names]:
@@ -91,7 +85,8 @@ class Probabilities:
             return []
         least = self.sets[self.best] / RIVAL
         order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != self.best, n))
-        return [names for names in order if self.sets[names] >= least][:MOST]
+        least_many = 2 if self.verdict == "ambiguous" else 1
+        return order[: max(least_many, min(MOST, sum(self.sets[names] >= least for names in order)))]
 
     @property
     def place(self) -> str | None:

@@ -62,12 +62,21 @@ def left_out(found: Posterior, kept: NDArray[np.bool_], folds: Groups) -> LeftOu
         inside, score = u.T @ z, u.T @ target
         z, rest = z - u @ inside, target - u @ score
         products = Products(
-            z.T @ z, z.T @ rest, float(rest @ rest), max(len(rest) - int(seen.sum()), 1), starts, np.zeros(len(blocks), bool)
+            z.T @ z,
+            z.T @ rest,
+            float(rest @ rest),
+            max(len(rest) - int(seen.sum()), 1),
+            starts,
+            np.zeros(len(blocks), bool),
         )
         before[test] = y[test] - own[test] @ (back @ score)
         odds, means, spreads = [], [], []
         for one in sets:
-            chosen = [(blocks.index(b), size) for b, size in zip(one.weighed.blocks, one.weighed.sizes, strict=True) if b in blocks]
+            chosen = [
+                (blocks.index(b), size)
+                for b, size in zip(one.weighed.blocks, one.weighed.sizes, strict=True)
+                if b in blocks
+            ]
             local = [b for b, _ in chosen]
             sizes = SIZES[[size for _, size in chosen]] if chosen else np.zeros(0)
             own_columns = products.columns(local)
@@ -86,7 +95,9 @@ def left_out(found: Posterior, kept: NDArray[np.bool_], folds: Groups) -> LeftOu
         moved = x[test] - own[test] @ (back @ inside)
         after[test] = y[test] - own[test] @ (back @ score) - moved @ mean
         off = np.array(means) - mean
-        covariance = sum(share * c for share, (_, c) in zip(shares, spreads, strict=True)) + off.T @ (shares[:, None] * off)
+        covariance = sum(share * c for share, (_, c) in zip(shares, spreads, strict=True)) + off.T @ (
+            shares[:, None] * off
+        )
         variance = float(sum(share * v for share, (v, _) in zip(shares, spreads, strict=True)))
         spread = np.einsum("mdi,ij,mdj->m", moved, covariance, moved, optimize=True)
         leverage = np.sum(np.square(own[test] @ back), axis=(1, 2))
@@ -95,7 +106,11 @@ def left_out(found: Posterior, kept: NDArray[np.bool_], folds: Groups) -> LeftOu
 
 
 def cross_validation(
-    found: Posterior, measurements: Measurements, kept: NDArray[np.bool_], generator: np.random.Generator, named: bool = True
+    found: Posterior,
+    measurements: Measurements,
+    kept: NDArray[np.bool_],
+    generator: np.random.Generator,
+    named: bool = True,
 ) -> tuple[Confirmation, ...]:
     """Test whether the average holds for other postures, and for another interval of time of the same session.
 

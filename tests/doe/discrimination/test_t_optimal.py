@@ -39,7 +39,7 @@ def ambiguous() -> tuple[Diagnosis, Measurements]:
         bent[:, 1] += 2e-3 * q[:, 1]
         positions = Model(ARM).position(bent) + 0.05 * rng.normal(size=(14, 2))
         data = Measurements(q, positions)
-        found = diagnose(ARM, data, draws=399)
+        found = diagnose(ARM, data)
         if found.verdict == "ambiguous":
             return found, data
     raise AssertionError("no seed gives an ambiguous case")

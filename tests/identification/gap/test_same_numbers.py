@@ -106,5 +106,5 @@ def test_an_active_bound() -> None:
 def test_a_fit_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not any("did not converge" in note for note in diagnosed(None).notes)
     monkeypatch.setattr("identification.estimation.problem.LeastSquares", partial(LeastSquares, iterations=0))
-    found = diagnose(ARM, measured(None), draws=399)
+    found = diagnose(ARM, measured(None))
     assert any("did not converge: " in note for note in found.notes)
