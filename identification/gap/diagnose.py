@@ -32,7 +32,7 @@ from identification.gap.hypotheses.detectability import assess, require_spare
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.noise.misfit import Misfit, misfit
 from identification.gap.noise.repeats import noise_floor, repeat_finding
-from identification.gap.notes import alias_list, curve_notes, notes, unexplained_note
+from identification.gap.notes import alias_list, curve_notes, hidden_orders, notes, order_notes, unexplained_note
 from identification.gap.order_range import order_ranges
 from identification.gap.posterior import Explanation, Posterior, posterior, refit
 from identification.gap.result import Diagnosis, Residuals
@@ -164,6 +164,7 @@ def diagnosis_of(
     fitted = fit(effects, found.noises[found.best.noise].rows.pick(kept), best.by_name)
     at_base = library.base.jacobian(base.rows.postures, base.values, base.rows.conditions)
     detectable = assess(library, base.rows, at_base, base.by_name, predicting.sigma)
+    hidden = hidden_orders(found) if named.effects else ()
     place = likely.place if verdict == "unknown" else None
     return Diagnosis(
         arm=library.arm,
@@ -171,7 +172,7 @@ def diagnosis_of(
         candidates=tuple(candidates),
         named=named,
         predicting=predicting_candidate(predicting, named, base.rows.postures),
-        aliases=alias_list(detectable, tuple(candidates)),
+        aliases=(*hidden, *alias_list(detectable, tuple(candidates))),
         where=place,
         shape=shape_of(place, predicting),
         scatter=(*scatter, *(repeats if not any(f.name == "repeats" for f in scatter) else ())),
@@ -188,6 +189,7 @@ def diagnosis_of(
         cross_validation=tests,
         warnings=(*fit_doubts(library.arm, measurements, best, after), *refitted_in_words(there)),
         notes=(
+            *order_notes(hidden),
             *curve_notes(predicting.curves),
             *worse,
             *notes(found, measurements, best, holdout, gap, over_sigma),

@@ -12,7 +12,7 @@ from identification.gap.candidate import Candidate
 from identification.gap.confirmation.holdout import Gap
 from identification.gap.curves.curve import Curve
 from identification.gap.fits.fit import Fit
-from identification.gap.hypotheses.detectability import NEAR, Detectability
+from identification.gap.hypotheses.detectability import EXACT, NEAR, Detectability
 from identification.gap.noise.misfit import Misfit
 from identification.gap.posterior import MOST_ROWS, Posterior
 from identification.inspection.data_checks import gap_notes
@@ -34,6 +34,43 @@ def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tupl
     named = {key for c in candidates for key in c.effects}
     pairs = [pair for pair in before.pairs(NEAR) if pair[0] in named]
     return (*pairs, *((name, like, 1.0) for name, like in before.aliases.items()))
+
+
+def hidden_orders(found: Posterior) -> tuple[tuple[str, str, float], ...]:
+    """Gear ripples not distinguishable at these postures from an effect of the best set at the same joint.
+
+    Returns triples (effect, ripple, likeness). On a grid of angles a ripple of 15 periods per turn can have the same
+    column as an eccentric encoder; the diagnosis then names the more probable one.
+    """
+    problem, listed = found.problems[found.best.noise], []
+    products, blocks = problem.products, problem.blocks
+    for mine, b in zip(found.best.blocks, found.best.weighed.blocks, strict=True):
+        for k, other in enumerate(blocks):
+            if (
+                mine.named
+                and other.member is not None
+                and other.member.scanned
+                and k != b
+                and other.place == mine.place
+            ):
+                across = products.gram[np.ix_(products.columns([b]), products.columns([k]))]
+                # columns have orthonormal directions, over the root of their number
+                likeness = float(np.sqrt(np.sum(across**2) * across.shape[1]))
+                if likeness >= NEAR:
+                    listed.append((mine.label, other.label, min(likeness, 1.0)))
+    return tuple(sorted(listed, key=lambda row: -round(row[2], 4)))
+
+
+def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
+    """One sentence for each named effect with such ripples, from the triples of `hidden_orders`."""
+    said = []
+    for key in dict.fromkeys(key for key, _, _ in hidden):
+        likes = [(other, likeness) for own, other, likeness in hidden if own == key]
+        word = "cannot be distinguished from" if likes[0][1] >= EXACT else "is hard to distinguish from"
+        more = f" and {len(likes) - 3} more" if len(likes) > 3 else ""
+        listed = ", ".join(other for other, _ in likes[:3])
+        said.append(f"at these postures {key} {word} {listed}{more}; to decide, measure at other joint angles")
+    return said
 
 
 def curve_notes(curves: tuple[Curve, ...]) -> list[str]:

@@ -17,6 +17,7 @@ from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet
 from identification.gap.scatter import Noise, log_likelihood, noises
 from identification.gap.search import Search, Weighed
+from identification.gap.waves import with_further_orders
 from identification.progress import Tell, say_nothing
 
 # reasons: identification/README.md, "Constants"
@@ -114,11 +115,15 @@ def _settled(
         # with nothing and with the best set, in units of the noise that was searched
         score = np.maximum(first - first[number], there - there[number] + sets[0].log_odds) + prior
         likely = int(np.argmax(np.where(np.arange(len(every)) == number, score + ROUNDING, score)))
-        if (best == chosen and likely == number) or turn == PASSES - 1:
-            break
-        chosen, number = best, likely
         one = Explanation(tuple(problem.blocks[b] for b in sets[0].blocks), 0, sets[0], 1.0)
-        at = refit(Posterior((one,), (every[number],), (problem,), library, rows, at), one)
+        settled = best == chosen and likely == number
+        if not settled:
+            chosen, number = best, likely
+            at = refit(Posterior((one,), (every[number],), (problem,), library, rows, at), one)
+        wider = library if outside is not None else with_further_orders(library, every[number].rows, at, one.effects)
+        if (settled and wider is library) or turn == PASSES - 1:
+            break
+        library = wider
     models = [(every[number], problem, sets, float(prior[number]))]
     order = [int(k) for k in np.argsort(-score, kind="stable") if k != number and score[k] > score.max() - UNLIKELY]
     for k in order[: NOISES - 1]:

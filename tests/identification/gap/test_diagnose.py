@@ -15,12 +15,11 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
 from identification.errors import InputError
 from identification.estimation import estimate as identify
-from identification.gap.candidates import candidate
+from identification.gap.candidates import candidate_of, certainty
 from identification.gap.diagnose import diagnose
+from identification.gap.fits.fit import fit
 from identification.gap.fits.whitening import Rows
-from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.result import Diagnosis
-from identification.gap.selection.search import HypothesisSearch
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -65,9 +64,11 @@ def test_names_a_clear_effect_and_the_extended_arm_has_it(name: str) -> None:
     settings = "[k=45]" if name == "transmission_ripple" else ""  # as drawn in `measured`
     assert found.effects == (name if joint is None else f"{name}:2{settings}",)
     assert found.gap.rms_after < found.gap.rms_before
-    refitted = identify(Model(found.extended_arm()), measured(name))
-    assert refitted.rms_before == pytest.approx(found.gap.rms_after, rel=1e-6)  # nothing is lost on the way to the arm
-    assert refitted.rms_after == pytest.approx(found.gap.rms_after, rel=1e-6)  # and it is the best fit
+    refitted = identify(Model(found.extended_arm(found.named)), measured(name))
+    assert refitted.rms_before == pytest.approx(refitted.rms_after, rel=1e-6)  # what is named is the best fit
+    predicting = Model(found.extended_arm())
+    left = measured(name).positions - predicting.position(measured(name).postures, None, measured(name).conditions)
+    assert np.sqrt(np.mean(np.sum(left**2, axis=1))) == pytest.approx(found.gap.rms_after, rel=1e-6)  # nothing is lost
 
 
 @pytest.mark.parametrize("name", ["backlash", "base_drift", "link_bending"])
@@ -107,7 +108,7 @@ def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
         assert abs(estimate.value - np.degrees(truth.get(estimate.name, 0.0))) < 4.0 * estimate.std
     said = found.to_json()["candidates"][0]
     assert [f"{spec.key}[k={spec.values['k']:g}]" for spec in found.named.specs] == list(found.effects)  # same order
-    assert found.extended_arm().effects == found.named.specs
+    assert found.extended_arm(found.named).effects == found.named.specs
     assert said["settings"] == {f"{ripple}:1.k": 12.0, f"{ripple}:2[k=20].k": 20.0, f"{ripple}:2[k=29].k": 29.0}
     assert diagnose(found.extended_arm(), rippled()).verdict == "none"
 
@@ -226,12 +227,11 @@ def test_held_out_gap_shrinks_to_the_noise() -> None:
     assert found.confirmation.shrinks is True
     before, after = PlainFit(data, eccentric=False), PlainFit(data, eccentric=True)
     assert gap.held_out_before == pytest.approx(before.rms(fresh), rel=1e-6)
-    assert gap.held_out_after == pytest.approx(after.rms(fresh), rel=1e-6)
+    assert gap.held_out_after == pytest.approx(after.rms(fresh), rel=0.01)  # the size of the effect has a prior
     assert gap.noise_floor == pytest.approx(np.sqrt(2.0) * ARM.sigma)  # no repeats here: the instrument's sigma
     columns = after.columns(fresh)
     added = np.sum((columns @ after.covariance) * columns) / len(fresh)
-    assert found.choice is not None  # what the choices made without a fifth of the rows miss belongs to the prediction
-    assert gap.predicted == pytest.approx(np.sqrt(2.0 * after.variance + added + found.choice.excess), rel=1e-4)
+    assert gap.predicted == pytest.approx(np.sqrt(2.0 * after.variance + added), rel=0.02)
     # 8 parameters from 120 numbers add 8/120 of the noise's square, give or take twice that: 3 to 10 % of its RMS
     assert noise * 0.97 < gap.held_out_after < noise * 1.10
     assert gap.held_out_before > 1.5 * noise
@@ -331,10 +331,10 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     q = rng.uniform(-3.0, 3.0, (60, 1))
     tau = -9.81 * (10.0 * 0.15 + 5.0 * 0.3) * np.cos(q[:, 0])
     p = 300.0 * np.exp(1j * (q[:, 0] - 2e-5 * tau)) + 0.02 * rng.normal(size=(60, 2)) @ [1, 1j]
-    search = HypothesisSearch(hypotheses(arm, frozenset()), Rows.of(Measurements(q, np.column_stack([p.real, p.imag]))))
-    chosen = tuple(h for h in search.hypotheses.members if h.key == "joint_compliance:1")
-    (estimate,) = candidate(search, search, chosen, 0.0, 99, rng).parameters
-    std = search.fit(chosen).sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
+    rows = Rows.of(Measurements(q, np.column_stack([p.real, p.imag])))
+    fitted = fit(Model(arm.with_effects(EffectSpec("joint_compliance", 1))), rows)
+    (estimate,) = candidate_of(fitted, 1, certainty(fitted, None, doubtful=False), 0.0, None).parameters
+    std = fitted.sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
     assert estimate.value == estimate.low_95 == 0.0
     assert estimate.std == pytest.approx(std, rel=1e-3)  # the link is 300 mm to 1e-4
     assert estimate.high_95 == pytest.approx(stats.t(2 * 60 - 3).ppf(0.975) * std, rel=1e-3)
@@ -366,9 +366,7 @@ def test_hardly_any_rows_do_not_crash(m: int) -> None:
         rng = np.random.default_rng([m, seed])
         q = rng.uniform(-2.0, 2.0, (m, 4))
         p = np.exp(1j * np.cumsum(q, axis=1)) @ [260.0, 180.0, 120.0, 100.0] + rng.normal(size=(m, 2)) @ [0.1, 0.1j]
-        found = diagnose(
-            Arm([260.0, 180.0, 120.0, 100.0]), Measurements(q, np.column_stack([p.real, p.imag]))
-        )
+        found = diagnose(Arm([260.0, 180.0, 120.0, 100.0]), Measurements(q, np.column_stack([p.real, p.imag])))
         assert found.detectability.freedom == 2 * m - 8
 
 
@@ -403,11 +401,6 @@ def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     positions = np.column_stack([p.real, p.imag]) + 0.05 * np.random.default_rng(2).normal(size=(60, 2))
     found = diagnose(ARM, replace(data, positions=positions))
     assert "cable_square:2" in [c.effects[0] for c in found.candidates]
-
-
-def test_too_few_draws_for_the_strictest_level() -> None:
-    with pytest.raises(InputError, match="draws: 398, allowed: at least 399"):
-        diagnose(ARM, measured(None), draws=398)
 
 
 def test_a_fifth_of_the_rows_are_outliers() -> None:
