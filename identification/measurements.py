@@ -24,6 +24,7 @@ from identification.measurement_values import (
     numbers,
     with_rotations,
 )
+from identification.row_digests import ROW_DIGESTS, digests
 
 __all__ = [
     "Conditions",
@@ -302,9 +303,9 @@ class Measurements(ByValue):
 
     @property
     def origin(self) -> dict[str, Any]:
-        """What a calibration keeps of its data beside `kinematics.joint_range`: file and hash, number of rows,
-        temperature that theirs count from [deg C]."""
-        kept = {**self.provenance, "rows": len(self)}
+        """What a calibration keeps of its data beside `kinematics.joint_range`: file and hash, number of rows and their
+        digests, temperature that theirs count from [deg C]."""
+        kept = {**self.provenance, "rows": len(self), ROW_DIGESTS: digests(self.postures, self.positions)}
         return kept if self.temperature is None else {**kept, "mean_temperature_C": self.reference_temperature}
 
     def rows(self, index: Any) -> Self:

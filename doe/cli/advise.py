@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from click.core import ParameterSource
 
-from doe.cli.common import Answer, CommonOptions, verb, warn_beside_json
+from doe.cli.common import Answer, CommonOptions, verb, warn_beside_json, with_collisions
 from doe.cli.options import FILE, Output, Seconds, only_option, output_options
 from identification.errors import InputError
 
@@ -66,7 +66,7 @@ def command(
     warn_beside_json([given_sigma] if given_sigma else [])
     answer = Answer(advice.to_json() | said, shown)
     output.draw(lambda: advice_figure(advice))
-    return answer
+    return with_collisions(answer, loaded)
 
 
 def given(option: str) -> bool:

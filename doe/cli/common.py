@@ -64,6 +64,16 @@ def warn_beside_json(sentences: Iterable[str]) -> None:
         warnings.warn(sentence, UserWarning, stacklevel=2)
 
 
+def with_collisions(answer: Answer, arm: Arm) -> Answer:
+    """The answer that has a plan of this arm, which in space says that collisions were not looked at."""
+    if arm.chain is not None:
+        from doe.problem.spatial import COLLISIONS
+
+        answer.data["collisions_checked"] = False
+        answer.shown.append(COLLISIONS)
+    return answer
+
+
 def read_measurements(path: Path, arm: Arm) -> Measurements:
     """The measurements of an arm; warns where the units look wrong. Raises `InputError` where they certainly are."""
     from identification.files.measurement import load_measurements

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import Answer, CommonOptions, verb, with_collisions
 from doe.cli.options import FOLDER, force_option
 from doe.cli.stopping import stopped_by
 from doe.cli.typed import origin
@@ -39,7 +39,7 @@ def command(common: CommonOptions, spatial: bool, out: Path | None, force: bool)
             save(overview_figure(demo), directory / "overview.png", force=True)
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
-    return Answer(demo_data(demo, directory), demo_tables(demo, directory))
+    return with_collisions(Answer(demo_data(demo, directory), demo_tables(demo, directory)), demo.arm)
 
 
 def next_free(path: Path) -> Path:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import Answer, CommonOptions, verb, with_collisions
 from doe.cli.options import FILE, Output, Seconds, grouped, output_options, plan_drawing
 from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem, posture_options
 from identification.errors import InputError
@@ -96,7 +96,7 @@ def command(
     first = "--out plan.csv writes this plan; " if output.out is None else ""
     then = f"; then {identify_command(str(arm), 'DATA', problem.fit)}" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    return Answer(design.to_json() | data, [*design_tables(design), *extra])
+    return with_collisions(Answer(design.to_json() | data, [*design_tables(design), *extra]), loaded)
 
 
 def _searched(

@@ -60,6 +60,7 @@ def command(
     from identification.gap.curves.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.servo import with_servo_errors
+    from identification.validate.judgement import judged
 
     loaded = load_arm(arm)
     check_no_arm_file(data)
@@ -67,6 +68,7 @@ def command(
     loaded = with_servo_errors(loaded, measurements)
     with common.progress() as progress:
         found = diagnose(loaded, measurements, held_out, common.seed, progress)
+        found = judged(found, loaded, measurements, held_out)
     refuted = [f"not confirmed: {found.confirmation}"] if found.confirmed is False else []
     warn_beside_json([*found.warnings, *refuted])
     if curves is not None and loaded.counting is not None:

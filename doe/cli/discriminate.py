@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, read_sessions, verb
+from doe.cli.common import Answer, CommonOptions, read_sessions, verb, with_collisions
 from doe.cli.options import FILE, Output, Seconds, output_options
 from identification.errors import InputError
+
+if TYPE_CHECKING:
+    from identification.arm import Arm
+    from identification.measurements import Measurements
 
 
 @verb(
@@ -51,6 +56,7 @@ def command(
     if masses is not None and loaded.gravity is None:
         raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = read_sessions(data, loaded)
+    check_postures(loaded, measurements, data[-1])
     with common.progress() as progress:
         diagnosis = diagnose(loaded, measurements, seed=common.seed, progress=progress)
     if diagnosis.verdict != "ambiguous":
@@ -69,7 +75,21 @@ def command(
         for line in output.write(next_text(found), "next postures")
     ]
     shown = [*next_tables(diagnosis, found), *written, *missing_payload(loaded, measurements, found)]
-    return Answer(next_data(diagnosis, found), shown)
+    return with_collisions(Answer(next_data(diagnosis, found), shown), loaded)
+
+
+def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:
+    """Raises `InputError` for rows of fewer postures than the arm's own parameters need, let alone effects."""
+    from doe.problem.problem import DesignProblem
+    from doe.problem.spatial import refuse_contacts
+    from identification.model import Model
+
+    refuse_contacts(arm.chain)
+    postures, fewest = len(set(measurements.posture_numbers.tolist())), DesignProblem.of(Model(arm)).fewest_runs
+    if postures < fewest:
+        found = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
+        enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {path} chooses more"
+        raise InputError(f"{path}: {found}, allowed: {enough}")
 
 
 def payload_list(text: str) -> tuple[float, ...]:

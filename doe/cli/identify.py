@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from doe.cli import calibrated
-from doe.cli.common import Answer, CommonOptions, read_measurements, verb
+from doe.cli.common import Answer, CommonOptions, read_measurements, verb, warn_beside_json
 from doe.cli.options import FILE, LibraryEffects, Output, PriorOrFile, only_option, output_options, prior_options
 from identification.errors import InputError
 
@@ -80,9 +80,13 @@ def command(
     Where a column session distinguishes sessions, each gets a base of its own; the file has that of the first. With
     --only all other parameters stay at the values of ARM.
     """
+    from doe.report.verdict import hardly_better
+    from identification.estimation import estimate
     from identification.files.arm import load_arm
+    from identification.model import Model
     from identification.servo import following_errors
     from identification.sessions import with_sessions
+    from identification.validate.judgement import prior_judged
     from identification.validate.reuse import with_place_doubted, words_of
     from identification.validate.set_up import with_mounting_doubted
 
@@ -100,13 +104,22 @@ def command(
     if words:
         found = with_place_doubted(found, with_sessions(loaded, fitted), words, fitted)
     found = with_mounting_doubted(found, fitted, lambda rows: wanted.fit(loaded, rows)[0])
+    offered = None
+    if library is not None and not words and old is None:
+        offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, fitted)), fitted), found, fitted)
     extra, shown = fit_shown(found, (arm, loaded), fitted, words, library, full=full or old is not None)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
     answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
     answered.data |= extra | said | ({} if asked is None else {"fit": asked})
     answered.shown += [*([] if asked is None else [asked_in_words(asked, data)]), *wanted.sentences(said)]
+    if offered is not None:
+        answered.data["offered"] = offered.to_json()
+        if not offered.better:
+            answered.shown.insert(0, hardly_better(answered.data["offered"]))
+            warn_beside_json([hardly_better(answered.data["offered"])])
     answered = with_commands(answered, following_errors(measurements, loaded.joint_types))
-    return with_next(answered, (arm, data), output.out, loaded, allowed_for=library is not None)
+    better = offered is None or offered.better
+    return with_next(answered, (arm, data), output.out, loaded, allowed_for=library is not None, better=better)
 
 
 def as_asked(
@@ -158,13 +171,15 @@ def rows_fitted(measurements: Measurements, said: dict[str, Any]) -> Measurement
     return measurements if len(kept) == len(measurements) else measurements.rows(kept)
 
 
-def with_next(answered: Answer, files: Sequence[Path], out: Path | None, arm: Arm, *, allowed_for: bool) -> Answer:
-    """The answer with the next steps, if there is a calibration; files, allowed_for : see `identification_actions`."""
+def with_next(
+    answered: Answer, files: Sequence[Path], out: Path | None, arm: Arm, *, allowed_for: bool, better: bool
+) -> Answer:
+    """The answer with the next steps, if there is a calibration; files and more : see `identification_actions`."""
     from doe.report.verdict import identification_actions, next_steps
     from identification.validate.row_groups import diagnosed
 
     if answered.exit_code == 0:
-        told = {"diagnosed": diagnosed(arm), "allowed_for": allowed_for}
+        told = {"diagnosed": diagnosed(arm), "allowed_for": allowed_for, "better": better}
         answered.shown += next_steps(identification_actions(str(files[0]), str(files[1]), out, **told))
     return answered
 
@@ -222,7 +237,7 @@ class Wanted:
             found = estimate(model, data, method=self.method, sigma=self.sigma)
             return with_repeats_doubted(found, data), None, self.said(model)
         check_with_prior(self.minimal, self.method)
-        prior = replace(Prior({}) if library is None else library.prior, earlier=self.earlier(model))
+        prior = replace(Prior({}) if library is None else library.prior, earlier=self.earlier(model, data))
         found, said = estimate_with_prior(model, data, prior, sigma=self.sigma), self.said(model, prior)
         if prior.earlier is not None:
             said["prior_from"]["contradicted"] = [one.to_json() for one in found.contradictions]
@@ -252,7 +267,7 @@ class Wanted:
         added = [] if library is None else list(library.prior.deviations)
         return only(arm, [*self.words, *added], data) if self.words else Model(arm)
 
-    def earlier(self, model: Model) -> Earlier | None:
+    def earlier(self, model: Model, data: Measurements) -> Earlier | None:
         """The prior of the model's parameters from the calibration that --prior-from names."""
         from identification.files.arm import load_arm
         from identification.validate.reuse import earlier
@@ -261,7 +276,7 @@ class Wanted:
             return None
         before = load_arm(self.prior_from)
         try:
-            return earlier(before, model)
+            return earlier(before, model, data)
         except InputError as error:
             raise InputError(f"{self.prior_from}: {error}") from None
 

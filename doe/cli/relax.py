@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import Answer, CommonOptions, verb, with_collisions
 from doe.cli.options import FILE, Output, Seconds, grouped, output_options
 from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem
 from identification.errors import InputError
@@ -98,7 +98,7 @@ def command(
             data["cross_check"] = compared.rows()
             shown.append(cross_check_table(compared))
     written = plan_text(replace(found.plan, fit=problem.fit), loaded.joint_types)
-    return Answer(data, [*shown, *output.write(written, "plan with weights")])
+    return with_collisions(Answer(data, [*shown, *output.write(written, "plan with weights")]), loaded)
 
 
 def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, held: bool) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import Answer, CommonOptions, verb, with_collisions
 from doe.cli.options import FILE, Output, Seconds, output_options, plan_drawing
 from doe.cli.problems import CriterionOptions, design_problem, robust_options
 from identification.errors import InputError
@@ -34,7 +34,9 @@ ROBUST = "score --robust judges it so, this is of a fit by the model of the arm 
 @click.argument("arm", type=FILE)
 @click.argument("plan", type=FILE)
 @click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects this plan can hardly distinguish.")
-@click.option("--seconds", type=Seconds(), help="Time budget of the bound [s]; left out: none.")
+@click.option(
+    "--seconds", type=Seconds(), default=20.0, show_default=True, help="Time budget of the bound [s], which may be cut."
+)
 @robust_options
 @output_options(picture="Draw the postures (.png, .svg, .pdf).")
 def command(
@@ -42,7 +44,7 @@ def command(
     arm: Path,
     plan: Path,
     aliases: Path | None,
-    seconds: float | None,
+    seconds: float,
     criterion: CriterionOptions,
     output: Output,
 ) -> Answer:
@@ -65,11 +67,8 @@ def command(
     indices, values = observability(problem, given.postures), criterion_values(problem, given.postures)
     tip = replace(problem, criterion=average_error(problem))
     error = None if values["I"] is None else error_at_poses(tip, values["I"], len(given))
-    meant = (
-        []
-        if not given.fit or criterion.robust
-        else [f"{plan} is to be fitted by armcal identify --{given.fit}: {ROBUST}"]
-    )
+    meant = f"{plan} is to be fitted by armcal identify --{given.fit}: {ROBUST}"
+    lines = [meant] if given.fit and not criterion.robust else []
     data = design.to_json() | {
         "workspace_error_mm": error,
         "observability": indices.to_json(),
@@ -77,9 +76,8 @@ def command(
         "preflight": None if sees is None else sees.to_json(),
     }
     output.write_all("", "", pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)})
-    return Answer(
-        data, [*design_tables(design), criteria_line(values, error), observability_line(indices), *meant, *tables]
-    )
+    shown = [*design_tables(design), *lines, criteria_line(values, error), observability_line(indices), *tables]
+    return with_collisions(Answer(data, shown), loaded)
 
 
 def _alias_drawing(sees: Detectability) -> Figure:
@@ -88,7 +86,7 @@ def _alias_drawing(sees: Detectability) -> Figure:
     return alias_figure(sees)
 
 
-def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions, seconds: float | None) -> Design:
+def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions, seconds: float) -> Design:
     """The plan as a `Design`. Raises `InputError` for too few runs; warns of runs that the arm cannot reach."""
     from doe.design import score_plan
     from doe.problem.robust import with_choices

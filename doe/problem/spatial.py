@@ -33,6 +33,11 @@ from identification.model.minimal import PRACTICAL, minimal
 if TYPE_CHECKING:
     from doe.problem.problem import InformationModel
 
+# every plan in space says this, in words and as the key `collisions_checked`, until collisions are looked at
+COLLISIONS = (
+    "Collisions were not looked at, neither of the arm with itself nor with what is around it: try each posture "
+    "slowly, or let armcal design --candidates FILE choose from postures that you allow."
+)
 AHEAD = 0.5  # of the reach: where the center of measured distances is assumed
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
 

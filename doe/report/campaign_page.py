@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from doe.report.compensation_tables import commanded_in_words, commands_section
 from doe.report.gap_figures import workspace_arrows
 from doe.report.gap_sections import (
     corrected_section,
@@ -31,6 +32,7 @@ from doe.report.verdict import (
     design_verdict,
     diagnosis_actions,
     diagnosis_verdict,
+    gap_in_words,
     identification_verdict,
     plan_actions,
     validation_verdict,
@@ -135,17 +137,20 @@ class Campaign:
 
     @property
     def verdict(self) -> list[str]:
-        """The verdict in sentences, the most advanced result first."""
-        found = [sentence for data in self.said("diagnose") for sentence in diagnosis_verdict(data)]
-        if model := self.chosen:  # what the others leave is in the tables
-            pairs = ((rows, tests[model].to_json()) for rows, tests in self.tests.items())
-            found += [validation_verdict(data, model, rows, model in self.fitted(rows)) for rows, data in pairs]
+        """The verdict in sentences: errors on rows that no fit has seen, then the most advanced result first."""
+        model, diagnoses = self.chosen or "", self.said("diagnose")
+        found = [validation_verdict(test.to_json(), model, rows) for rows, test in self.elsewhere.items()]
+        found += [] if found else [validation_verdict(data) for data in self.said("validate")]
+        found += [] if found else [gap_in_words(data) for data in diagnoses if data["confirmation"] is not None]
+        found += [sentence for data in diagnoses for sentence in diagnosis_verdict(data) if sentence not in found]
+        seen = (rows for rows in self.tests if rows not in self.elsewhere)  # what other models leave is in the tables
+        found += [validation_verdict(self.tests[rows][model].to_json(), model, rows, seen=True) for rows in seen]
         found += self.choice
-        found += [] if self.tests else [validation_verdict(data) for data in self.said("validate")]
         found += [identification_verdict(data) for data in self.said("identify")]
         found += [design_verdict(data) for data in self.said("design")]
         plans = {} if self.said("design") else self.given.plans
         found += [f"The plan {name} has {len(plan)} runs." for name, (plan, _) in plans.items()]
+        found += [commanded_in_words(name, table) for name, table in self.given.commands.items()]
         return found or [f"{name}: {kind}." for name, kind in self.given.kinds.items()]
 
     def said(self, command: str) -> list[Any]:
@@ -185,6 +190,8 @@ class Campaign:
         found += [part for data in diagnoses for part in curve_sections(data)]
         found += [*self.corrected(), *(self.test_section(rows) for rows in self.tests)]
         found += [part for name in self.given.plans for part in self.plan(name)]
+        arm = next(iter(self.given.arms.values()), None)
+        found += [commands_section(name, table, arm) for name, table in self.given.commands.items() if arm]
         found += [_blocks(data) for data in self.said("validate")]
         return found + [part for data in diagnoses for part in further_sections(data)]
 

@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 from rich.text import Text
 
+from doe.report.page import Section, Sheet
 from doe.report.terminal import number, table
+from identification.arm import Arm
 from identification.compensate.compensation import Compensation
+from identification.files.csv import Table
 from identification.kinematics.parameters import REVOLUTE
 
 MOST_ROWS = 8  # row numbers in a sentence
@@ -54,9 +57,14 @@ def without_command(found: Compensation) -> list[str]:
     out, barred = int(np.count_nonzero(~found.near)), int(np.count_nonzero(found.near & ~found.reached))
     why = {"out of reach": out, "barred by a constraint": barred}
     counted = [f"{count} {reason}" if out and barred else reason for reason, count in why.items() if count]
-    which = ", ".join(map(str, rows[:MOST_ROWS])) + (", ..." if len(rows) > MOST_ROWS else "")
-    listed = f"{', '.join(counted)} (row{'s' * (len(rows) > 1)} {which})"
+    listed = f"{', '.join(counted)} ({rows_listed(rows)})"
     return [f"{len(rows)} {'have' if len(rows) > 1 else 'has'} no command (angles left empty): {listed}."]
+
+
+def rows_listed(rows: list[int]) -> str:
+    """`row 3`, `rows 1, 5`; of many the first."""
+    which = ", ".join(map(str, rows[:MOST_ROWS])) + (", ..." if len(rows) > MOST_ROWS else "")
+    return f"row{'s' * (len(rows) > 1)} {which}"
 
 
 def command_table(found: Compensation, most: int) -> list[Any]:
@@ -86,3 +94,34 @@ def command_table(found: Compensation, most: int) -> list[Any]:
         padding=(0, 0, 0, int(fine)),
     )
     return [shown, *([] if fine else [Text("Rounded to 0.01 deg here; --out and --json give every digit.")])]
+
+
+def commanded_in_words(name: str, commands: Table) -> str:
+    """How many targets a file of commands reaches;  name : of the file"""
+    reached = commands.floats("reachable") > 0.0
+    missing = (np.flatnonzero(~reached) + 1).tolist()
+    none = f"; {rows_listed(missing)} {'have' if len(missing) > 1 else 'has'} none" if missing else ""
+    return f"{name} has commands for {np.count_nonzero(reached)} of {len(commands)} targets{none}."
+
+
+def commands_section(name: str, commands: Table, arm: Arm, most: int = 200) -> Section:
+    """The part of a page about a file that `armcal compensate` wrote, of which the first rows are shown."""
+    joints = [f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(arm.joint_types, start=1)]
+    axes = [f"{axis}_mm" for axis in "xyz"[: arm.dimension]]
+    numbers = {key: commands.floats(key, empty=np.nan) for key in (*joints, "error_mm")}
+    numbers |= {key: commands.floats(key) for key in axes}
+    messages = commands.frame["message"].fill_null("").to_list() if "message" in commands else [""] * len(commands)
+    rows = [
+        [
+            str(row + 1),
+            *(f"{numbers[key][row]:.1f}" for key in axes),
+            *("-" if np.isnan(numbers[key][row]) else f"{numbers[key][row]:.3f}" for key in joints),
+            residual_text(float(numbers["error_mm"][row])),
+            str(messages[row]),
+        ]
+        for row in range(min(len(commands), most))
+    ]
+    more = f" The first {most} rows; the file has all." if len(commands) > most else ""
+    lead = f"{commanded_in_words(name, commands)} The miss is the calibrated model's, not the robot's accuracy.{more}"
+    headings = ["row", *axes, *joints, "miss [mm]", "why there is none"]
+    return Section(f"Joint commands: {name}", lead, [Sheet(headings, rows)])

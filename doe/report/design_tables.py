@@ -102,7 +102,7 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
         f"value of {kind}": None if kind == "D" or length else number(data["value"], 7),
         "information (log det M')": None if kind == "I" else number(data["log_det"], 7),
         bounded: None if length else f"{number(bound['value'], 7)} ({kind_of_bound})" if known else "-",
-        "efficiency": number(data["efficiency"] if known else None, 6)
+        "efficiency": (f"-: {data['no_efficiency']}" if data.get("no_efficiency") else number(data["efficiency"], 6))
         + (f" of the bound ({kind_of_bound}). {judged_by_mm(data['efficiency'])}" if known and length else ""),
         "optimal": optimal_in_words(data),
         "deviation from orthogonality (Table I)": None if table_1 is None or kind == "I" else number(table_1, 6),

@@ -27,7 +27,8 @@ KEYS = {
     "design": ("criterion", "runs", "efficiency", "certified_optimal"),
 }
 ALLOWED = (
-    "arm files (.toml), plans and measurements (.csv), what design, score, identify, diagnose or validate --json said"
+    "arm files (.toml), plans, measurements and joint commands (.csv), what design, score, identify, diagnose or "
+    "validate --json said"
 )
 
 
@@ -41,6 +42,7 @@ class Given:
     arms: dict[str, Arm] = field(default_factory=dict)
     plans: dict[str, tuple[Plan, Table]] = field(default_factory=dict)
     measurements: dict[str, Measurements] = field(default_factory=dict)
+    commands: dict[str, Table] = field(default_factory=dict)
     said: dict[str, dict[str, Mapping[str, Any]]] = field(default_factory=lambda: {command: {} for command in KEYS})
     kinds: dict[str, str] = field(default_factory=dict)
 
@@ -84,7 +86,8 @@ def _read(path: Path, name: str, found: Given) -> str:
     arm = next(iter(found.arms.values()))
     table = read_table(path)
     if all(column in table for column in ("error_mm", "reachable")):
-        raise InputError(f"{name}: commands that armcal compensate wrote, allowed: {ALLOWED}")
+        found.commands[name] = table
+        return "joint commands"
     contact = arm.chain is not None and arm.chain.instrument.contact  # its plans no command writes
     if contact or any(f"{name}_{unit}" in table for name in ("x", "distance") for unit in ("mm", "m")):
         found.measurements[name] = load_measurements(path, arm)

@@ -15,6 +15,7 @@ import numpy as np
 
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
+from doe.problem.spatial import COLLISIONS
 from doe.report.page import Section
 from doe.report.pictures import plan_figure, planar_outlines
 from doe.report.spatial_pictures import FORBIDDEN, outlines
@@ -64,6 +65,7 @@ def plan_steps(arm: Arm, plan: Plan, table: Table | None = None, name: str = "pl
 def plan_section(arm: Arm, plan: Plan, table: Table | None = None, name: str = "plan.csv", lead: str = "") -> Section:
     """A part of a page in which the plan is stepped through; a long one is drawn."""
     steps = plan_steps(arm, plan, table, Path(name).stem)
+    lead = lead if arm.chain is None else f"{lead} {COLLISIONS}".strip()
     title = f"The plan {name}" if table is not None else "The plan"
     if steps is None:
         return Section(

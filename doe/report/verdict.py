@@ -51,7 +51,19 @@ def diagnosis_verdict(data: Data) -> list[str]:
     """What is missing in one short sentence, then with its details, and what it does to the error."""
     partly = "Not confirmed as predicted: rows that no fit has seen gain less."
     refuted = [partly if helps(data) else "Not confirmed on rows that no fit has seen."]
-    return [*(refuted if data["confirmed"] is False else []), missing(data), *details(data), gap_in_words(data)]
+    compared = [] if (offered := data.get("offered")) is None or offered["better"] else [hardly_better(offered)]
+    first = [*(refuted if data["confirmed"] is False else []), *compared]
+    return [*first, missing(data), *details(data), gap_in_words(data)]
+
+
+def hardly_better(offered: Data) -> str:
+    """That a model predicts what it has not seen no better than the geometry alone, or only within chance."""
+    sure = "no better" if offered["rms_mm"] >= offered["rms_geometry_mm"] else "no better beyond chance"
+    own, geometry = (
+        f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
+        for of in ("", "_geometry")
+    )
+    return f"This model predicts {sure} than the geometry alone: {own} against {geometry} in rows that no fit has seen."
 
 
 def missing(data: Data) -> str:
@@ -137,6 +149,10 @@ def diagnosis_actions(
         apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
         again = Action("Add the new rows to the data, and diagnose again:", called)
         return [Action("Measure the postures that tell the explanations apart:", apart), again]
+    if (offered := data.get("offered")) is not None and not offered["better"]:
+        fit = f"armcal identify {arm} {rows[0]}" if len(rows) == 1 else called
+        use = Action("Use the calibration of the geometry, which predicts as well:", f"{fit} --out calibrated.toml")
+        return [use, correct("calibrated.toml"), confirm]
     keep = [] if written else [Action("Keep the extended model:", f"{called} --out extended.toml")]
     part = "the error curves, within the angles measured," if is_described(data) else "the named part"
     meanwhile = f"; {part} may be used meanwhile" if data["effects"] else ""
@@ -252,13 +268,16 @@ def data_actions(arm: str = "arm.toml", rows: str = "data.csv", fit: str = "") -
 
 
 def identification_actions(
-    arm: str, rows: str, written: Path | None, *, diagnosed: bool, allowed_for: bool = False
+    arm: str, rows: str, written: Path | None, *, diagnosed: bool, allowed_for: bool = False, better: bool = True
 ) -> list[Action]:
     """What follows from an identification.
 
     written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for;  allowed_for : the
-    library's effects are in the model, held by a prior
+    library's effects are in the model, held by a prior;  better : than the geometry alone
     """
+    if not better:
+        why = "Leave --library-prior away, since the geometry alone predicts as well:"
+        return [Action(why, f"armcal identify {arm} {rows} --out calibrated.toml"), correct("calibrated.toml")]
     names = {"arm": arm, "rows": rows, "calibrated": str(written or "calibrated.toml")}
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
     look, *use = calibrated_actions(**names)

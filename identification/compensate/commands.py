@@ -13,11 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate.compensation import Compensation
-from identification.compensate.inverse_kinematics import Constraints, violations
+from identification.compensate.inverse_kinematics import TOLERANCE, Constraints, violations
 from identification.compensate.reaching import near_or_within, reaching, within_or_near
 from identification.errors import InputError
 from identification.kinematics.corrected import standing_in
@@ -28,6 +29,7 @@ from identification.servo import servo_shift
 from identification.sessions import BASE
 from identification.validate.row_groups import familiar_range, identified, outside
 
+MISSED_BY_CHANCE = 1e-3  # share of right targets that lie beyond the tolerance
 APPROACH = {"directions", "past"}  # what an effect needs whose error depends on the side that a joint comes from
 
 
@@ -77,9 +79,10 @@ def compensate(
         sided = tuple(sorted({effect.name for effect in model.effects if not APPROACH.isdisjoint(effect.needs)}))
         past = past_from_order(nominal) if model.remembers else None
         where = replace(where, directions=directions_from_order(nominal), past=past)
-    commands = reaching(model, goals, nominal, where, constraints)
+    enough = tolerance_of(arm)
+    commands = reaching(model, goals, nominal, where, constraints, enough)
     if given is None:
-        commands = near_or_within(model, familiar_range(arm), goals, commands, where, constraints)
+        commands = near_or_within(model, familiar_range(arm), goals, commands, where, constraints, enough)
     return replace(_compensation(model, goals, nominal, commands, where, constraints), sided=sided)
 
 
@@ -100,7 +103,18 @@ def _compensation(
     rms = identified(arm).get("rms_after_mm")
     rms = float(rms) if isinstance(rms, float | int) else None
     figures = commands, distances(left), arm.joint_types, where.orientation, angles, kinds, missed, beyond, rms
-    return Compensation(goals[:, POINT], nominal, *figures)
+    return Compensation(goals[:, POINT], nominal, *figures, tolerance=tolerance_of(arm), reach=model.reach)
+
+
+def tolerance_of(arm: Arm) -> float:
+    """[mm] within which a target counts as reached where no posture gets there exactly, as of an arm with fewer joints
+    than coordinates: what one in `MISSED_BY_CHANCE` of the calibration's own measurements may be off, by what the fit
+    left of them and by its own uncertainty. `TOLERANCE` where they are not known.
+    """
+    figures = [identified(arm).get(key) for key in ("rms_after_mm", "expected_tip_mm")]
+    rms = float(np.linalg.norm([float(x) for x in figures if isinstance(x, float | int)]))
+    d = arm.dimension
+    return max(TOLERANCE, rms * float(np.sqrt(chdtri(d, MISSED_BY_CHANCE) / d)))
 
 
 def _orientations(arm: Arm, given: ArrayLike | None, as_nominal: bool) -> Array | None:

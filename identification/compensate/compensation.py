@@ -34,6 +34,7 @@ class Compensation:
     outside : (k, n) True where a joint is outside the angles of the identification, None: these are not known
     model_rms : [mm] that the calibrated model left of its own measurements, None: not known
     sided : effects of the model for which the order of the targets was taken as that of the approach
+    tolerance : [mm] what counts as reached, see `tolerance_of`;  reach : of the arm [mm], at which an angle is that far
     """
 
     targets: Array
@@ -48,6 +49,8 @@ class Compensation:
     outside: NDArray[np.bool_] | None = None
     model_rms: float | None = None
     sided: tuple[str, ...] = ()
+    tolerance: float = TOLERANCE
+    reach: float = np.inf
 
     def __post_init__(self) -> None:
         for name in ("targets", "nominal", "commands", "errors"):
@@ -55,15 +58,16 @@ class Compensation:
 
     @property
     def reached(self) -> NDArray[np.bool_]:
-        """(k,) True where the error is at most `TOLERANCE`, the angle at most `TURNED`, and every constraint holds."""
+        """(k,) True where the error is at most `tolerance`, the angle no more at full reach, or `TURNED`, and every
+        constraint holds."""
         near = self.near
         return near if self.violations is None else near & ~np.any(self.violations > 0.0, axis=1)
 
     @property
     def near(self) -> NDArray[np.bool_]:
         """(k,) as `reached`, whatever the constraints say."""
-        near = self.errors <= TOLERANCE
-        return near if self.angles is None else near & (self.angles <= TURNED)
+        near = self.errors <= self.tolerance
+        return near if self.angles is None else near & (self.angles <= max(TURNED, self.tolerance / self.reach))
 
     @property
     def messages(self) -> list[str]:
@@ -109,6 +113,10 @@ class Compensation:
         if (out := np.count_nonzero(~self.near)) > FEW * len(self.targets):
             frame = "are they in mm, and in the frame of the measurements that calibrated the arm"
             found.append(f"{out} of {len(self.targets)} targets are out of reach: {frame}?")
+        if close := np.count_nonzero(self.reached & (self.errors > TOLERANCE)):
+            most = f"by {float(np.max(self.errors[self.reached])):.2g} mm at most"
+            least = f"less than the {self.tolerance:.2g} mm that the calibration itself is uncertain by"
+            found.append(f"{close} of the targets reached are missed {most}, {least}: no posture of the arm is nearer")
         if self.sided and self.reached.any():
             side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
             found.append(f"{side}. Drive the targets in this order, and to the first with every joint {self._rising}")
@@ -131,6 +139,7 @@ class Compensation:
             "reached": int(np.count_nonzero(reached)),
             "max_error_mm": float(np.max(self.errors[reached])) if reached.any() else None,
             "max_error_over": "targets reached",
+            "tolerance_mm": self.tolerance,
             "model_rms_mm": self.model_rms,
             "max_unreached_mm": float(np.max(self.errors[out])) if out.any() else None,
             **({} if self.angles is None else {"max_error_deg": self._largest_angle}),

@@ -16,9 +16,17 @@ from identification.model import Model
 STILL = 1e-9  # [rad] a joint that did not move has so much room
 
 
-def reaching(model: Model, goals: Array, nominal: Array, conditions: Conditions, constraints: Constraints) -> Array:
+def reaching(
+    model: Model,
+    goals: Array,
+    nominal: Array,
+    conditions: Conditions,
+    constraints: Constraints,
+    enough: float = TOLERANCE,
+) -> Array:
     """(k, n) postures from nominal ones (k, n); from many seeds where that ends short of the target, or where the arm
-    may not stand. Goals (k, d) [mm], of poses three more."""
+    may not stand. What ends so near as `enough` [mm] is left only for what gets there exactly: another branch of the
+    arm that is nearer by less than anybody knows is none to go to. Goals (k, d) [mm], of poses three more."""
     nominal = turned_into(nominal, model.arm.lower, model.arm.upper, model.joint_types)
     commands, errors = inverse_kinematics(model, goals, nominal, conditions)
     missed = violations(constraints, commands).sum(axis=1)
@@ -27,6 +35,7 @@ def reaching(model: Model, goals: Array, nominal: Array, conditions: Conditions,
         again, left = best_of_seeds(model, goals[short], nominal[short], conditions.rows(short), constraints)
         now = ranked(np.zeros(len(short)), left, violations(constraints, again).sum(axis=1))
         better = now < ranked(np.zeros(len(short)), errors[short], missed[short])
+        better &= (errors[short] > enough) | (missed[short] > 0.0) | (left <= TOLERANCE)
         commands[short[better]] = again[better]
     return commands
 
@@ -54,13 +63,19 @@ def within_or_near(
 
 
 def near_or_within(
-    model: Model, familiar: tuple[Array, Array], goals: Array, found: Array, where: Conditions, constraints: Constraints
+    model: Model,
+    familiar: tuple[Array, Array],
+    goals: Array,
+    found: Array,
+    where: Conditions,
+    constraints: Constraints,
+    enough: float = TOLERANCE,
 ) -> Array:
-    """(k, n) postures that were found for goals (k, d); for those out of reach, where they are outside familiar angles,
-    the nearest within them."""
+    """(k, n) postures that were found for goals (k, d); for those out of reach, farther than `enough` [mm], where they
+    are outside familiar angles, the nearest within them."""
     lower, upper = familiar
     left = np.linalg.norm(goals - model.position(found, conditions=where), axis=1)
-    out = np.flatnonzero((left > TOLERANCE) & np.any((found < lower) | (found > upper), axis=1))
+    out = np.flatnonzero((left > enough) & np.any((found < lower) | (found > upper), axis=1))
     if out.size:
         inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + STILL)))
         starts = np.clip(found[out], lower, upper)

@@ -79,7 +79,7 @@ def identification(
     found = identifiability_of(decomposed, model.names, model.scales)
     before, after = as_it_was(problem), problem.residuals(parameters)[0]
     doubtful = doubts(model, parameters, found.identifiable, before, after, data)
-    unexplained = unexplained_rows(problem, parameters, after)
+    unexplained = unexplained_by_fit(problem, parameters, after)
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
     status = Status.not_identifiable if found.combinations else solution.status[0]
@@ -108,7 +108,7 @@ def identification(
     )
 
 
-def unexplained_rows(problem: Problem, parameters: Array, residual: Array) -> NDArray[np.bool_]:
+def unexplained_by_fit(problem: Problem, parameters: Array, residual: Array) -> NDArray[np.bool_]:
     """(m,) rows that the model does not explain, where enough equations are left to tell.
 
     parameters : (p,) of the fit;  residual : (m, d) [mm]

@@ -24,7 +24,7 @@ from identification.gap.confirmation.holdout import (
     confirmation_of,
     gap_of,
     held_out,
-    refitted_in_words,
+    other_set_up,
 )
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
@@ -187,7 +187,7 @@ def diagnosis_of(
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=tests,
-        warnings=(*fit_doubts(library.arm, measurements, best, after), *refitted_in_words(there)),
+        warnings=(*fit_doubts(library.arm, measurements, best, after), *other_set_up(there)),
         notes=(
             *order_notes(hidden),
             *curve_notes(predicting.curves),

@@ -129,6 +129,9 @@ def notes(
     if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
         times = gap.held_out_after / gap.predicted
         said.append(f"the held-out residuals are {times:.2g} times larger than predicted: other postures or set-up?")
+    if once := [h.key for h in found.best.effects if h.effect.once]:
+        which = f"{', '.join(once)}: of this session only; the extended model has what is left of it at the end, as"
+        said.append(f"{which} validate and compensate take it")
     if holdout is not None and any("drift" in h.key for h in found.best.effects):
         said.append("a drift of one session does not carry over to another; confirm it on held-out rows of this one")
     return said

@@ -15,6 +15,7 @@ from identification.gap import notebook, summary
 from identification.gap.candidate import Candidate
 from identification.gap.confirmation.confirmation import Confirmation
 from identification.gap.confirmation.holdout import Gap
+from identification.gap.confirmation.offered import Offered
 from identification.gap.curves.curve import Curve
 from identification.gap.hypotheses.detectability import Detectability, Size
 from identification.gap.noise.misfit import Misfit
@@ -64,6 +65,7 @@ class Diagnosis:
     shapes : named waves whose order the range of their joint does not determine
     replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
+    offered : the extended model beside the geometry alone, None where it was not judged (`validate.judgement.judged`)
     data : `file` and `sha256` of the rows, if known
     """
 
@@ -93,6 +95,7 @@ class Diagnosis:
     curves: tuple[Curve, ...] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
     unexplained_rows: tuple[int, ...] = ()
+    offered: Offered | None = None
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -176,6 +179,8 @@ class Diagnosis:
         said: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
         if self.confirmed is not None:
             said["confirmed"] = self.confirmed
+        if self.offered is not None:
+            said["better_than_geometry"] = self.offered.better
         said |= {name: value for name, value in self.gap.to_json().items() if value is not None}
         said["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
         said["probability"] = self.probability
@@ -208,6 +213,7 @@ class Diagnosis:
             "excluded": {name: vars(size) for name, size in self.excluded.items()},
             "gap": self.gap.to_json(),
             "confirmed": self.confirmed,
+            "offered": None if self.offered is None else self.offered.to_json(),
             "confirmation": None if self.confirmation is None else self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
             "misfit": None if self.misfit is None else self.misfit.to_json(),

@@ -22,7 +22,8 @@ VERDICTS = {
 
 
 def headline(found: Diagnosis) -> str:
-    """The verdict alone, preceded by `not confirmed` where that is so."""
+    """The verdict alone, preceded by `not confirmed`, and by how the model compares with the geometry alone where it is
+    no better."""
     likeliest = sorted(found.candidates, key=lambda c: -(c.probability or 0.0))
     options = " | ".join(f"{c.title} {c.probability or 0.0:.2f}" for c in likeliest)
     options = options if len(options) <= SHORT else " | ".join(c.title for c in likeliest)
@@ -37,6 +38,8 @@ def headline(found: Diagnosis) -> str:
         verdict = (
             f"cause unknown ({place(found)} first): no effect in the library fits; {named(found)} describe the errors"
         )
+    if found.offered is not None and not found.offered.better:
+        verdict = f"{found.offered.sentence}; {verdict}"
     return f"not confirmed: {verdict}" if found.confirmed is False else verdict
 
 

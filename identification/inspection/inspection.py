@@ -51,7 +51,7 @@ HARDLY_LESS = 0.8  # of what the drawing leaves: a fit that explains nothing
 class JointRange:
     """The positions of one joint [rad or mm], as the controller counts; `outside`: rows beyond its limits;  `limited`:
     False where it may turn all the way round, and readings of several turns do not matter, or nothing says its limits
-    (NaN)."""
+    (NaN);  still : the joint itself hardly moves, whatever others in its column do."""
 
     joint: int
     kind: str
@@ -61,6 +61,7 @@ class JointRange:
     limit_high: float
     outside: int
     limited: bool = True
+    still: bool = False
 
     @property
     def unit(self) -> str:
@@ -167,7 +168,7 @@ class Inspection:
     @property
     def notes(self) -> tuple[str, ...]:
         """What these data cannot say, in sentences."""
-        still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
+        still = [str(j.joint) for j in self.joints if j.still]
         said = [] if self.other_units or not still else [_hardly(still)]
         said += [*self.turned, *(_unseen(j) for j in self.unseen if str(j) not in still)]
         if self.fit is not None and self.commanded is not None:
@@ -331,8 +332,11 @@ def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
     shown, (lower, upper) = in_columns(postures, arm.joint_types), arm.column_limits
     has_limits = np.isfinite(lower) & (limited(arm) | [j in tied for j in range(1, arm.links + 1)])
-    columns = zip(arm.joint_types, shown.T, lower, upper, beyond, has_limits, strict=True)
+    still = np.ptp(postures, axis=0) < np.where(np.array(arm.joint_types) == REVOLUTE, STILL, 0.0)
+    columns = zip(arm.joint_types, shown.T, lower, upper, beyond, has_limits, still, strict=True)
     return tuple(
-        JointRange(j, kind, float(q.min()), float(q.max()), float(low), float(high), int(outside), bool(has))
-        for j, (kind, q, low, high, outside, has) in enumerate(columns, start=1)
+        JointRange(
+            j, kind, float(q.min()), float(q.max()), float(low), float(high), int(outside), bool(has), bool(rests)
+        )
+        for j, (kind, q, low, high, outside, has, rests) in enumerate(columns, start=1)
     )

@@ -5,6 +5,7 @@ The tracker moved, a motor was changed, a year went by: most of what was found s
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -28,10 +29,12 @@ from identification.kinematics.turns import TURN
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import with_markers
+from identification.row_digests import ROW_DIGESTS, rows_shared, union
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import SESSIONS, with_base
-from identification.validate.row_groups import identified
+from identification.validate.row_groups import data_hashes, identified
 
+MOSTLY = 0.5  # of the rows; coarse readings of postures that are commanded again may agree by chance
 HELD_FROM = "held_from"  # key of a calibration's provenance
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -160,6 +163,8 @@ def _of_both(own: Mapping[str, Any], before: Mapping[str, Any], kinds: Sequence[
     """Provenance of a calibration that keeps what an earlier one knew."""
     data = {key: before[key] for key in ("sha256", "rows") if key in before}
     both = {**own, HELD_FROM: {**before.get(HELD_FROM, {}), str(before.get("file", "data")): data}}
+    if kept := [one[ROW_DIGESTS] for one in (own, before) if isinstance(one.get(ROW_DIGESTS), str)]:
+        both[ROW_DIGESTS] = union(kept)
     new, old = (range_of(one, kinds) for one in (own, before))
     if new is not None and old is not None:
         widest = [_widest(*three) for three in zip(new.T, old.T, kinds, strict=True)]
@@ -176,17 +181,22 @@ def _widest(new: Array, old: Array, kind: str) -> list[float]:
 
 
 # -- an earlier calibration as the prior ------------------------------------------------------------------------------
-def earlier(calibrated: Arm, model: Model) -> Earlier:
+def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlier:
     """What a calibrated arm says of a model's parameters, but for where base and measured points are, which are found
     anew; given what the model holds.
 
-    Raises `InputError` for another drawing, no covariance, and no parameter in common.
+    measurements : that it is to be the prior of
+
+    Raises `InputError` for another drawing, no covariance, no parameter in common, and measurements that the
+    calibration comes from: they would count twice. Warns (`UserWarning`) of some rows that are in both, and where the
+    calibration does not say which rows it comes from.
     """
     found = calibrated.calibration
     if found is None or found.covariance is None:
         raise InputError("prior: found no covariance, allowed: a file written by `armcal identify --out`")
     if not same_drawing(calibrated, model.arm):
         raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
+    _check_other_rows(found.provenance, measurements)
     values = np.array([found.values[name] for name in found.parameter_names])
     whole = Earlier(found.parameter_names, values, found.covariance)
     held = {name: value for name, value in model.fixed.items() if name in found.parameter_names}
@@ -195,6 +205,29 @@ def earlier(calibrated: Arm, model: Model) -> Earlier:
     if not set(of_both.names) - set(held):
         raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
     return of_both.given({name: value for name, value in held.items() if name not in anew})
+
+
+def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> None:
+    """Raises `InputError` for measurements that a calibration of this provenance comes from, in any order, for most of
+    them and for measurements that have most of its own."""
+    known = {sha for one in (origin, *origin.get(HELD_FROM, {}).values()) for sha in data_hashes(one)}
+    if not known.isdisjoint(data_hashes(measurements.provenance)):
+        found = "the calibration comes from these measurements, which would count twice"
+        raise InputError(f"prior: {found}, allowed: measurements that it does not know")
+    if not isinstance(text := origin.get(ROW_DIGESTS), str):
+        why = "the calibration does not say which rows it comes from, as of an earlier version"
+        warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=3)
+        return
+    both = rows_shared(text, measurements.postures, measurements.positions)
+    rows = f"about {100.0 * both.measurements:.2g} % of these rows are among those that the calibration comes from"
+    if max(both) >= MOSTLY:
+        every = (
+            f", {100.0 * both.calibration:.2g} % of all of its own" if both.calibration < 1.0 else ", all of its own"
+        )
+        found = f"{rows}{every}, which would count twice"
+        raise InputError(f"prior: found that {found}, allowed: measurements that it does not know")
+    if both.measurements > 0.0:
+        warnings.warn(f"prior: {rows}, and count twice", UserWarning, stacklevel=3)
 
 
 def set_up_anew(parameter: Parameter, model: Model) -> bool:

@@ -208,7 +208,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     left = (distances(each) for each in (residuals, nominal))
     said += [seen] if (seen := seen_in_words(arm, measurements.postures, *left)) else []
     said += [] if arm.chain is None or refit == "none" else fresh_points(arm.chain, measurements)
-    return replace(found, notes=(*said, *_notes(arm, measurements, free)))
+    return replace(found, notes=(*said, *_notes(arm, measurements, free, refit)))
 
 
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
@@ -295,7 +295,7 @@ def _hardly_better(found: Validation) -> list[str]:
     return [f"the model leaves {share}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"]
 
 
-def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[str]:
+def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) -> Iterator[str]:
     """What to know before these figures are believed."""
     own = identified(arm)
     known = {sha for one in (own, *own.get("held_from", {}).values()) for sha in data_hashes(one)}
@@ -304,6 +304,8 @@ def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[
     if far := extrapolation(arm, measurements.postures):
         yield far
     model = Model(arm)
+    if once := [effect.key for effect in model.effects if effect.once and refit != "none"]:
+        yield f"{', '.join(once)}: of the session of the identification only; taken as at its end, in all rows"
     for effect in model.effects:
         for need, column in (("temperature", "temperature_C"), ("time", "order or time_s")):
             missing = measurements.temperature is None if need == "temperature" else measurements.order is None

@@ -24,6 +24,7 @@ from identification.files.csv import read_table
 from identification.files.measurement import load_measurements, measurement_text
 from identification.files.measurement_columns import read_postures
 from identification.files.target import commands_text, load_targets
+from identification.inspection.inspection import inspect
 from identification.kinematics.counting import Counting, JointKinds
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -195,3 +196,20 @@ def test_bad_files(tmp_path: Path, lines: str, said: str) -> None:
     path.write_text(PLANAR.replace("-150.0]", "50.0]"))
     with pytest.raises(InputError, match="joint 3 has lower 50 >= upper 40, allowed: lower < upper"):
         load_arm(path)
+
+
+def test_check_shows_columns(arm: Arm) -> None:
+    """Ranges and limits are the columns'; joint 3 rests, though joint 2 moves its column."""
+    q = np.random.default_rng(7).uniform([-2.0, -2.5, 0.4], [2.0, -0.3, 0.41], (30, 3))
+    columns = COUNTING.columns(q)
+    found = inspect(arm, simulate(arm, q, np.random.default_rng(8)))
+    shown = [joint.to_json() for joint in found.joints]
+    np.testing.assert_allclose(np.radians([joint["low"] for joint in shown]), columns.min(axis=0), atol=1e-9)
+    np.testing.assert_allclose(np.radians([joint["high"] for joint in shown]), columns.max(axis=0), atol=1e-9)
+    assert [joint["limit_low"] for joint in shown] == pytest.approx([-170.0, -60.0, -150.0])
+    assert [joint["limit_high"] for joint in shown] == pytest.approx([170.0, 80.0, 40.0])
+    assert "joint 3 hardly moves: its own errors cannot be seen" in found.notes
+    free = replace(arm, constraints=(), lower=np.full(3, -np.pi), upper=np.full(3, np.pi))
+    last = inspect(free, simulate(arm, q, np.random.default_rng(8))).joints[2]
+    assert last.to_json()["limit_low"] is None
+    assert not last.limited

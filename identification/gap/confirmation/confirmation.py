@@ -110,6 +110,7 @@ class Confirmation:
     named : False if no effect was named, so that no gap has to shrink
     file : that the rows come from, where only its order numbers tell that they are another session; else None
     refitted : what was fitted to these rows first, since they are of another set-up: `base`, `reflector C`
+    largest_before, largest_after : distances [mm] of the row that is farthest off
     """
 
     transfer: str
@@ -126,6 +127,8 @@ class Confirmation:
     named: bool = True
     file: str | None = None
     refitted: tuple[str, ...] = ()
+    largest_before: float = np.nan
+    largest_after: float = np.nan
 
     @property
     def where(self) -> str:
@@ -174,7 +177,8 @@ class Confirmation:
             "as_predicted",
             "confirmed",
         )
-        return {name: getattr(self, name) for name in names} | {"refitted": [*self.refitted]} | lengths
+        more = {"max_before_mm": self.largest_before, "max_after_mm": self.largest_after, "refitted": [*self.refitted]}
+        return {name: getattr(self, name) for name in names} | lengths | more
 
 
 class HeldOut(NamedTuple):
@@ -225,6 +229,8 @@ def confirm(
         shrinks(gained, rows, level) if named else None,
         False if exceeds else (True if excess.detects(rows.predicted.value) else None),
         named,
+        largest_before=float(np.sqrt(rows.before.max())),
+        largest_after=float(np.sqrt(rows.after.max())),
     )
 
 

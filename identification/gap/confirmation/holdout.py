@@ -167,7 +167,7 @@ def placed_residuals(
     return predicted(base).residuals(set_up), own.residuals(set_up), set_up
 
 
-def refitted_in_words(there: HeldOut | None) -> list[str]:
+def other_set_up(there: HeldOut | None) -> list[str]:
     """A sentence about what another set-up of the hold-out has had refitted, if anything."""
     if there is None or not there.refitted:
         return []

@@ -79,9 +79,10 @@ class Folder:
         done = CliRunner().invoke(main, list(words), catch_exceptions=False)
         return Outcome(done.exit_code, done.stdout, without_progress(done.stderr))
 
-    def simulated(self) -> None:
-        """Write data.csv: the truth measured at plan.csv."""
-        done = self.armcal("simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv")
+    def simulated(self, name: str = "data.csv", seed: int = 0) -> None:
+        """Write data.csv, or another file: the truth measured at plan.csv."""
+        words = ["simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", name, "--seed", str(seed)]
+        done = self.armcal(*words)
         assert done.code == 0, done.err
 
 

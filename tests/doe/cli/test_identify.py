@@ -187,20 +187,21 @@ def test_what_is_held_counts_from_the_old_temperature(folder: Folder) -> None:
 def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     """`--prior` alone means the library, wherever it stands; before a file an earlier calibration."""
     folder.simulated()
-    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    folder.armcal("identify", "arm.toml", "data.csv", "--sigma", "given", "--out", "calibrated.toml")
     flag = folder.armcal("identify", "--prior", "arm.toml", "data.csv", "--missing", "backlash", "--json").data
     assert flag["prior"]["effects"] == [f"backlash:{j}" for j in (1, 2, 3, 4)]
-    last = ["identify", "arm.toml", "data.csv", "--json", "--prior", "calibrated.toml"]
-    first = ["identify", "--prior=calibrated.toml", "arm.toml", "data.csv", "--json"]
-    named = ["identify", "arm.toml", "data.csv", "--json", "--prior-from", "calibrated.toml"]
-    found = [folder.armcal(*words).data for words in (last, first, named)]
+    folder.simulated("again.csv", seed=1)
+    last = ["identify", "arm.toml", "again.csv", "--json", "--prior", "calibrated.toml"]
+    first = ["identify", "--prior=calibrated.toml", "arm.toml", "again.csv", "--json"]
+    named = ["identify", "arm.toml", "again.csv", "--json", "--prior-from", "calibrated.toml"]
+    found = [folder.armcal(*words, "--sigma", "given").data for words in (last, first, named)]
     assert found[0] == found[1] == found[2]
     assert found[0]["prior_from"]["file"] == "calibrated.toml"
     assert len(found[0]["prior_from"]["parameters"]) == 8
-    assert found[0]["prior_from"]["contradicted"] == []  # the same data
-    alone = folder.armcal("identify", "arm.toml", "data.csv", "--json").data
+    assert found[0]["prior_from"]["contradicted"] == []
+    alone = folder.armcal("identify", "arm.toml", "again.csv", "--sigma", "given", "--json").data
     for with_prior, without in zip(found[0]["parameters"], alone["parameters"], strict=True):
-        assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same data, twice
+        assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same plan, twice
     alias = folder.armcal("identify", "--library-prior", "arm.toml", "data.csv", "--missing", "backlash", "--json").data
     assert alias == flag
     said = folder.armcal("identify", "arm.toml", "data.csv", "--library-prior", "--missing", "backlash").out
@@ -216,6 +217,46 @@ def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     assert "found no covariance" in folder.armcal(*last[:-1], "arm.toml").err
 
 
+def test_rows_that_the_prior_comes_from_do_not_count_twice(folder: Folder) -> None:
+    """The same file, its rows in another order, some of them, with as many others, in other columns' units, and by way
+    of a second calibration; a calibration of an earlier version knows only its file."""
+    folder.simulated()
+    folder.simulated("again.csv", seed=1)
+    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    head, *rows = folder.read("data.csv").splitlines()
+    others = folder.read("again.csv").splitlines()[1:]
+    mixed = [rows[k] for k in np.random.default_rng(3).permutation(len(rows))]
+    table = pl.read_csv(folder.path / "data.csv")
+    names = [name for name in table.columns if name.startswith("q")]
+    radians = table.with_columns([(pl.col(q) * (np.pi / 180.0)).alias(q.replace("deg", "rad")) for q in names])
+    files = {
+        "data.csv": [head, *rows],
+        "mixed.csv": [head, *mixed],
+        "some.csv": [head, *mixed[:5]],
+        "more.csv": [head, *others, *mixed],
+        "radians.csv": radians.drop(names).write_csv().splitlines(),
+    }
+    for name, lines in files.items():
+        folder.write(name, "\n".join(lines) + "\n")
+        done = folder.armcal("identify", "arm.toml", name, "--prior-from", "calibrated.toml", "--out", "twice.toml")
+        assert (done.code, done.out, done.err.count("\n")) == (2, "", 1), name
+        assert "calibrated.toml: prior: " in done.err
+        assert "count twice, allowed: measurements that it does not know" in done.err
+    words = ["identify", "arm.toml", "again.csv", "--prior-from", "calibrated.toml"]
+    assert folder.armcal(*words, "--out", "both.toml").err == ""
+    for name in ("some.csv", "data.csv", "again.csv"):
+        assert folder.armcal("identify", "arm.toml", name, "--prior-from", "both.toml").code == 2
+    folder.write("few.csv", "\n".join([head, *others, *mixed[:2]]) + "\n")
+    few = folder.armcal("identify", "arm.toml", "few.csv", "--prior-from", "calibrated.toml")
+    assert (few.code, "about 14 % of these rows are among those" in few.err) == (0, True)
+    old = re.sub(r"row_digests = .*\n", "", folder.read("calibrated.toml"))
+    folder.write("old.toml", old)
+    words = ["identify", "arm.toml", "data.csv", "--prior-from", "old.toml"]
+    assert folder.armcal(*words).code == 2
+    unknown = folder.armcal(*[word.replace("data", "again") for word in words])
+    assert (unknown.code, "does not say which rows it comes from" in unknown.err) == (0, True)
+
+
 def test_a_prior_that_the_data_contradict_is_named_first(folder: Folder) -> None:
     """The zero of joint 3 moved by 1.3 deg since, and nothing else."""
     folder.simulated()
@@ -224,7 +265,8 @@ def test_a_prior_that_the_data_contradict_is_named_first(folder: Folder) -> None
     zeros = tomllib.loads(text)["calibration"]["joint_offsets_deg"]
     moved = [*zeros[:2], zeros[2] + 1.3, zeros[3]]
     folder.write("moved.toml", re.sub(r"joint_offsets_deg = .*", f"joint_offsets_deg = {moved}", text))
-    words = ["identify", "arm.toml", "data.csv", "--prior", "moved.toml"]
+    folder.simulated("again.csv", seed=1)
+    words = ["identify", "arm.toml", "again.csv", "--prior", "moved.toml"]
     (one,) = folder.armcal(*words, "--json").data["prior_from"]["contradicted"]
     assert (one["name"], one["unit"], one["prior"]) == ("joint_offset:3", "deg", pytest.approx(moved[2]))
     assert one["value"] == pytest.approx(zeros[2], abs=4.0 * one["std"])

@@ -121,12 +121,48 @@ def test_what_cannot_be_shown_is_one_line(folder: Folder, words: list[str], expe
     assert not (folder.path / "page.html").exists()
 
 
-def test_commands_are_no_measurements(campaign: Folder) -> None:
-    campaign.write("targets.csv", "x_mm,y_mm\n400,100\n9000,0\n")
-    assert campaign.armcal("compensate", "cal.toml", "targets.csv", "--out", "commands.csv").code == 0
+def test_commands_are_shown_with_what_has_none(campaign: Folder) -> None:
+    campaign.write("targets.csv", "x_mm,y_mm\n400,100\n300,-50\n9000,0\n")
+    made = campaign.armcal("compensate", "cal.toml", "targets.csv", "--out", "commands.csv", "--json").data
+    done = campaign.armcal("report", "arm.toml", "cal.toml", "commands.csv", "--out", "page.html", "--json")
+    assert done.code == 0, done.err
+    assert done.data["files"][-1]["kind"] == "joint commands"
+    assert done.data["verdict"][-1] == "commands.csv has commands for 2 of 3 targets; row 3 has none."
+    text = campaign.read("page.html")
+    assert ">Joint commands: commands.csv<" in text
+    for angle in made["commands_deg"][0]:
+        assert f">{angle:.3f}</td>" in text
+    assert made["commands"][2]["message"] in text
+    assert "armcal compensate" in text  # where nothing but the arm says what is next, as before
+
+
+def test_commands_whose_numbers_are_none_are_one_line(campaign: Folder) -> None:
+    campaign.write("commands.csv", "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm,error_mm,reachable\n1,2,3,4,5,x,0.1,1\n")
     done = campaign.armcal("report", "arm.toml", "commands.csv", "--out", "page.html")
     assert done.code == 2
-    assert "commands.csv: commands that armcal compensate wrote, allowed: " in done.err
+    assert "commands.csv: row 1 (line 2), column y_mm: found 'x', allowed: a finite number" in done.err
+
+
+def test_the_headline_is_the_error_on_rows_that_no_fit_has_seen(campaign: Folder) -> None:
+    """Whichever file says it: other measurements, what `validate` said of them, or a diagnosis with rows held out."""
+    words = "diagnose", "arm.toml", "data.csv", "--draws", "399", "--holdout", "other.csv", "--json"
+    campaign.write("diag.json", campaign.armcal(*words).out)
+    valid, diagnosis = (json.loads(campaign.read(name)) for name in ("valid.json", "diag.json"))
+    by_rows = f"to {in_a_sentence(valid['rms_mm'])} mm"
+    by_diagnosis = f"to {in_a_sentence(diagnosis['confirmation']['after_mm'])} mm"
+    for names, start, figure in (
+        (["data.csv", "other.csv"], "On 12 rows of other.csv, cal.toml takes the RMS error from", by_rows),
+        (["data.csv", "valid.json"], "On 12 rows of other measurements, the model takes the RMS error from", by_rows),
+        (["data.csv", "diag.json"], "On 12 rows that no fit has seen the RMS error goes from", by_diagnosis),
+        (["data.csv", "diag.json", "other.csv"], "On 12 rows of other.csv, cal.toml takes the RMS", by_rows),
+        (["data.csv", "ident.json"], "On 12 rows of data.csv, which it was fitted to", ""),
+    ):
+        done = campaign.armcal("report", "arm.toml", "cal.toml", *names, "--out", "page.html", "--force", "--json")
+        assert done.code == 0, done.err
+        headline = done.data["verdict"][0]
+        assert headline.startswith(start), headline
+        assert figure in headline
+        assert len(set(done.data["verdict"])) == len(done.data["verdict"])
 
 
 def test_a_page_is_replaced_by_force_only(folder: Folder) -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doe.cli.common import Answer, with_collisions
+from doe.problem.spatial import COLLISIONS
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
@@ -20,6 +22,7 @@ from identification.kinematics.parameters import PRISMATIC
 from identification.kinematics.spatial import SpatialChain
 from identification.measurements import rms_distance
 from identification.model import Model
+from tests.doe.cli.conftest import ARM as PLANAR
 from tests.doe.cli.conftest import Folder
 
 DATA = Path(__file__).parents[2] / "data"
@@ -359,3 +362,25 @@ def test_a_misfit_is_said_once(spatial: Folder, as_json: bool) -> None:
     done = spatial.armcal("identify", "arm.toml", "data.csv", *(["--json"] if as_json else []))
     assert "misfit: the residuals scatter" in done.out
     assert ("misfit: the residuals scatter" in done.err) is as_json
+
+
+def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Folder) -> None:
+    """Once each, and in JSON; no plan in the plane does."""
+    words = {
+        "design": ("--runs", "14", "--starts", "1", "--seconds", "1"),
+        "score": ("plan.csv", "--seconds", "1"),
+        "advise": ("--runs", "14:14", "--seconds", "1"),
+        "relax": ("--candidates", "plan.csv", "--runs", "20", "--no-check"),
+    }
+    for verb, rest in words.items():
+        shown = " ".join(spatial.armcal(verb, "arm.toml", *rest).out.split())
+        assert shown.count(COLLISIONS) == 1, verb
+        assert spatial.armcal(verb, "arm.toml", *rest, "--json").data["collisions_checked"] is False
+    assert "--candidates" in COLLISIONS
+    assert with_collisions(Answer({}, []), load_arm(spatial.path / "arm.toml")).shown == [COLLISIONS]  # what all call
+    spatial.armcal("report", "arm.toml", "plan.csv", "--out", "page.html")
+    assert COLLISIONS in (spatial.path / "page.html").read_text()
+    spatial.write("planar.toml", PLANAR)
+    flat = spatial.armcal("design", "planar.toml", "--runs", "20")
+    assert "Collisions" not in flat.out
+    assert "collisions_checked" not in spatial.armcal("design", "planar.toml", "--runs", "20", "--json").data

@@ -283,6 +283,13 @@ def test_commas_separate_where_the_header_has_them(tmp_path: Path) -> None:
         ("a;b\n1,5;2\n3;4;5\n", ["row 2 (line 3)", "found 3 cells", "allowed: 2"]),
         ("1,2\n3,4\n", ["line 1", "'1'", "allowed: the names"]),
         ("\na,b\n1,2\n", ["line 1 is blank", "allowed"]),
+        ("# by hand\n# fit: library-prior\n\na,b\n", ["line 3 is blank", "allowed"]),
+        ("# by hand\n1,2\n3,4\n", ["line 2", "'1'", "allowed: the names"]),
+        ("# by hand\na,b\n1,2\n3\n4,5\n", ["row 2 (line 4)", "found 1 cells", "allowed: 2"]),
+        ('# by hand\na,b\n1,"2\n3,4\n', ["row 1 (from line 3)", "unexpected end"]),
+        ("# fit: splines\na,b\n1,2\n", ["line 1: fit 'splines'", "allowed: library-prior, or library-prior --missing"]),
+        ("# fit:\na,b\n1,2\n", ["line 1: fit ''", "allowed: library-prior"]),
+        ("# a,b\n", ["line 2 is blank", "allowed"]),
         ("a,,b\n1,2,3\n", ["column 2 has no name", "allowed"]),
         ("a,b\r1,2\r", ["carriage return", "allowed"]),
         (b"a,b\n1,\xff\n", ["UTF-8", "line 2"]),
@@ -292,6 +299,26 @@ def test_commas_separate_where_the_header_has_them(tmp_path: Path) -> None:
 )
 def test_bad_csv(tmp_path: Path, content: str | bytes, parts: list[str]) -> None:
     names(message_of(table, tmp_path, content), "data.csv: ", *parts)
+
+
+@pytest.mark.parametrize(
+    ("above", "fit", "lines"),
+    [
+        ("", "", 0),
+        ("# by hand\n", "", 1),
+        ("# fit: library-prior\n", "library-prior", 1),
+        ("\ufeff# fit: library-prior\r\n", "library-prior", 1),
+        ("#fit:library-prior\n# by hand, on Monday\n", "library-prior", 2),
+        ("# fit: library-prior --missing backlash,gear_ratio\n", "library-prior --missing backlash,gear_ratio", 1),
+        ('"# fit: library-prior --missing backlash,gear_ratio",\n', "library-prior --missing backlash,gear_ratio", 1),
+        ("# fit: library-prior,,\n", "library-prior", 1),
+    ],
+)
+def test_comments_above_the_header(tmp_path: Path, above: str, fit: str, lines: int) -> None:
+    """As written, as a spreadsheet saves them again, and of any other kind; rows keep their lines."""
+    read = table(tmp_path, f"{above}a,x_mm\n1,2.5\n3,nan\n")
+    assert (read.fit, read.columns, len(read)) == (fit, ("a", "x_mm"), 2)
+    names(message_of(read.floats, "x_mm"), f"data.csv: row 2 (line {lines + 3}), column x_mm")
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "abc", "1.2.3", "1e999", "0x10", "1_000", "--1"])

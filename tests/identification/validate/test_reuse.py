@@ -61,7 +61,7 @@ def test_an_earlier_calibration_as_prior_is_the_fit_of_both() -> None:
     words = ["lengths", "base_offset"]
     calibrated = estimate(only(ARM, words), first, sigma="given").calibrated_arm()
     model = only(ARM, words)
-    found = estimate_with_prior(model, second, Prior({}, earlier(calibrated, model)), sigma="given")
+    found = estimate_with_prior(model, second, Prior({}, earlier(calibrated, model, second)), sigma="given")
     base_1, base_2 = np.zeros((24 + 8, 2)), np.zeros((24 + 8, 2))
     base_1[:24], base_2[24:] = np.tile(np.eye(2), (12, 1)), np.tile(np.eye(2), (4, 1))
     lengths = np.concatenate([columns(first.postures), columns(second.postures)])
@@ -80,7 +80,7 @@ def test_what_is_held_conditions_the_prior() -> None:
     calibrated = estimate(only(ARM, ["lengths"]), first, sigma="given").calibrated_arm()
     known = Calibration({**FIXED.values, "length_error:1": 0.7})
     model = only(replace(ARM, calibration=known), ["length_error:2", "length_error:3"])
-    found = estimate_with_prior(model, second, Prior({}, earlier(calibrated, model)), sigma="given")
+    found = estimate_with_prior(model, second, Prior({}, earlier(calibrated, model, second)), sigma="given")
     both = np.concatenate([columns(first.postures), columns(second.postures)])
     expected = np.linalg.lstsq(both[:, 1:], np.r_[one, other] - 0.7 * both[:, 0], rcond=None)[0]
     np.testing.assert_allclose(found.parameters, expected, rtol=0, atol=1e-8)
@@ -163,10 +163,10 @@ def test_words_that_name_nothing() -> None:
 
 def test_priors_that_do_not_fit() -> None:
     with pytest.raises(InputError, match="prior: found no covariance"):
-        earlier(ARM, Model(ARM))
+        earlier(ARM, Model(ARM), session(1, 5, (0.0, 0.0))[0])
     other = replace(ARM, lengths=LENGTHS + 1.0, calibration=replace(FIXED, covariance=np.eye(1)))
     with pytest.raises(InputError, match="prior: a calibration of another drawing"):
-        earlier(other, Model(ARM))
+        earlier(other, Model(ARM), session(1, 5, (0.0, 0.0))[0])
 
 
 def test_a_held_base_that_stands_elsewhere_is_said() -> None:
@@ -217,7 +217,7 @@ def test_heights_of_base_and_reflector_that_only_the_tilts_of_parallel_axes_tell
 
     before = set_up(60, [40.0, 10.0, 60.0], {"base.x": 1500.0, "base.y": -400.0, "base.rx": 0.02, "base.rz": 0.7})
     after = set_up(40, [45.0, -15.0, 80.0], {"base.x": 1200.0, "base.y": 300.0, "base.ry": 0.01, "base.rz": -0.3})
-    prior = earlier(estimate(model, before).calibrated_arm(), model)
+    prior = earlier(estimate(model, before).calibrated_arm(), model, after)
     found = estimate_with_prior(model, after, Prior({}, prior))
     assert found.status is Status.converged
     assert found.iterations < 60
