@@ -199,20 +199,18 @@ def linearized(
     library: HypothesisSet,
     at: Fit,
     rows: Rows,
-    base_names: Sequence[str],
     wrong: Sequence[int] = (),
     outside: frozenset[str] | None = None,
 ) -> Linearized:
     """All blocks at a fitted model `at`, which may have effects of the library in it, for rows with any noise model.
 
-    base_names : parameters of the base model;  wrong : rows that may be outlying
+    wrong : rows that may be outlying
     outside : labels of blocks outside the library, None: all
     """
     model = at.model
     position, jacobian = model.linearize(rows.postures, at.values, rows.conditions)
-    names = list(model.names)
-    base = [names.index(name) for name in base_names]
-    added = [k for k in range(len(names)) if k not in set(base)]
+    base = library.own_places(model)
+    added = np.setdiff1d(np.arange(len(at.values)), base)
     # the data as the base model sees them: what the fit has beyond it is given back
     y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
     found = library.columns(rows, at.by_name, None, model)

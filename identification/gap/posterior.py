@@ -107,7 +107,7 @@ def _settled(
     for turn in range(PASSES):
         tell(f"pass {turn + 1}")
         wrong, every = _striking(rows, at), list(noises(rows, at))
-        problem = linearized(library, at, every[number].rows, library.base.names, wrong, outside)
+        problem = linearized(library, at, every[number].rows, wrong, outside)
         sets = _searched(library, problem, chosen)
         best = tuple(problem.blocks[b].label for b in sets[0].blocks)
         first, there = _likelihoods(library, every, at, problem, sets[0])
@@ -128,7 +128,7 @@ def _settled(
     order = [int(k) for k in np.argsort(-score, kind="stable") if k != number and score[k] > score.max() - UNLIKELY]
     for k in order[: NOISES - 1]:
         tell(f"other noise: {every[k].name or 'white'}")
-        other = linearized(library, at, every[k].rows, library.base.names, wrong, outside)
+        other = linearized(library, at, every[k].rows, wrong, outside)
         offset = float(first[k] - first[number]) + every[k].prior
         models.append((every[k], other, _searched(library, other, chosen), offset))
     return _mixture(models, library, rows, at)
@@ -183,11 +183,9 @@ def _likelihoods(
 ) -> tuple[Array, Array]:
     """(K,) log likelihood of each noise, with nothing missing, and with the best set."""
     rows = every[0].rows
-    base = library.base
-    names = list(at.model.names)
-    own = [names.index(name) for name in base.names]
+    own = library.own_places(at.model)
+    added = np.setdiff1d(np.arange(len(at.values)), own)
     position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
-    added = [k for k in range(len(names)) if k not in own]
     left = rows.positions - position + jacobian[:, :, added] @ at.values[added]
     plain = jacobian[:, :, own] / at.model.scales[own]
     first = np.array([log_likelihood(n.rows, left, plain) for n in every])

@@ -27,7 +27,7 @@ from identification.gap.evidence import ROUNDING, SIZES, Products
 # reasons: identification/README.md, "Constants"
 SOME = 4.0  # prior odds of something missing to nothing
 TAIL = 3.0  # p(K) ~ K^-TAIL
-WRONG = 0.002  # prior odds of a row to be outlying
+WRONG = 0.0005  # prior odds of a row to be outlying
 WEIGHED = 3.0  # log odds below the best within which a neighbor is weighed exactly
 EXPANDED = 3.0  # and within which a set is expanded
 MOST, EXCHANGED = 20, 4  # effort: sets that are expanded, and those of them with exchanges

@@ -41,9 +41,8 @@ def left_out(found: Posterior, kept: NDArray[np.bool_], folds: Groups) -> LeftOu
     problem, noise = found.problems[number], found.noises[number].rows.pick(kept)
     at, rows = found.at, noise
     position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
-    names = list(at.model.names)
-    base = [names.index(name) for name in found.library.base.names]
-    added = [k for k in range(len(names)) if k not in base]
+    base = found.library.own_places(at.model)
+    added = np.setdiff1d(np.arange(len(at.values)), base)
     y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
     own = jacobian[:, :, base] / at.model.scales[base]
     sets = [e for e in found.explanations if e.noise == number and e.probability >= LIKELY][:MOST]

@@ -132,6 +132,13 @@ class HypothesisSet:
         """Hypotheses without a scanned setting that can act on the base model."""
         return tuple(h for h in self.members if not h.scanned and self.acts(h))
 
+    def own_places(self, model: Model) -> list[int]:
+        """Indices of the base model's parameters in a model with further effects, where similar ones change their names."""
+        own = [p.name for effect in self.base.effects for p in effect.parameters]
+        there = [p.name for effect in model.effects[: len(self.base.effects)] for p in effect.parameters]
+        renamed = dict(zip(own, there, strict=True))
+        return [model.parameters.index(renamed.get(name, name)) for name in self.base.names]
+
     def acts(self, hypothesis: Hypothesis) -> bool:
         """False if the effect only changes others (`Effect.through`) and the base model has none of those."""
         through = hypothesis.effect.through

@@ -26,7 +26,9 @@ def products(seed: int, sizes: dict[int, float]) -> Products:
     return Products(z.T @ z, z.T @ y, float(y @ y), 36, STARTS, np.zeros(7, dtype=bool))
 
 
-@pytest.mark.parametrize(("seed", "sizes"), [(1, {}), (2, {0: 8.0}), (3, {0: 10.0, 5: -9.0}), (4, {1: 6.0, 3: 7.0, 6: 9.0})])
+@pytest.mark.parametrize(
+    ("seed", "sizes"), [(1, {}), (2, {0: 8.0}), (3, {0: 10.0, 5: -9.0}), (4, {1: 6.0, 3: 7.0, 6: 9.0})]
+)
 def test_probabilities_are_those_of_all_sets(seed: int, sizes: dict[int, float]) -> None:
     given = products(seed, sizes)
     search = Search(given, WEIGHTS, ROWS)

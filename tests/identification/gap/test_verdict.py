@@ -12,7 +12,9 @@ def drawn(rng: np.random.Generator) -> Probabilities:
     """Random probabilities of up to 30 explanations, of any sharpness."""
     count = int(rng.integers(0, 12))
     shares = rng.dirichlet(np.full(count + 3, 10.0 ** rng.uniform(-2.0, 1.0)))
-    names = [tuple(sorted(f"effect:{j}" for j in rng.choice(9, rng.integers(1, 4), replace=False))) for _ in range(count)]
+    names = [
+        tuple(sorted(f"effect:{j}" for j in rng.choice(9, rng.integers(1, 4), replace=False))) for _ in range(count)
+    ]
     sets: dict[tuple[str, ...], float] = {}
     for name, p in zip(names, shares[3:], strict=True):
         sets[name] = sets.get(name, 0.0) + float(p)
