@@ -52,11 +52,17 @@ def moments(found: Posterior) -> Moments:
     """Mean and covariance of the blocks that an arm file can have, of those that are likely."""
     shares: dict[str, float] = {}
     known: dict[str, tuple[Block, int]] = {}
+    numbers = [{block.label: k for k, block in enumerate(problem.blocks)} for problem in found.problems]
     for one in found.explanations:
+        inside: dict[str, int] = {}
         for block, b in zip(one.blocks, one.weighed.blocks, strict=True):
             if block.named or block.basis is not None:
-                shares[block.label] = shares.get(block.label, 0.0) + one.probability
-                known.setdefault(block.label, (block, found.problems[one.noise].roots[b].shape[0]))
+                inside[block.label] = b
+            inside |= {label: numbers[one.noise][label] for label in block.parts}
+        for label, b in inside.items():
+            problem = found.problems[one.noise]
+            shares[label] = shares.get(label, 0.0) + one.probability
+            known.setdefault(label, (problem.blocks[b], problem.roots[b].shape[0]))
     kept = [label for label in known if shares[label] >= WRITTEN]
     order = {label: k for k, label in enumerate(found.order)}
     kept.sort(key=lambda label: order.get(label, len(order)))
@@ -91,6 +97,16 @@ def moments(found: Posterior) -> Moments:
                 turn[:g, part] = problem.response[:, own[part]]
             elif block.row:
                 turn[:g, part] = problem.response[:, own[part]]
+            elif block.parts:
+                first = row = 0
+                for label in block.parts:
+                    root = problem.roots[numbers[one.noise][label]]
+                    if label in place:
+                        here = np.arange(at + first, at + first + root.shape[1])
+                        rows = slice(row, row + root.shape[0])
+                        turn[np.ix_(g + place[label], here)] = problem.roots[b][rows, first : first + root.shape[1]]
+                        turn[:g, here] = problem.response[:, own[here]]
+                    first, row = first + root.shape[1], row + root.shape[0]
             at += width
         there = turn @ z
         there[:g] += problem.base

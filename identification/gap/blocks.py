@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve, local_splines
@@ -29,6 +30,7 @@ LENGTHS = (0.15, 0.5, 1.5)  # correlation lengths of error curves [rad]
 MOST_NODES = 60  # effort: of one curve
 TIMES = 12  # half periods in a session of the fastest smooth function of time
 WARPS = {2: 4, 3: 3}  # half periods along the axes of the workspace, in sum
+REST = "library"  # label of the rest of the library
 CHUNK = 2**20  # numbers worked on at once: eight megabytes
 
 
@@ -81,6 +83,7 @@ class Block:
     key : `name:joint` of an effect, without settings; else its place;  label : unique
     place : `joint:j`, `time`, `workspace`, `row:i` (from 0)
     member : of an effect its hypothesis;  basis : of an error curve
+    parts : labels of the effects that the rest of the library has in it: many small ones, that cannot be told apart
     """
 
     key: str
@@ -89,6 +92,7 @@ class Block:
     weight: float
     member: Hypothesis | None = None
     basis: Basis | None = None
+    parts: tuple[str, ...] = ()
 
     @property
     def named(self) -> bool:
@@ -240,23 +244,41 @@ def linearized(
     z = np.concatenate([white[:, starts[k] : starts[k + 1]] @ roots[k] for k in shown], axis=1)
     turned = np.concatenate([inside[:, starts[k] : starts[k + 1]] @ roots[k] for k in shown], axis=1)
     blocks = tuple(listed[k][0] for k in shown)
+    columns = [listed[k][1] for k in shown]
+    kept_roots = [roots[k] for k in shown]
+    common = [k for k, b in enumerate(blocks) if b.member is not None and _common(b.member, library)]
+    if len(common) > 1 and outside is None or outside is not None and REST in outside:
+        # the rest of the library as one block: each of its effects with the same expected square
+        ends = np.concatenate([[0], np.cumsum([root.shape[1] for root in kept_roots])])
+        index = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in common])
+        share = 1.0 / np.sqrt(len(common))
+        z, turned = np.hstack([z, share * z[:, index]]), np.hstack([turned, share * turned[:, index]])
+        parts = tuple(blocks[k].label for k in common)
+        blocks = (*blocks, Block(REST, REST, REST, 1.0, parts=parts))
+        kept_roots.append(share * np.asarray(block_diag(*(kept_roots[k] for k in common))))
+        columns.append(np.concatenate([columns[k] for k in common], axis=2))
     products = Products(
         z.T @ z,
         z.T @ target_left,
         float(target_left @ target_left),
         len(target) - int(kept.sum()),
-        np.concatenate([[0], np.cumsum([roots[k].shape[1] for k in shown])]),
+        np.concatenate([[0], np.cumsum([root.shape[1] for root in kept_roots])]),
         np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
     )
     return Linearized(
         blocks,
         products,
-        tuple(roots[k] for k in shown),
+        tuple(kept_roots),
         -back @ turned,
         at.values[base] + back @ (u.T @ target),
         back @ back.T,
-        tuple(listed[k][1] for k in shown),
+        tuple(columns),
     )
+
+
+def _common(member: Hypothesis, library: HypothesisSet) -> bool:
+    """Whether an effect is among the many small ones that an arm may have."""
+    return not member.scanned and member.effect.prior == 1.0 and library.acts(member)
 
 
 def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) -> list[Array]:

@@ -50,7 +50,8 @@ class Explanation:
     @property
     def outside(self) -> tuple[Block, ...]:
         """Its blocks outside the library."""
-        return tuple(b for b in self.blocks if not b.named and not b.row)
+        rest = tuple(b for b in self.blocks if not b.named and not b.row)
+        return () if self.effects and all(b.parts for b in rest) else rest
 
     @property
     def wrong(self) -> tuple[int, ...]:
