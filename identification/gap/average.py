@@ -1,8 +1,8 @@
 """The model that predicts best: the average over the posterior, as an arm file has it.
 
-The coefficients of all blocks that are likely enough have the mean and the covariance of the mixture of all explanations,
-E[cov] + cov[E]; the base's parameters follow them. Blocks that an arm file cannot have (functions of time and workspace) are
-left out, and the base follows what is left.
+The coefficients of all blocks that are likely enough have the mean and the covariance of the mixture of all
+explanations, E[cov] + cov[E]; the base's parameters follow them. Blocks that an arm file cannot have (functions of
+time and workspace) are left out, and the base follows what is left.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class Moments:
     """Mixture over explanations of the parameters of some blocks, with the base's parameters first.
 
     blocks : with the probability of each;  mean : (g + k,);  covariance : (g + k, g + k)
-    response : (g, k) by which the base gives way to each;  sigma : of one coordinate [mm];  effective : number of parameters
+    response : (g, k) by which the base gives way to each;  sigma : of one coordinate [mm];  effective : number of
+    parameters
     """
 
     blocks: tuple[tuple[Block, float], ...]
@@ -48,7 +49,7 @@ class Moments:
     effective: float
 
 
-def moments(found: Posterior) -> Moments:
+def mixture_of(found: Posterior) -> Moments:
     """Mean and covariance of the blocks that an arm file can have, of those that are likely."""
     shares: dict[str, float] = {}
     known: dict[str, tuple[Block, int]] = {}
@@ -126,7 +127,7 @@ def moments(found: Posterior) -> Moments:
 
 
 @dataclass(frozen=True, eq=False)
-class Average:
+class PredictingModel:
     """The predicting model: its values and covariance in the order of its parameters.
 
     specs : entries of the arm file beyond the base's;  curves : among them
@@ -163,9 +164,9 @@ class Average:
         return np.concatenate([jacobian, *parts], axis=2), self.joint
 
 
-def average(found: Posterior, at: Fit, rows: int) -> Average:
+def averaged(found: Posterior, at: Fit, rows: int) -> PredictingModel:
     """The posterior's average as a model;  at : fit of the best explanation;  rows : number of coordinates"""
-    mixed, library = moments(found), found.library
+    mixed, library = mixture_of(found), found.library
     g = len(found.problems[0].base)
     effects = [(k, b) for k, (b, _) in enumerate(mixed.blocks) if b.member is not None]
     widths = [0 if b.member is None else len(b.member.effect.parameters) for b, _ in mixed.blocks]
@@ -178,7 +179,7 @@ def average(found: Posterior, at: Fit, rows: int) -> Average:
     longer = [p.name for e in plain.effects for p in e.parameters]
     renamed = dict(zip(own, longer[: len(own)], strict=True))
     place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
-    for (k, b), effect in zip(effects, plain.effects[len(plain.effects) - len(effects) :], strict=True):
+    for (k, _), effect in zip(effects, plain.effects[len(plain.effects) - len(effects) :], strict=True):
         place |= {p.name: int(ends[k]) + i for i, p in enumerate(effect.parameters)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
     low, high = plain.parameters.lower, plain.parameters.upper
@@ -193,7 +194,7 @@ def average(found: Posterior, at: Fit, rows: int) -> Average:
     joint = mixed.covariance[np.ix_(both, both)] if len(curved) else None
     freedom = max(rows - round(mixed.effective), 1)
     covariance = mixed.covariance[np.ix_(index, index)]
-    return Average(model, values, covariance, every, curves, mixed.sigma, freedom, bases, joint)
+    return PredictingModel(model, values, covariance, every, curves, mixed.sigma, freedom, bases, joint)
 
 
 def _curves(

@@ -1,8 +1,8 @@
 """The dictionary: every block that may be missing, linearized at a fitted model, with its columns scaled to unit size.
 
-A block is an effect of the library at a joint with its scanned settings (a family with one similar parameter a joint is one
-block); an error curve of a joint, a Gaussian process; a smooth function of time, or of the workspace; or the shift of a single
-row. Blocks that are no effect of the library say where something is missing, not what.
+A block is an effect of the library at a joint with its scanned settings (a family with one similar parameter a joint
+is one block); an error curve of a joint, a Gaussian process; a smooth function of time, or of the workspace; or the
+shift of a single row. Blocks that are no effect of the library say where something is missing, not what.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ CHUNK = 2**20  # numbers worked on at once: eight megabytes
 class Basis:
     """Cosine transform of a cubic spline basis of one joint (from 0) between the smallest and largest angle [rad].
 
-    count : K, number of nodes and of cosines;  length : correlation length of the prior [rad], a Matern process of smoothness
-    3/2 (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", 2006, section 4.2)
+    count : K, number of nodes and of cosines;  length : correlation length of the prior [rad], a Matern process of
+    smoothness 3/2 (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", 2006, section 4.2)
     """
 
     joint: int
@@ -109,9 +109,10 @@ class Block:
 class Linearized:
     """All blocks at a fitted model.
 
-    blocks : B of them;  products : of their columns, projected off the base;  roots : of each block the (p, w) matrix from
-    the coefficients of its columns in `products` to its own parameters [API units]
-    response : (g, P) by which the base's parameters give way to each of these coefficients;  base : (g,) their values without
+    blocks : B of them;  products : of their columns, projected off the base;  roots : of each block the (p, w) matrix
+    from the coefficients of its columns in `products` to its own parameters [API units]
+    response : (g, P) by which the base's parameters give way to each of these coefficients;  base : (g,) their values
+    without
     normal : (g, g) inverse of J^T J;  columns : of each block (m, d, p), not whitened
     """
 
@@ -247,7 +248,7 @@ def linearized(
     columns = [listed[k][1] for k in shown]
     kept_roots = [roots[k] for k in shown]
     common = [k for k, b in enumerate(blocks) if b.member is not None and _common(b.member, library)]
-    if len(common) > 1 and outside is None or outside is not None and REST in outside:
+    if (len(common) > 1 and outside is None) or (outside is not None and REST in outside):
         # the rest of the library as one block: each of its effects with the same expected square
         ends = np.concatenate([[0], np.cumsum([root.shape[1] for root in kept_roots])])
         index = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in common])
@@ -286,7 +287,8 @@ def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) 
 
     white : (N, P) whitened columns, projected off the base model;  before : (P,) their squares before projection
 
-    An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter of
+    An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
+    of
     `ALIKE`; what is outside the library has its own columns scaled alone.
     """
     roots: list[Array] = [np.zeros((0, 0))] * len(blocks)

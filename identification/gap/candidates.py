@@ -11,7 +11,7 @@ from identification.arm import Calibration
 from identification.arrays import Array
 from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.uncertainty import FittedRows, Uncertainty, uncertainty
-from identification.gap.average import Average
+from identification.gap.average import PredictingModel
 from identification.gap.candidate import Candidate, Estimate
 from identification.gap.fits.fit import Fit
 from identification.gap.posterior import Posterior
@@ -66,20 +66,20 @@ def candidate_of(
     )
 
 
-def predicting_candidate(average: Average, named: Candidate, postures: Array) -> Candidate:
+def predicting_candidate(model: PredictingModel, named: Candidate, postures: Array) -> Candidate:
     """The posterior's average: what is named, with everything else that it has in it."""
-    freedom = np.full(len(average.values), float(average.freedom))
-    ranges = joint_range(postures, average.model.joint_types)
-    origin = {"source": DIAGNOSED, **ranges, "scatter_mm": average.sigma, **freedom_kept(average.model.names, freedom)}
+    freedom = np.full(len(model.values), float(model.freedom))
+    ranges = joint_range(postures, model.model.joint_types)
+    origin = {"source": DIAGNOSED, **ranges, "scatter_mm": model.sigma, **freedom_kept(model.model.names, freedom)}
     return Candidate(
         named.effects,
-        tuple(average.specs),
+        tuple(model.specs),
         named.classes,
         named.delta_bic,
         named.f,
         named.p_adjusted,
         named.parameters,
-        Calibration(average.by_name, average.model.names, average.covariance, MappingProxyType(origin)),
+        Calibration(model.by_name, model.model.names, model.covariance, MappingProxyType(origin)),
         probability=named.probability,
         intervals=named.intervals,
         reliance=named.reliance,

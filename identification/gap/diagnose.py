@@ -14,7 +14,7 @@ from identification.errors import InputError
 from identification.estimation.checks import check_measurements
 from identification.estimation.outlying import outlying, together
 from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
-from identification.gap.average import Average, average
+from identification.gap.average import PredictingModel, averaged
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate_of, certainty, predicting_candidate, trial_list
 from identification.gap.confirmation.cross_validation import cross_validation
@@ -135,7 +135,7 @@ def diagnosis_of(
     kept[list(found.best.wrong)] = False
     base = fit(library.base, Rows.of(measurements).pick(kept))
     best = refit(found, found.best)
-    predicting = average(found, best, int(kept.sum()) * found.rows.dimension)
+    predicting = averaged(found, best, int(kept.sum()) * found.rows.dimension)
     scatter = findings(found)
     left = predicting.position_residuals(measurements, measurements.conditions)
     estimated = int(kept.sum()) * found.rows.dimension - predicting.freedom
@@ -262,12 +262,12 @@ def unexplained_rows(found: Fit, rows: Rows) -> NDArray[np.bool_]:
     return together(far, rows.postures, rows.posture_numbers)
 
 
-def geometry(base: Fit) -> Average:
+def geometry(base: Fit) -> PredictingModel:
     """The base model as a predicting model."""
-    return Average(base.model, base.values, base.covariance(), (), (), base.sigma, max(base.freedom, 1))
+    return PredictingModel(base.model, base.values, base.covariance(), (), (), base.sigma, max(base.freedom, 1))
 
 
-def shape_of(place: str | None, predicting: Average) -> str | None:
+def shape_of(place: str | None, predicting: PredictingModel) -> str | None:
     """Of what is outside the library, in words."""
     curves = (c.shape for c in predicting.curves if place == f"joint:{c.joint}")
     return None if place is None else next(curves, KINDS.get(place))

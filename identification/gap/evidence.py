@@ -1,15 +1,15 @@
 """Marginal likelihood of sets of blocks, in the space of their columns.
 
-After linearization and whitening, y = J g + sum_b Z_b z_b + e with flat g, e ~ N(0, sigma^2 I), p(sigma) ~ 1 / sigma, and
-z_b ~ N(0, sigma^2 s_b^2 I) for each block of the set. With everything projected off J, only the products G = Z^T Z,
+After linearization and whitening, y = J g + sum_b Z_b z_b + e with flat g, e ~ N(0, sigma^2 I), p(sigma) ~ 1 / sigma,
+and z_b ~ N(0, sigma^2 s_b^2 I) for each block of the set. With everything projected off J, only the products G = Z^T Z,
 c = Z^T y and y^T y enter. For a set A with sizes s, D = diag(s) and f degrees of freedom of the base model,
 
     log p(y | A, s) = -1/2 log |I + D G_A D| - f/2 log(R / y^T y),     R = y^T y - c_A^T D (I + D G_A D)^-1 D c_A,
 
-relative to nothing missing (A. Zellner, 1971). The columns of a block are scaled such that s_b^2 is the expected square, in
-units of the noise, of what the block contributes to the rows. s_b has equal probability at each of `SIZES`; of several
-blocks each is averaged with the others at their likeliest sizes, and the averages relative to the likelihood there are
-multiplied: they would be independent if it were not for sigma and what the blocks have in common.
+relative to nothing missing (A. Zellner, 1971). The columns of a block are scaled such that s_b^2 is the expected
+square, in units of the noise, of what the block contributes to the rows. s_b has equal probability at each of `SIZES`;
+of several blocks each is averaged with the others at their likeliest sizes, and the averages relative to the
+likelihood there are multiplied: they would be independent if it were not for sigma and what the blocks have in common.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LEAST = 1e-14  # of y^T y: what rounding leaves of a sum of squares
 Index = NDArray[np.int64]
 
 
-class Given(NamedTuple):
+class Explained(NamedTuple):
     """What a set of blocks with sizes leaves: (k, P) rows W with W^T W the explained part of G, and (k,) their scores.
 
     left : R
@@ -61,7 +61,8 @@ class Added(NamedTuple):
 class Likeliest(NamedTuple):
     """A set of M blocks at its likeliest sizes, given by their numbers in `SIZES`.
 
-    ratio : log likelihood ratio against nothing missing, averaged over sizes;  fewer : (M,) its change without each block
+    ratio : log likelihood ratio against nothing missing, averaged over sizes;  fewer : (M,) its change without each
+    block
     """
 
     sizes: tuple[int, ...]
@@ -103,11 +104,11 @@ class Products:
             found.append((blocks, index, self.gram[index[:, :, None], index[:, None, :]]))
         return found
 
-    def given(self, blocks: Sequence[int], sizes: Sequence[float]) -> Given:
+    def given(self, blocks: Sequence[int], sizes: Sequence[float]) -> Explained:
         """What a set of blocks with these sizes leaves."""
         own = self.columns(blocks)
         if not len(own):
-            return Given(np.zeros((0, len(self.right))), np.zeros(0), self.squares)
+            return Explained(np.zeros((0, len(self.right))), np.zeros(0), self.squares)
         scales = np.repeat(np.asarray(sizes, dtype=float), self.widths[list(blocks)])
         inner = scales[:, None] * self.gram[np.ix_(own, own)] * scales
         inner[np.diag_indices_from(inner)] += 1.0
@@ -116,7 +117,7 @@ class Products:
         solved = solve_triangular(lower, stacked, lower=True, check_finite=False)
         scores = solved[:, -1]
         left = max(self.squares - float(scores @ scores), LEAST * self.squares, 1e-300)
-        return Given(solved[:, :-1], scores, left)
+        return Explained(solved[:, :-1], scores, left)
 
     def of(self, blocks: Sequence[int]) -> Products:
         """Those of a few blocks alone."""
@@ -125,7 +126,7 @@ class Products:
         kept = self.gram[np.ix_(own, own)], self.right[own], self.squares, self.freedom
         return Products(*kept, starts, self.signs[list(blocks)])
 
-    def added(self, given: Given, wide: bool = True) -> Added:
+    def added(self, given: Explained, wide: bool = True) -> Added:
         """Each block added to a set;  wide : False leaves out those of more than `WIDE` columns, which take long"""
         numbers, ratios = [], []
         for blocks, index, own in self._alike:
@@ -159,9 +160,10 @@ class Products:
     def likeliest(self, blocks: Sequence[int], sizes: Sequence[int]) -> Likeliest:
         """A set of blocks at its likeliest sizes;  sizes : numbers of `SIZES` to start from.
 
-        With C the posterior covariance of the coefficients for unit sigma, v and m the eigenvalues of a block's part of C and
-        its means along the eigenvectors, another size changes the precision by h = s'^-2 - s^-2, the log determinant by
-        sum log(1 + h v), and R by sum h m^2 / (1 + h v) (Woodbury's identity); without the block h is infinite.
+        With C the posterior covariance of the coefficients for unit sigma, v and m the eigenvalues of a block's part
+        of C and its means along the eigenvectors, another size changes the precision by h = s'^-2 - s^-2, the log
+        determinant by sum log(1 + h v), and R by sum h m^2 / (1 + h v) (Woodbury's identity); without the block h is
+        infinite.
         """
         own, at = self.of(blocks), np.array(sizes, dtype=np.int64)
         owner = np.repeat(np.arange(len(at)), own.widths)

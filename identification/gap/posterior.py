@@ -86,8 +86,8 @@ def posterior(
 ) -> Posterior:
     """The posterior of these rows.
 
-    Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same angle);
-    the blocks that are not unlikely there are then weighed with all rows.
+    Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same
+    angle); the blocks that are not unlikely there are then weighed with all rows.
     """
     if len(rows) <= MOST_ROWS:
         return _settled(library, rows, None, (), tell)
@@ -164,7 +164,8 @@ def _searched(library: HypothesisSet, problem: Linearized, chosen: tuple[str, ..
     start = tuple(sorted(numbers[label] for label in chosen if label in numbers))
     weights = np.array([b.weight for b in problem.blocks])
     rows = np.array([b.row for b in problem.blocks], dtype=bool)
-    more = problem.apart, *problem.needy_and_givers(library)
+    late = frozenset(k for k, b in enumerate(problem.blocks) if b.parts)
+    more = problem.apart, *problem.needy_and_givers(library), late
     return Search(problem.products, weights, rows, *more).posterior([start] if start else [])
 
 

@@ -54,7 +54,8 @@ class Diagnosis:
     """Whether model and data disagree, where, which effect is missing, and the gap with that effect in the model.
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where, shape : place and best shape of an unknown effect
-    candidates, named : ambiguity set, and best set of effects;  predicting : the posterior's average, or the geometry alone
+    candidates, named : ambiguity set, and best set of effects;  predicting : the posterior's average, or the geometry
+    alone
         where that predicts other rows better;  aliases : triples (effect, effect like it, likeness)
     scatter : significant properties of the noise;  outlier_rows : numbers of the rows left out, from 1
     unexplained_rows : of rows that the best set does not explain either, but that come together and stay in

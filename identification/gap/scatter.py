@@ -1,8 +1,9 @@
 """Components of the noise: each is a covariance of the rows with one parameter, weighed by its marginal likelihood.
 
-The noise is white, or has one of: noise of a joint, along its lever; noise that grows with the reach, or in time; serial
-correlation; an error that all rows of one posture share. Given a set of effects, the likelihood of a covariance W with flat
-priors for all parameters is, with residual sum of squares R of f degrees of freedom (H. D. Patterson, R. Thompson, 1971),
+The noise is white, or has one of: noise of a joint, along its lever; noise that grows with the reach, or in time;
+serial correlation; an error that all rows of one posture share. Given a set of effects, the likelihood of a covariance
+W with flat priors for all parameters is, with residual sum of squares R of f degrees of freedom (H. D. Patterson, R.
+Thompson, 1971),
 
     -1/2 log |W| - 1/2 log |J^T W^-1 J| - f/2 log R.
 """
@@ -29,7 +30,8 @@ CLEAR = 1e-10  # eigenvalues of a normal matrix, of the largest
 class Finding:
     """A property of the noise.
 
-    name : `joint_noise:j`, `reach_noise`, `time_noise`, `serial_correlation`, `repeats`;  p : probability that it is not there
+    name : `joint_noise:j`, `reach_noise`, `time_noise`, `serial_correlation`, `repeats`;  p : probability that it is
+    not there
     size : ratio of the additional to the common variance (at the mean posture), or the correlation
     """
 

@@ -1,12 +1,13 @@
 """Posterior over sets of blocks: a best-first search that adds, drops and exchanges blocks.
 
 The number K of missing blocks has the prior p(0) = 1 / (1 + `SOME`) and p(K) ~ K^-`TAIL`: one effect is likelier than
-two, but where many are seen further ones are expected (a beta mixture of binomials has such a tail). Which ones they are has a
-probability in proportion to their weights. An outlying row does not count as a block: each is outlying with the odds `WRONG`.
+two, but where many are seen further ones are expected (a beta mixture of binomials has such a tail). Which ones they
+are has a probability in proportion to their weights. An outlying row does not count as a block: each is outlying with
+the odds `WRONG`.
 
-Every set that was expanded has all its neighbors weighed: with one block more (in closed form, with the sizes of the others
-kept), with one less, and with one exchanged. The likeliest are weighed exactly and expanded in turn until those that are not
-expanded have little probability left.
+Every set that was expanded has all its neighbors weighed: with one block more (in closed form, with the sizes of the
+others kept), with one less, and with one exchanged. The likeliest are weighed exactly and expanded in turn until those
+that are not expanded have little probability left.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ class Search:
 
     weights : (B,) prior weights;  rows : (B,) True for shifts of single rows
     apart : pairs of blocks of which one contains the other
+    late : blocks that explain a part of many others: the search starts without and with them
     needy : blocks that show only through one of the `givers`, beside which alone they may be
     """
 
@@ -62,6 +64,7 @@ class Search:
     apart: frozenset[tuple[int, int]] = frozenset()
     needy: frozenset[int] = frozenset()
     givers: frozenset[int] = frozenset()
+    late: frozenset[int] = frozenset()
     weighed: dict[Set, Weighed] = field(default_factory=dict)
     _fewer: dict[Set, Array] = field(default_factory=dict)
     _longer: dict[Set, tuple[Array, NDArray[np.int64]]] = field(default_factory=dict)
@@ -85,11 +88,14 @@ class Search:
         nothing = self._weigh((), ())
         for start in starts:
             self._weigh(start, (2,) * len(start))
-        self._climb()
+        best = min(self.weighed.values(), key=_likeliest_first)
+        self._climb(best, self.late)
+        if self.late:
+            self._climb(nothing)
         for single in self._neighbors(nothing, PAIRS)[:PAIRS]:  # two that hide each other are seen together
             for pair in self._neighbors(self._weigh(single.blocks, single.sizes), 1)[:1]:
                 self._weigh(pair.blocks, pair.sizes)
-        self._climb()
+        self._climb(min(self.weighed.values(), key=_likeliest_first))
         for number in range(MOST):
             least = self._best - EXPANDED
             open_ = [o for o in self.weighed.values() if o.log_odds > least and o.blocks not in self._expanded]
@@ -119,11 +125,12 @@ class Search:
             self.weighed[blocks] = Weighed(blocks, at, ratio + self.log_prior(blocks))
         return self.weighed[blocks]
 
-    def _climb(self) -> None:
-        """Add or drop the best block as long as the set gets likelier."""
-        current = min(self.weighed.values(), key=_likeliest_first)
+    def _climb(self, current: Weighed, without: frozenset[int] = frozenset()) -> None:
+        """Add or drop the best block as long as the set gets likelier;  without : blocks that are not added"""
         while True:
-            options = [*self._neighbors(current, 1)[:2], *sorted(self._shorter(current), key=_likeliest_first)[:1]]
+            longer = self._neighbors(current, 1 + len(without))
+            options = [o for o in longer if without.isdisjoint(o.blocks)][:2]
+            options += sorted(self._shorter(current), key=_likeliest_first)[:1]
             best = min((self._weigh(o.blocks, o.sizes) for o in options), key=_likeliest_first, default=current)
             if best.log_odds <= current.log_odds + ROUNDING:
                 return

@@ -1,9 +1,10 @@
 """What a posterior says: probabilities of explanations, and the verdict that follows from them.
 
-An explanation is nothing missing, a set of effects of the library (settings left out), or something outside the library. A
-verdict that is wrong costs 1, and so it is the likeliest of these three: nothing, some effects of the library, something
-outside. To name a wrong set costs 1, to leave it open which one it is 1/2: a set is `named` where it has half of the
-probability, else the verdict is `ambiguous`, and candidates are the sets that are not `RIVAL` times less likely than the best.
+An explanation is nothing missing, a set of effects of the library (settings left out), or something outside the
+library. A verdict that is wrong costs 1, and so it is the likeliest of these three: nothing, some effects of the
+library, something outside. To name a wrong set costs 1, to leave it open which one it is 1/2: a set is `named` where
+it has half of the probability, else the verdict is `ambiguous`, and candidates are the sets that are not `RIVAL` times
+less likely than the best.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Gear ripples of further orders, looked up where the residuals show one.
 
-Gears cause waves with hundreds of periods per turn and of orders that are not whole numbers. All of them are hypotheses, with
-the weight of one order among all; only those that explain most at each joint are added to the dictionary, as the others
-have no probability to speak of.
+Gears cause waves with hundreds of periods per turn and of orders that are not whole numbers. All of them are
+hypotheses, with the weight of one order among all; only those that explain most at each joint are added to the
+dictionary, as the others have no probability to speak of.
 """
 
 from __future__ import annotations

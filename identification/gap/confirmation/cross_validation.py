@@ -1,7 +1,8 @@
 """Cross-validation without a hold-out: each part of the rows is predicted from the others.
 
-The sets of the posterior are weighed again by their likelihood on the other rows alone, at the sizes that they have, and their
-predictions averaged. The sets were found with all rows, so cross-validation can refute a model but cannot confirm it.
+The sets of the posterior are weighed again by their likelihood on the other rows alone, at the sizes that they have,
+and their predictions averaged. The sets were found with all rows, so cross-validation can refute a model but cannot
+confirm it.
 """
 
 from __future__ import annotations
@@ -113,7 +114,8 @@ def cross_validation(
 ) -> tuple[Confirmation, ...]:
     """Test whether the average holds for other postures, and for another interval of time of the same session.
 
-    measurements : the rows of the posterior;  kept : (m,) rows that are no outliers;  named : False if nothing was named
+    measurements : the rows of the posterior;  kept : (m,) rows that are no outliers;  named : False if nothing was
+    named
     """
     by_groups = groups_of(measurements, kept)
     postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]

@@ -9,14 +9,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from identification.gap.curves.curve_fit import Penalized
+from identification.gap.hypotheses.omnibus_test import BLOCK, _in_parts
 
 from doe.cli import main
 from doe.cli.progress import lines
 from doe.report.monte_carlo import _cell_table
 from identification.errors import LONGEST_LINE, InputError, in_one_line
 from identification.files.csv import read_table
-from identification.gap.curves.curve_fit import Penalized
-from identification.gap.hypotheses.omnibus_test import BLOCK, _in_parts
 from tests.doe.cli.conftest import Folder
 from tests.doe.cli.test_bad_input import HEADER, refused
 

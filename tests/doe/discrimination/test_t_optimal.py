@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from identification.gap.probability.choice_validation import ChoiceValidation
 
 from doe.discrimination import t_optimal as module
 from doe.discrimination.t_optimal import discriminate
@@ -15,7 +16,6 @@ from identification.arm import Arm, Gravity
 from identification.errors import InputError
 from identification.gap.diagnose import diagnose
 from identification.gap.library.library_prior import library_prior
-from identification.gap.probability.choice_validation import ChoiceValidation
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
