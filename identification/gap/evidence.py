@@ -169,6 +169,7 @@ class Products:
         owner = np.repeat(np.arange(len(at)), own.widths)
         if not len(at):
             return Likeliest((), 0.0, np.zeros(0))
+        seen: set[tuple[int, ...]] = set()
         while True:
             precision = SIZES[at] ** -2.0
             covariance = np.linalg.inv(own.gram + np.diag(precision[owner]))
@@ -193,8 +194,9 @@ class Products:
             bare = left + np.sum(parts / np.where(there, values, 1.0), axis=1)
             without = -0.5 * (volume + shrunk) - 0.5 * own.freedom * np.log(bare / own.squares)
             best, now = np.unravel_index(np.argmax(profiles), profiles.shape), profiles[0, at[0]]
-            if not profiles[best] > now + ROUNDING:
-                break
+            if not profiles[best] > now + ROUNDING or (tried := tuple(at.tolist())) in seen:
+                break  # a rise that rounding made up, where a set explains all but the last digits, returns
+            seen.add(tried)
             at[best[0]] = best[1]
         around = float(np.sum(logsumexp(profiles, axis=1) - now - np.log(len(SIZES))))
         return Likeliest(
