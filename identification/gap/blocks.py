@@ -15,20 +15,24 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from identification.arrays import Array
+from identification.effects.places import OF_FRAME, widths
 from identification.error_curve import ErrorCurve, local_splines
 from identification.gap.evidence import Products
 from identification.gap.fits.fit import Fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, untested_joints
+from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.spatial import SpatialChain
 
 # reasons: identification/README.md, "Constants"
 ALIKE = 0.3  # relative scatter of one family's parameters over the joints
 RANK = 1e-6  # of the largest eigenvalue of unit columns: combinations that the data do not determine
 VISIBLE = 1e-6  # share of a block's square that the base model must leave
-OUTSIDE = 0.1  # prior weight of everything outside the library at one place, beside an effect
+OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect
 LENGTHS = (0.15, 0.5, 1.5)  # correlation lengths of error curves [rad]
 MOST_NODES = 60  # effort: of one curve
 TIMES = 12  # half periods in a session of the fastest smooth function of time
+WOBBLES = (1, 2, 3, 4)  # periods per turn of an axis that wobbles
 WARPS = {2: 4, 3: 3}  # half periods along the axes of the workspace, in sum
 REST = "library"  # label of the rest of the library
 CHUNK = 2**20  # numbers worked on at once: eight megabytes
@@ -179,6 +183,11 @@ def outside_blocks(rows: Rows, at: Fit) -> Iterator[tuple[Block, Array]]:
             way = rows.conditions.directions[:, j]
             history = np.column_stack([way * np.cos(q), way * np.sin(q)])
             yield Block(place, f"history:{j + 1}", place, 0.3 * weight), lever * history[:, None, :]
+        if at.model.arm.chain is not None and at.model.arm.chain.joints[j].type == REVOLUTE:
+            tilts = _across(at.model.arm.chain, j, at.model.place_levers(*where)[0])
+            turns = np.stack([f(k * q) for k in WOBBLES for f in (np.cos, np.sin)], axis=1)
+            columns = (tilts[:, :, :, None] * turns[:, None, None, :]).reshape(m, d, -1)
+            yield Block(place, f"wobble:{j + 1}", place, 0.3 * weight), columns
     time = rows.conditions.time
     if time is not None and np.ptp(time) > 0.0:
         turn = np.stack([-position[:, 1], position[:, 0]], axis=1) if d == 2 else None
@@ -197,7 +206,30 @@ def outside_blocks(rows: Rows, at: Fit) -> Iterator[tuple[Block, Array]]:
             [np.prod(np.cos(np.array(k) * unit), axis=1) / (1.0 + np.sum(np.square(k))) for k in orders], axis=1
         )
         columns = (np.eye(d)[None, :, :, None] * waves[:, None, None, :]).reshape(m, d, -1)
-        yield Block("workspace", "workspace", "workspace", OUTSIDE), columns
+        yield Block("workspace", "workspace", "workspace", OUTSIDE / 3.0), columns
+        fast = np.arange(1, TIMES + 1)
+        along = np.cos(unit[:, :, None] * fast) / np.sqrt(fast)  # (m, d, K) of each coordinate by itself
+        columns = (np.eye(d)[None, :, :, None] * along.reshape(m, 1, 1, -1)).reshape(m, d, -1)
+        yield Block("workspace", "workspace[axes]", "workspace", OUTSIDE / 3.0), columns
+        radius = np.linalg.norm(position, axis=1)
+        outward = position / np.maximum(radius, 1e-9 * radius.max())[:, None]
+        turns = np.pi * (radius - radius.min())[:, None] / max(float(np.ptp(radius)), 1e-9) * fast
+        rings = np.cos(turns) / np.sqrt(fast)
+        yield Block("workspace", "workspace[radius]", "workspace", OUTSIDE / 3.0), outward[:, :, None] * rings[:, None]
+
+
+def _across(chain: SpatialChain, j: int, levers: Array) -> Array:
+    """(m, d, 4) derivatives by tilts and by shifts of what a revolute joint (from 0) moves, along two directions across
+    its axis, in units in which both move the point alike;  levers : (m, d, P) by what is added at each place"""
+    sizes, n = widths(len(chain), chain.dimension), len(chain)
+    ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
+    plane = np.linalg.svd(chain.joints[j].axis[None])[2][1:].T
+    parts = []
+    for kind in OF_FRAME:
+        first = ends[kind] - 3 * n + 3 * j
+        part = levers[:, :, first : first + 3] @ plane
+        parts.append(part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300))
+    return np.concatenate(parts, axis=2)
 
 
 def linearized(
@@ -227,7 +259,7 @@ def linearized(
         shift = np.zeros((len(rows), rows.dimension, rows.dimension))
         shift[k] = np.eye(rows.dimension)
         listed.append((Block(f"row:{k}", f"row:{k}", f"row:{k}", 0.0), shift))
-    widths = np.array([c.shape[2] for _, c in listed], dtype=np.int64)
+    counts = np.array([c.shape[2] for _, c in listed], dtype=np.int64)
     white = rows.whiten(np.concatenate([c for _, c in listed], axis=2))
     own, target = rows.whiten(jacobian[:, :, base]), rows.whiten(y)
     scales = model.scales[base]
@@ -239,7 +271,7 @@ def linearized(
     white = white - u @ inside
     target_left = target - u @ (u.T @ target)
     back = (vt.T / s) / scales[:, None]  # (g, r): from u^T y to the parameters
-    starts = np.concatenate([[0], np.cumsum(widths)])
+    starts = np.concatenate([[0], np.cumsum(counts)])
     roots = _roots(white, before, starts, [block for block, _ in listed])
     shown = [k for k, root in enumerate(roots) if root.shape[1]]
     z = np.concatenate([white[:, starts[k] : starts[k + 1]] @ roots[k] for k in shown], axis=1)

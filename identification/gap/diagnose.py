@@ -181,7 +181,7 @@ def diagnosis_of(
         trials=trial_list(found),
         detectability=detectable,
         residuals=residuals,
-        sigma=predicting.sigma,
+        sigma=fitted.sigma,
         probabilities=likely,
         data=MappingProxyType({k: v for k, v in measurements.origin.items() if k != "rows"}),
         misfit=over_sigma,
