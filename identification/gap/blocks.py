@@ -223,7 +223,7 @@ def _across(chain: SpatialChain, j: int, levers: Array) -> Array:
     its axis, in units in which both move the point alike;  levers : (m, d, P) by what is added at each place"""
     sizes, n = widths(len(chain), chain.dimension), len(chain)
     ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
-    plane = np.linalg.svd(chain.joints[j].axis[None])[2][1:].T
+    plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T
     parts = []
     for kind in OF_FRAME:
         first = ends[kind] - 3 * n + 3 * j
@@ -277,7 +277,7 @@ def linearized(
     z = np.concatenate([white[:, starts[k] : starts[k + 1]] @ roots[k] for k in shown], axis=1)
     turned = np.concatenate([inside[:, starts[k] : starts[k + 1]] @ roots[k] for k in shown], axis=1)
     blocks = tuple(listed[k][0] for k in shown)
-    columns = [listed[k][1] for k in shown]
+    shown_columns = [listed[k][1] for k in shown]
     kept_roots = [roots[k] for k in shown]
     common = [k for k, b in enumerate(blocks) if b.member is not None and _common(b.member, library)]
     if (len(common) > 1 and outside is None) or (outside is not None and REST in outside):
@@ -289,7 +289,7 @@ def linearized(
         parts = tuple(blocks[k].label for k in common)
         blocks = (*blocks, Block(REST, REST, REST, 1.0, parts=parts))
         kept_roots.append(share * np.asarray(block_diag(*(kept_roots[k] for k in common))))
-        columns.append(np.concatenate([columns[k] for k in common], axis=2))
+        shown_columns.append(np.concatenate([shown_columns[k] for k in common], axis=2))
     products = Products(
         z.T @ z,
         z.T @ target_left,
@@ -305,7 +305,7 @@ def linearized(
         -back @ turned,
         at.values[base] + back @ (u.T @ target),
         back @ back.T,
-        tuple(columns),
+        tuple(shown_columns),
     )
 
 
@@ -315,7 +315,7 @@ def _common(member: Hypothesis, library: HypothesisSet) -> bool:
 
 
 def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) -> list[Array]:
-    """Of each block the (p, w) matrix that makes columns of unit size of its own p; w = 0 for a block that cannot be seen.
+    """Of each block the (p, w) matrix that makes columns of unit size of its own p; w = 0 where it cannot be seen.
 
     white : (N, P) whitened columns, projected off the base model;  before : (P,) their squares before projection
 

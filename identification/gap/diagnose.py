@@ -48,7 +48,14 @@ from identification.threads import single_thread
 
 BEGINS = (0.0, 0.1, 0.7)  # part of the work that is done when each of the three steps begins
 IMPOSSIBLE = 1e-3  # p-value of what is left, below which the noise cannot be all: a trusted sigma, or repeats
-KINDS = {"time": "smooth in time", "workspace": "smooth over the workspace"}
+KINDS = {
+    "time": "smooth in time",
+    "workspace": "smooth over the workspace",
+    "wobble": "tilt or shift across the axis",
+    "shared": "depends on other joints too",
+    "history": "depends on the direction of approach",
+    "library": "many small effects",
+}
 
 
 @single_thread()
@@ -149,9 +156,9 @@ def diagnosis_of(
     if tests[0].shrinks is False and tests[0].after > tests[0].before:
         predicting = geometry(base)
         left = predicting.position_residuals(measurements, measurements.conditions)
-        worse = ("other rows are predicted better by the geometry alone: that is what --out writes",)
+        worse = ["other rows are predicted better by the geometry alone: that is what --out writes"]
     else:
-        worse = ()
+        worse = []
     there = None if holdout is None else held_out(base, predicting, measurements, kept, holdout)
     residuals = show_residuals(library.arm, measurements, base, left)
     before, after = residuals.before[kept], residuals.after[kept]
@@ -174,7 +181,7 @@ def diagnosis_of(
         predicting=predicting_candidate(predicting, named, base.rows.postures),
         aliases=(*hidden, *alias_list(detectable, tuple(candidates))),
         where=place,
-        shape=shape_of(place, predicting),
+        shape=shape_of(place, predicting, likeliest_of(found, likely)),
         scatter=(*scatter, *(repeats if not any(f.name == "repeats" for f in scatter) else ())),
         outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(~kept)),
         gap=gap,
@@ -205,8 +212,8 @@ def diagnosis_of(
 def guarded(
     likely: Probabilities, repeats: tuple[Finding, ...], over_sigma: Misfit | None, measurements: Measurements
 ) -> Probabilities:
-    """The probabilities where the noise may be known: of its rows, or from repeats of one posture. More than it can be is left
-    by something."""
+    """The probabilities where the noise may be known: of its rows, or from repeats of one posture. More than it can be
+    is left by something."""
     p = min([1.0, *(finding.p for finding in repeats)])
     if measurements.sigma is not None and over_sigma is not None:
         p = min(p, over_sigma.p_value)
@@ -267,10 +274,11 @@ def geometry(base: Fit) -> PredictingModel:
     return PredictingModel(base.model, base.values, base.covariance(), (), (), base.sigma, max(base.freedom, 1))
 
 
-def shape_of(place: str | None, predicting: PredictingModel) -> str | None:
-    """Of what is outside the library, in words."""
+def shape_of(place: str | None, predicting: PredictingModel, one: Explanation) -> str | None:
+    """Of what is outside the library, in words;  one : the likeliest explanation with something outside"""
     curves = (c.shape for c in predicting.curves if place == f"joint:{c.joint}")
-    return None if place is None else next(curves, KINDS.get(place))
+    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
+    return None if place is None else next(curves, None) or next(kinds, None)
 
 
 def show_residuals(arm: Arm, measurements: Measurements, base: Fit, left: Array) -> Residuals:

@@ -180,7 +180,7 @@ class Products:
             for blocks_alike, index, _ in own._alike:
                 width = index.shape[1]
                 part = covariance[index[:, :, None], index[:, None, :]]
-                value, vectors = eigen_of_pairs(part) if width == 2 else np.linalg.eigh(part)
+                value, vectors = eigen_of_pairs(np.asarray(part)) if width == 2 else np.linalg.eigh(part)
                 values[blocks_alike, :width] = np.maximum(value, 1e-300)
                 parts[blocks_alike, :width] = np.square(np.einsum("bwe,bw->be", vectors, mean[index]))
             change = (SIZES**-2.0 - precision[:, None])[:, :, None]  # (M, S, 1)

@@ -1,4 +1,4 @@
-"""The posterior of a data set: sets of blocks and noise models together, linearized again at the best set until it stays."""
+"""The posterior of a data set: sets of blocks and noise models together, linearized at the best set until it stays."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Posterior:
-    """explanations : likeliest first, with sum 1;  noises, problems : searched;  at : fit about which it is linearized"""
+    """explanations : likeliest first, with sum 1;  noises, problems : searched;  at : fit where it is linearized"""
 
     explanations: tuple[Explanation, ...]
     noises: tuple[Noise, ...]
@@ -103,7 +103,7 @@ def posterior(
 def _settled(
     library: HypothesisSet, rows: Rows, outside: frozenset[str] | None, chosen: tuple[str, ...], tell: Tell
 ) -> Posterior:
-    """The posterior, linearized again at its best set until that stays;  outside : blocks outside the library, None: all"""
+    """The posterior, linearized at its best set until that stays;  outside : blocks outside the library, None: all"""
     at, number = fit(library.base, rows), 0
     for turn in range(PASSES):
         tell(f"pass {turn + 1}")

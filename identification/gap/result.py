@@ -28,8 +28,8 @@ from identification.model.minimal import placed_calibration
 
 @dataclass(frozen=True)
 class Trial:
-    """One effect alone against the base model: F statistic and its p-value, 1 less the probability that it is missing, and
-    -2 log posterior odds against nothing."""
+    """One effect alone against the base model: F statistic and its p-value, 1 less the probability that it is missing,
+    and -2 log posterior odds against nothing."""
 
     effect: str
     f: float
@@ -120,8 +120,8 @@ class Diagnosis:
 
     @property
     def probability(self) -> dict[str, float]:
-        """Probability of `none`, of each candidate (by title), of `unknown`, something outside the library, and of `other sets`
-        of effects, with sum 1."""
+        """Probability of `none`, of each candidate (by title), of `unknown`, something outside the library, and of
+        `other sets` of effects, with sum 1."""
         found = {"none": self.probabilities.none}
         found |= {c.title: self.probabilities.of(c.keys) for c in self.candidates if self.verdict != "unknown"}
         found["unknown"] = self.probabilities.outside
@@ -166,7 +166,7 @@ class Diagnosis:
         return False if any(test.confirmed is False for test in self.cross_validation) else None
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
-        """The arm with the effects of the predicting model (or of `candidate`) added and the estimates as its calibration."""
+        """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it."""
         chosen = candidate or self.predicting
         return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=self.calibration_of(chosen))
 

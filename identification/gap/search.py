@@ -158,7 +158,7 @@ class Search:
         return found
 
     def _neighbors(self, one: Weighed, least: int = 0, wide: bool = True) -> list[Weighed]:
-        """The set with each further block, likeliest first, of those that matter, and the likeliest `least` in any case."""
+        """The set with each further block, likeliest first: those that matter, and `least` in any case."""
         odds, sizes = self._with_each(one, wide)
         count = max(least, int(np.sum(odds > self._best - WEIGHED)))
         likely = np.argsort(-odds, kind="stable")[:count]
@@ -173,7 +173,7 @@ class Search:
     def _with_each(self, one: Weighed, wide: bool) -> tuple[Array, NDArray[np.int64]]:
         """(B,) log posterior odds of the set with each further block, and the number of the block's likeliest size."""
         if one.blocks not in self._longer:
-            added = self.products.added(self.products.given(one.blocks, SIZES[list(one.sizes)]), wide)
+            added = self.products.added(self.products.given(one.blocks, SIZES[list(one.sizes)].tolist()), wide)
             count = self._count(one.blocks)
             step = np.where(self.rows, 0.0, log_odds_of_count(count + 1) - log_odds_of_count(count))
             odds = one.log_odds + added.averaged + step + self._log_weights

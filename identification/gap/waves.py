@@ -29,7 +29,7 @@ CLEAR = 8.0  # log likelihood ratio below which a wave of further order is not a
 
 
 def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Sequence[Hypothesis]) -> HypothesisSet:
-    """The library with the ripple of further order that explains most at each joint, and its neighbors, where one is clear.
+    """The library with the ripple of further order that explains most at each joint, and its neighbors, if it is clear.
 
     at : fit of the chosen effects;  rows : with any noise model
     """

@@ -28,8 +28,8 @@ MOST = 30  # effort: explanations that are averaged
 
 
 class LeftOut(NamedTuple):
-    """Predictions of rows from other rows: (m, d) residuals [mm] of the base model and of the average, and (m,) mean square
-    distance [mm^2] that the average expects."""
+    """Predictions of rows from other rows: (m, d) residuals [mm] of the base model and of the average, and (m,) mean
+    square distance [mm^2] that the average expects."""
 
     before: Array
     after: Array

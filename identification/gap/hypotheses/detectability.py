@@ -187,7 +187,7 @@ def assess(
 
 
 def likenesses(columns: Sequence[Array]) -> Array:
-    """(H, H) root mean square fraction of one member's columns (row), projected off the base, in the span of another's."""
+    """(H, H) root mean square share of one member's columns (row), projected off the base, in another's span."""
     bases, owner = [], []
     for k, own in enumerate(columns):
         u, s, _ = np.linalg.svd(own, full_matrices=False)

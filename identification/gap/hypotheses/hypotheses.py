@@ -133,7 +133,7 @@ class HypothesisSet:
         return tuple(h for h in self.members if not h.scanned and self.acts(h))
 
     def own_places(self, model: Model) -> list[int]:
-        """Indices of the base model's parameters in a model with further effects, where similar ones change their names."""
+        """Indices of the base model's parameters in a model with further effects; similar ones change their names."""
         own = [p.name for effect in self.base.effects for p in effect.parameters]
         there = [p.name for effect in model.effects[: len(self.base.effects)] for p in effect.parameters]
         renamed = dict(zip(own, there, strict=True))

@@ -1,4 +1,4 @@
-"""Marginal likelihoods of blocks against covariances of all rows, quadrature over sigma, and estimates against least squares."""
+"""Marginal likelihoods of blocks against covariances of all rows, quadrature over sigma, and least squares."""
 
 from __future__ import annotations
 
