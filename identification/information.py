@@ -144,14 +144,19 @@ class Spectrum:
         return self.estimable / self.values[: self.rank] / self.lengths[:, None]
 
 
-def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE) -> Spectrum:
+def spectrum(
+    jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, held: NDArray[np.bool_] | bool = False
+) -> Spectrum:
     """Decomposes a Jacobian (m, d, p) or (rows, p), whose rows may carry weights.
 
     scales : (p,) `Model.scales` [mm/unit];  tolerance : of `significant`
+    held : (p,) columns that have a row of a prior, which is exact: they are not zero however short
     """
     p = jacobian.shape[-1]
     triangle = np.linalg.qr(jacobian.reshape(-1, p), mode="r")
-    lengths, zero = column_lengths(np.linalg.norm(triangle, axis=0), scales)
+    sizes = np.linalg.norm(triangle, axis=0)
+    zero = column_lengths(sizes, scales)[1] & np.logical_not(held)
+    lengths = np.where(zero, scales, sizes)
     _, found, rows = np.linalg.svd(np.where(zero, 0.0, triangle / lengths), full_matrices=True)
     values = np.zeros(p)
     values[: found.size] = found

@@ -21,9 +21,10 @@ from doe.cli.typed import origin
 def command(common: CommonOptions, files: tuple[Path, ...], out: Path, force: bool) -> Answer:
     """Make one page of the FILES of a campaign, whichever there are.
 
-    Arm files (nominal, calibrated, extended), plans, measurements, and what design, score, identify, diagnose or
-    validate said with --json. The page has the verdict, what to do next, corrected values, errors with their sign, and
-    plans that can be stepped through and edited; it is one file that needs no network.
+    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate), and what design,
+    score, identify, diagnose or validate said with --json. The page has the verdict (first the error on rows that no
+    fit has seen), what to do next, corrected values, errors with their sign, and plans that can be stepped through and
+    edited; it is one file that needs no network.
     """
     from doe.report.campaign_page import campaign_page
     from doe.report.given_files import read_given

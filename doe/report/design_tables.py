@@ -102,14 +102,21 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
         f"value of {kind}": None if kind == "D" or length else number(data["value"], 7),
         "information (log det M')": None if kind == "I" else number(data["log_det"], 7),
         bounded: None if length else f"{number(bound['value'], 7)} ({kind_of_bound})" if known else "-",
-        "efficiency": (f"-: {data['no_efficiency']}" if data.get("no_efficiency") else number(data["efficiency"], 6))
-        + (f" of the bound ({kind_of_bound}). {judged_by_mm(data['efficiency'])}" if known and length else ""),
+        "efficiency": efficiency_in_words(data, kind_of_bound if length else ""),
         "optimal": optimal_in_words(data),
         "deviation from orthogonality (Table I)": None if table_1 is None or kind == "I" else number(table_1, 6),
         "solver": f"{data['solver']}, {searched}, {data['seconds']:.2f} s" if data["solver"] else None,
         "status": sentence,
     }
     return facts((name, text) for name, text in rows.items() if text is not None)
+
+
+def efficiency_in_words(data: dict[str, Any], of_bound: str) -> str:
+    """The figure, or why there is none;  of_bound : what it is relative to, where a reader is to judge by the mm"""
+    if data["no_efficiency"]:
+        return f"-: {data['no_efficiency']}"
+    judged = f" of the bound ({of_bound}). {judged_by_mm(data['efficiency'])}" if of_bound else ""
+    return number(data["efficiency"], 6) + judged
 
 
 def expected_error(data: dict[str, Any]) -> str | None:

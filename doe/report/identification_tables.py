@@ -191,7 +191,7 @@ def places_in_words(rows: Sequence[CorrectedValue]) -> list[str]:
 def tip_in_words(data: Mapping[str, Any]) -> str:
     """How far the tip may be off where nothing was measured, by the JSON object of `identify`."""
     inside, anywhere = (number(data[key]) for key in ("expected_tip_measured_mm", "expected_tip_mm"))
-    return f"{inside} mm at the tip within the angles measured, {anywhere} mm over the joint limits (RMS)"
+    return f"{inside} mm at the tip at postures like those measured, {anywhere} mm over the joint limits (RMS)"
 
 
 def compared_with(found: Identification, place: bool = False) -> str:

@@ -275,13 +275,14 @@ def identification_actions(
     written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for;  allowed_for : the
     library's effects are in the model, held by a prior;  better : than the geometry alone
     """
-    if not better:
-        why = "Leave --library-prior away, since the geometry alone predicts as well:"
-        return [Action(why, f"armcal identify {arm} {rows} --out calibrated.toml"), correct("calibrated.toml")]
     names = {"arm": arm, "rows": rows, "calibrated": str(written or "calibrated.toml")}
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
     look, *use = calibrated_actions(**names)
     if allowed_for:
+        if not better:
+            why = "Leave --library-prior away, since the geometry alone predicts as well:"
+            alone = Action(why, f"armcal identify {arm} {rows} --out calibrated.toml")
+            keep, use = [alone], [correct("calibrated.toml")]
         why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
         return [*keep, *use, Action(why, f"armcal diagnose {arm} {rows} --prior --report gap.html")]
     return [*keep, *([] if diagnosed else [look]), *use]

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.base_and_tool import base_and_tool
-from identification.estimation.plausibility import limited
-from identification.kinematics.joint_range import range_of
 from identification.measurements import POINT
 from identification.model import Model
-from identification.model.positions import tip_jacobian
+from identification.model.positions import FEWEST, tip_jacobian
 from identification.sessions import placing
 from identification.threads import single_thread
 
@@ -40,26 +37,35 @@ def expected_tip(model: Model, parameters: Array, covariance: Array, postures: A
     return float(np.sqrt(np.einsum("mdp,pq,mdq->", jacobian, covariance, jacobian, optimize=True) / len(postures)))
 
 
-def working_postures(arm: Arm, origin: Mapping[str, Any], *, measured: bool) -> Array:
-    """(k, n) random postures within the joint limits, of a joint without limits within the angles measured; or within
-    the angles measured of every joint.
-
-    origin : provenance of a calibration, with `kinematics.joint_range`
-    """
-    low, high = arm.lower, arm.upper
-    if (ranges := range_of(origin, arm.joint_types)) is not None:
-        low, high = np.where(limited(arm) & (not measured), [low, high], ranges)
-    return np.random.default_rng(0).uniform(low, high, (POSES, arm.links))
+def working_postures(low: Array, high: Array) -> Array:
+    """(k, n) random postures between two limits (n,)."""
+    return np.random.default_rng(0).uniform(low, high, (POSES, len(low)))
 
 
 def tip_of(found: Identification, *, measured: bool) -> float | None:
-    """`expected_tip` of a fit over `working_postures` [mm]; None where something is not identifiable, without
-    deviations, and of other models than an arm's."""
-    arm = getattr(found.model, "arm", None)
+    """`expected_tip` of a fit over the joint limits, whatever they are, or over further postures like those measured
+    [mm]; None where something is not identifiable, without deviations, and of other models than an arm's.
+
+    Real postures fill no box of joint angles. What the fit is uncertain by at its own postures is less than at others
+    drawn as they were by 1 - p / N, the share of the N numbers that p parameters leave over (G. H. Golub, M. Heath,
+    G. Wahba, "Generalized cross-validation", 1979), repeats counted once; and in the box of the angles measured it is
+    hardly less, whatever few rows say.
+    """
+    arm, own = getattr(found.model, "arm", None), found.postures
     if not isinstance(arm, Arm) or found.not_identifiable or not np.all(np.isfinite(found.covariance)):
         return None
-    postures = working_postures(arm, found.provenance, measured=measured)
-    return expected_tip(found.model, found.parameters, found.covariance, postures)
+    if arm.chain is not None and not arm.chain.instrument.whole and len(own) < FEWEST:
+        return None
+
+    def over(postures: Array) -> float:
+        return expected_tip(found.model, found.parameters, found.covariance, postures)
+
+    if not measured:
+        return over(working_postures(arm.lower, arm.upper))
+    numbers = len(own) * found.residuals_after.shape[1]
+    share = max(numbers - found.determined, 1.0) / numbers
+    among = over(own[:: max(len(own) // POSES, 1)]) / float(np.sqrt(share))
+    return min(among, over(working_postures(own.min(axis=0), own.max(axis=0))))
 
 
 def size_left_open(arm: Arm) -> str:
@@ -73,7 +79,7 @@ def size_left_open(arm: Arm) -> str:
 
 def hardly_determined(found: Identification) -> list[str]:
     """What is doubtful about a fit that leaves the tip uncertain, beyond the noise of one measurement: by over half of
-    what the arm was off before, within the angles measured; or by more than all of it, within the joint limits."""
+    what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits."""
     inside, anywhere = found.expected_tip_measured, found.expected_tip
     if inside is None or anywhere is None:
         return base_and_tool(found, None)
@@ -85,14 +91,12 @@ def hardly_determined(found: Identification) -> list[str]:
     far = f"{found.rms_before:{'.3g' if found.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
     if inside > max(SHARE * before, noise):
-        postures = working_postures(found.model.arm, found.provenance, measured=True)
-        if cause := base_and_tool(found, lambda c: expected_tip(found.model, found.parameters, c, postures)):
+        some = found.postures[:: max(len(found.postures) // POSES, 1)]
+        if cause := base_and_tool(found, lambda c: expected_tip(found.model, found.parameters, c, some)):
             return cause
-        said = (
-            f"at other postures within the same angles the tip may be {inside:.3g} mm (RMS) from where it is computed"
-        )
+        said = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
         return [f"{FEW}: {said}{was}. Measure more postures{size_left_open(found.model.arm)}"]
     if anywhere > max(before, noise):
         said = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
-        return [f"outside the angles measured {said}. Keep to these angles, or measure beyond them"]
+        return [f"away from the postures measured {said}. Keep near these postures, or measure others"]
     return []

@@ -25,7 +25,7 @@ def left_out_residuals(found: Identification, measurements: Measurements) -> Arr
     that is linear in its parameters, and to first order for any other (R. D. Cook, S. Weisberg, "Residuals and
     Influence in Regression", 1982, section 2.2). The noise of one measurement is in it.
 
-    measurements : the rows of the fit; copies do not count
+    measurements : the rows of the fit; copies do not count, and get what is left of the row they copy
 
     None where something is not identifiable, or a posture alone determines it.
     """
@@ -48,13 +48,13 @@ def left_out_residuals(found: Identification, measurements: Measurements) -> Arr
         if np.linalg.eigvalsh(left)[0] < ALONE:
             return None
         without[group] = np.linalg.solve(left, residuals[group].ravel()).reshape(-1, d)
-    return np.asarray(without / weights[:, None])
+    return np.asarray((without / weights[:, None])[np.cumsum(kept)[measurements.originals] - 1])
 
 
 def left_out_rms(found: Identification, measurements: Measurements) -> float | None:
-    """Root mean square distance [mm] of `left_out_residuals`; None as there."""
+    """Root mean square distance [mm] of `left_out_residuals`, copies not counted; None as there."""
     residuals = left_out_residuals(found, measurements)
-    return None if residuals is None else rms_distance(residuals[:, POINT])
+    return None if residuals is None else rms_distance(residuals[np.unique(measurements.originals)][:, POINT])
 
 
 def _orthonormal(rows: Array) -> Array:

@@ -199,7 +199,9 @@ def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
     step = np.where(above >= below, above, -below)
     tried = x[own]
     tried[np.arange(len(own)), column] += step[:, 0]
-    residuals, jacobians = problem.linearize(tried, points.problems[own])
+    # one at a time: a problem is asked for one point
+    parts = [problem.linearize(tried[k : k + 1], points.problems[own[k : k + 1]]) for k in range(len(own))]
+    residuals, jacobians = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     gradient, tried_gradient = (
         np.einsum("knp,kn->kp", *pair) for pair in ((points.jacobians, points.residuals), (jacobians, residuals))
     )
@@ -215,6 +217,10 @@ def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
         along = np.where(bend == 0.0, 0.0, np.where(sign * bend > 0.0, above, -below))
         slope = sign * gradient
         np.add.at(slope, own, sign * along * bend)
+        # that parameter, too, where it has no effect of its own: at a ratio far from 1 both would return to zero
+        each = np.arange(len(own)), column
+        aside = (above if sign > 0.0 else -below)[:, 0]
+        along[each] = np.where(bend[each] == 0.0, aside, along[each])
         moves.append(along)
         slopes.append(np.where(room > 0.0, slope / problem.scales, 0.0))
     best = np.argmax(np.concatenate(slopes, axis=1), axis=1)
@@ -223,6 +229,8 @@ def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
     moved = np.clip(moved, problem.lower, problem.upper)
     descends = (np.max(np.concatenate(slopes, axis=1), axis=1) > 0.0) & np.any(moved != x, axis=1)
     points, moved = points.at(descends), moved[descends]
+    if not len(moved):
+        return points
     residuals, jacobians = problem.linearize(moved, points.problems)
     return Points(points.problems, moved, residuals, jacobians, _squares(residuals), np.zeros(len(moved)))
 

@@ -82,6 +82,8 @@ def identification(
     unexplained = unexplained_by_fit(problem, parameters, after)
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
+    used = np.flatnonzero(problem.weights > 0.0)
+    first = used[np.unique(data.repeat_numbers[used], return_index=True)[1]]
     status = Status.not_identifiable if found.combinations else solution.status[0]
     return Identification(
         model=model,
@@ -103,6 +105,8 @@ def identification(
         scatter=spread.scatter,
         doubts=(*doubtful.sentences, *far_rows(after, outlier, structure)),
         flange_turns=turns_measured(model, data),
+        postures=data.postures[first],
+        determined=float(len(used) * after.shape[1] - spread.freedom),
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
         unexplained_rows=tuple((np.flatnonzero(structure) + 1).tolist()),
     )

@@ -48,6 +48,8 @@ class Identification:
     uncertainty : what covariance and intervals rely on: the sigma given, the scatter, or a sandwich that is robust to
         what is left unexplained
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
+    postures : (k, n) measured [rad, mm], each once for every marker and session;  determined : how many combinations
+        the data determine, the effective number of parameters
     doubts : what is doubtful about the fit, in sentences
     outlier_rows : numbers from 1 of single rows that the model does not explain, which are in the fit all the same
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
@@ -72,6 +74,8 @@ class Identification:
     status: Status
     uncertainty: Uncertainty
     scatter: float | None
+    postures: Array
+    determined: float
     doubts: tuple[str, ...] = ()
     outlier_rows: tuple[int, ...] = ()
     unexplained_rows: tuple[int, ...] = ()
@@ -84,7 +88,7 @@ class Identification:
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        for name in ("parameters", "covariance", "residuals_before", "residuals_after"):
+        for name in ("parameters", "covariance", "residuals_before", "residuals_after", "postures"):
             object.__setattr__(self, name, readonly(getattr(self, name)))
         self.identifiable.setflags(write=False)
 
@@ -119,7 +123,7 @@ class Identification:
 
     @cached_property
     def expected_tip_measured(self) -> float | None:
-        """The same within the angles measured."""
+        """The same over further postures like those measured."""
         return tip_of(self, measured=True)
 
     @property

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 
 TINY = 1e-15  # leverages below it are rounding
+LARGE = 200  # groups, and combinations: of more, what two groups share through the fit is left out of the freedom
 ALONE = 1e-8  # a group whose leverage is nearer to one than this determines a combination by itself
 
 
@@ -90,7 +91,11 @@ def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array, kn
     """
     diagonal = np.sum(leverages * np.square(factors * turned), axis=1)
     inner = (vectors @ (leverages * factors * turned)[:, :, None])[:, :, 0]
-    gram = inner.T @ inner
-    first = diagonal.sum() - np.trace(gram)
-    second = np.sum(diagonal**2) - 2.0 * np.sum(diagonal * np.sum(inner**2, axis=1)) + np.sum(gram**2)
+    lengths = np.sum(inner**2, axis=1)
+    if min(inner.shape) > LARGE:
+        squares = np.sum(lengths**2)
+    else:
+        squares = np.sum(np.square(inner.T @ inner if inner.shape[0] > inner.shape[1] else inner @ inner.T))
+    first = diagonal.sum() - lengths.sum()
+    second = np.sum(diagonal**2) - 2.0 * np.sum(diagonal * lengths) + squares
     return float((first + known) ** 2 / second) if second > 0.0 else float("inf")

@@ -77,7 +77,7 @@ def remarks(found: Identification) -> list[tuple[str, str]]:
     lines.append(("RMS", f"{found.rms_before:.4g} -> {found.rms_after:.4g} mm"))
     lines.append(("max", f"{found.max_before:.4g} -> {found.max_after:.4g} mm"))
     if found.expected_tip is not None:
-        measured = f"{found.expected_tip_measured:.4g} mm within the angles measured"
+        measured = f"{found.expected_tip_measured:.4g} mm at postures like those measured"
         anywhere = f"{found.expected_tip:.4g} mm over the joint limits (RMS)"
         lines.append(("expected error of the tip", f"{measured}, {anywhere}"))
     if found.rms_angles is not None:

@@ -26,7 +26,7 @@ from identification.estimation.prior_sizes import LinearizedProblem, Widths, lik
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import FittedRows, uncertainty
-from identification.information import spectrum
+from identification.information import Spectrum, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.measurements import Measurements
 from identification.model import Model
@@ -36,6 +36,7 @@ from identification.threads import single_thread
 FIRST = 2  # steps before the noise is estimated again: the model is nearly linear
 ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
 STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
+ROUNDED = 1e-14  # of the largest singular value: below it is rounding
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 
 
@@ -65,7 +66,7 @@ def estimate_with_prior(
     whole = replace(Problem.of(model, measurements, noise.weights), prior=prior)
     problem, solution, widths, jacobian = _solved(whole, noise, zeros)
     parameters = solution.parameters[0]
-    decomposed = spectrum(np.concatenate([jacobian, problem.prior_rows]), model.scales, problem.tolerance)
+    decomposed = _decomposed(jacobian, problem)
     effective = float(np.sum(np.square(jacobian @ decomposed.root)))  # as `effective_count`, whose decomposition it is
     if decomposed.rank < len(parameters):
         effective = effective_count(jacobian, problem.prior_rows)
@@ -85,6 +86,18 @@ def estimate_with_prior(
         return estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
 
     return with_contradictions(found, problem, noise, again)
+
+
+def _decomposed(jacobian: Array, problem: Problem) -> Spectrum:
+    """Of a Jacobian (N, p) and the rows of the prior: what a proper prior holds is determined, however much more exact
+    the rows of the data are; what counts as zero is a share of the least that it holds, as long as that is no rounding.
+    """
+    rows, scales = problem.prior_rows, problem.model.scales
+    held = np.any(rows != 0.0, axis=0)
+    found = spectrum(np.concatenate([jacobian, rows]), scales, problem.tolerance, held)
+    sizes = np.linalg.svd(rows / found.lengths, compute_uv=False)
+    least = np.min(sizes, initial=np.inf, where=sizes > ROUNDED * np.max(sizes, initial=0.0))
+    return found.truncated(float(np.clip(0.1 * least / found.values[0], ROUNDED, problem.tolerance)))
 
 
 def far_from_drawing(machining: Machining, widths: Widths) -> list[str]:

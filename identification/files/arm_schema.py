@@ -24,6 +24,7 @@ from identification.files.schema import (
     require_count,
     require_rising,
 )
+from identification.kinematics.joint_range import KEYS
 
 ROUNDED = 1e-5  # of a correlation, where a covariance is written with six digits
 
@@ -123,6 +124,11 @@ class EffectTable(BaseModel):
         return dict(self.__pydantic_extra__)
 
 
+def _listed(value: Any) -> list[Any]:
+    """A list as it is, anything else as a list of it."""
+    return value if isinstance(value, list) else [value]
+
+
 class CovarianceTable(StrictTable):
     """What every `[calibration]` has."""
 
@@ -140,6 +146,19 @@ class CovarianceTable(StrictTable):
         """(p, p) the covariance, in file units."""
         p = len(self.covariance or ())
         return np.array(self.covariance).reshape(p, p)
+
+    @model_validator(mode="after")
+    def _provenance_can_be(self) -> Self:
+        rows = self.provenance.get("rows", 1)
+        if isinstance(rows, bool) or not isinstance(rows, int) or rows < 1:
+            raise InputError(f"calibration.provenance.rows: found {rows!r}, allowed: a whole number >= 1")
+        for key in KEYS.values():
+            for j, pair in enumerate(_listed(self.provenance.get(key, [])), start=1):
+                ends = [x for x in _listed(pair) if isinstance(x, (int, float)) and not isinstance(x, bool)]
+                if len(ends) != 2 or len(_listed(pair)) != 2 or not -np.inf < ends[0] <= ends[1] < np.inf:
+                    allowed = "two finite numbers, the lower one first"
+                    raise InputError(f"calibration.provenance.{key}[{j}]: found {pair!r}, allowed: {allowed}")
+        return self
 
     @model_validator(mode="after")
     def _covariance_of_parameters(self) -> Self:

@@ -155,7 +155,7 @@ def _checked_target(path: PathLike, force: bool) -> Path:
         )
     if target.is_dir():
         raise InputError(f"{path}: is a directory, allowed: a file name")
-    if target.exists() and not target.is_file():
+    if os.path.exists(path) and not os.path.isfile(path):  # the pipe behind /dev/stdout has no path
         raise InputError(f"{path}: is not a regular file, allowed: a new file name")
     if not os.access(target.parent, os.W_OK):
         raise InputError(f"{path}: the folder cannot be written to, allowed: a file in a writable folder")

@@ -190,10 +190,10 @@ def outside_blocks(rows: Rows, at: Fit) -> Iterator[tuple[Block, Array]]:
             yield Block(place, f"wobble:{j + 1}", place, 0.3 * weight), columns
     time = rows.conditions.time
     if time is not None and np.ptp(time) > 0.0:
-        turn = np.stack([-position[:, 1], position[:, 0]], axis=1) if d == 2 else None
         moves = np.broadcast_to(np.eye(d), (m, d, d))
         if d == 2:
             scale = np.sqrt(np.mean(np.sum(position**2, axis=1)))
+            turn = np.stack([-position[:, 1], position[:, 0]], axis=1)
             moves = np.concatenate([moves, turn[:, :, None] / scale], axis=2)
         waves = np.stack([np.cos(np.pi * k * (time + 0.5)) / k for k in range(1, TIMES + 1)], axis=1)
         columns = (moves[:, :, :, None] * waves[:, None, None, :]).reshape(m, d, -1)
@@ -351,7 +351,7 @@ def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) 
             roots[k] = np.eye(len(gram)) / np.sqrt(np.trace(gram))
         else:
             alike = 1.0 + ALIKE**2 * np.eye(len(gram))
-            roots[k] = np.linalg.cholesky(alike / np.sum(gram * alike))
+            roots[k] = np.asarray(np.linalg.cholesky(alike / np.sum(gram * alike)))
     return roots
 
 

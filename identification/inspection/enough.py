@@ -32,8 +32,8 @@ class Sufficiency:
     held : how many of the parameters have a prior of their own, as the geometry of an arm in space
     found : what is determined, in words;  open : combinations that are not
     weak : (name, standard deviation, unit) of parameters that are estimated, but too uncertain to be of use
-    tip, tip_measured : expected error of the tip [mm], over the joint limits and within the angles measured; None: not
-        known
+    tip, tip_measured : expected error of the tip [mm], over the joint limits and at postures like those measured; None:
+        not known
     source : of the noise in it, of `SOURCES`; None: not known
     """
 
@@ -65,7 +65,7 @@ class Sufficiency:
         if self.tip is None or self.tip_measured is None or self.source is None:
             why = "something is not determined" if self.open else "needs sigma_mm, repeats of a posture or more rows"
             return f"not known: {why}"
-        inside = f"{self.tip_measured:.3g} mm at the tip within the angles measured"
+        inside = f"{self.tip_measured:.3g} mm at the tip at postures like those measured"
         return f"{inside}, {self.tip:.3g} mm over the joint limits (RMS), {SOURCES[self.source]}, if the model is right"
 
     def to_json(self) -> dict[str, Any]:

@@ -219,12 +219,10 @@ def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> 
         warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=3)
         return
     both = rows_shared(text, measurements.postures, measurements.positions)
-    rows = f"about {100.0 * both.measurements:.2g} % of these rows are among those that the calibration comes from"
+    rows = f"about {100.0 * both.measurements:.0f} % of these rows are among those that the calibration comes from"
     if max(both) >= MOSTLY:
-        every = (
-            f", {100.0 * both.calibration:.2g} % of all of its own" if both.calibration < 1.0 else ", all of its own"
-        )
-        found = f"{rows}{every}, which would count twice"
+        its_share = f"{100.0 * both.calibration:.0f} % of all" if both.calibration < 1.0 else "all"
+        found = f"{rows}, {its_share} of its own, which would count twice"
         raise InputError(f"prior: found that {found}, allowed: measurements that it does not know")
     if both.measurements > 0.0:
         warnings.warn(f"prior: {rows}, and count twice", UserWarning, stacklevel=3)

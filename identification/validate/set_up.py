@@ -78,9 +78,12 @@ def _moved(apart: Identification, old: dict[str, str]) -> dict[str, float | None
     index = {name: k for k, name in enumerate(apart.names)}
     found: dict[str, float | None] = {}
     for new, name in old.items():
-        columns = np.array([[index[f"{TOOL}[{each}].{axis}"] for axis in "xyz"] for each in (new, name)])
+        names = [f"{TOOL}[{each}].{axis}" for each in (new, name) for axis in "xyz"]
+        if not {*names} <= {*index}:  # of a minimal set of parameters
+            continue
+        columns = np.array([index[each] for each in names])
         difference = np.kron([[1.0, -1.0]], np.eye(3))
-        covariance = difference @ apart.covariance[np.ix_(columns.ravel(), columns.ravel())] @ difference.T
+        covariance = difference @ apart.covariance[np.ix_(columns, columns)] @ difference.T
         by = places[new] - places[name]
         statistic = float(by @ np.linalg.lstsq(covariance, by, rcond=None)[0]) / 3.0
         significant = fdtrc(3, apart.dof, statistic) <= LEVEL / len(old)

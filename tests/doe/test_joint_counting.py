@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from doe.plan.file import load_plan, load_plan_conditions, plan_text
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
+from doe.studies.monte_carlo.file import load_study
 from identification.arm import Arm, Calibration
 from identification.compensate import compensate
 from identification.errors import InputError
@@ -213,3 +214,20 @@ def test_check_shows_columns(arm: Arm) -> None:
     last = inspect(free, simulate(arm, q, np.random.default_rng(8))).joints[2]
     assert last.to_json()["limit_low"] is None
     assert not last.limited
+
+
+def test_plans_of_a_study(tmp_path: Path, arm: Arm) -> None:
+    """Files of plans are the controller's of the arms, which must be one."""
+    q = np.random.default_rng(9).uniform(-1.0, 1.0, (6, 3))
+    (tmp_path / "plan.csv").write_text(plan_text(Plan(q), arm.joint_types))
+    (tmp_path / "plain.toml").write_text(PLANAR.partition("[joints]")[0])
+    study = 'arms = {}\nplans = ["plan.csv"]\nruns = [5]\nreplications = 10\n[[truths]]\nname = "true"\n'
+    study += "length_errors_mm = [1, 0, 0]\njoint_offsets_deg = [0, 0, 0]\n[[models]]\nname = 'base'\neffects = []\n"
+    (tmp_path / "study.toml").write_text(study.format('["arm.toml"]'))
+    (given_plan,) = load_study(tmp_path / "study.toml").plans
+    plan = given_plan[1]
+    assert isinstance(plan, Plan)
+    np.testing.assert_allclose(plan.postures, q, atol=1e-12)
+    (tmp_path / "study.toml").write_text(study.format('["arm.toml", "plain.toml"]'))
+    with pytest.raises(InputError, match=r"plans: found files for arms with different \[joints\], allowed: the same"):
+        load_study(tmp_path / "study.toml")

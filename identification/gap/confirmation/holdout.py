@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.effects.places import widths
 from identification.errors import InputError
+from identification.gap.average import PredictingModel
 from identification.gap.confirmation.confirmation import (
     Confirmation,
     Groups,

@@ -41,7 +41,9 @@ def test_what_is_not_confirmed_is_said_and_not_written(sessions: Folder) -> None
     words = (*WORDS, "--holdout", "without.csv", "--out", "extended.toml")
     done = sessions.armcal(*words)
     assert done.code == 0
-    assert done.out.startswith("not confirmed: named: encoder_eccentricity:2")
+    said = " ".join(done.out.split())
+    assert said.startswith("not confirmed: no better than the geometry alone: ")
+    assert "; named: encoder_eccentricity:2" in said
     assert "does not hold for" in done.out
     lines = done.err.splitlines()
     assert not any("not confirmed: does not hold for" in line for line in lines)
@@ -55,6 +57,15 @@ def test_what_is_not_confirmed_is_said_and_not_written(sessions: Folder) -> None
     assert kept is not None
     assert kept.provenance["confirmed"] is False
     assert kept.provenance["verdict"] == "named"
+    assert kept.provenance["better_than_geometry"] is False
+    offered = forced.data["offered"]
+    assert offered["better"] is False
+    validated = sessions.armcal("validate", "extended.toml", "without.csv", "--json").data
+    assert (validated["rms_mm"], validated["max_mm"]) == pytest.approx((offered["rms_mm"], offered["max_mm"]), rel=1e-6)
+    sessions.armcal("identify", "arm.toml", "data.csv", "--out", "geometry.toml")
+    geometry = sessions.armcal("validate", "geometry.toml", "without.csv", "--json").data
+    expected = offered["rms_geometry_mm"], offered["max_geometry_mm"]
+    assert (geometry["rms_mm"], geometry["max_mm"]) == pytest.approx(expected, rel=1e-6)
 
 
 def test_what_is_confirmed_is_written(sessions: Folder) -> None:

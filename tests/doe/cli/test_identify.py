@@ -207,6 +207,9 @@ def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     said = folder.armcal("identify", "arm.toml", "data.csv", "--library-prior", "--missing", "backlash").out
     assert "next: Look for what the model lacks" not in said
     steps = [" ".join(step.split()) for step in said.split("next: ")[1:]]
+    assert "predicts no better" in " ".join(said.split())[:200]  # no effect is there, and four more can only harm
+    assert flag["offered"]["better"] is False
+    assert steps[0].startswith("Leave --library-prior away, since the geometry alone predicts as well:")
     assert steps[-1].startswith("Effects that may be missing are allowed for, and none is named.")
     assert steps[-1].endswith("armcal diagnose arm.toml data.csv --prior --report gap.html")
     both = folder.armcal(*named, "--prior", "--missing", "backlash").data

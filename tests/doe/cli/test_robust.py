@@ -86,13 +86,13 @@ def test_advice_where_no_effect_is_known(arm: Path) -> None:
 
 
 def test_what_to_fit_is_said_in_one_way(arm: Path, tmp_path: Path) -> None:
-    """Also by the steps that `init` writes: names first, and the prior where there are too few rows for names."""
+    """Also by the steps that `init` writes: what a robust plan promises is of a fit with the prior."""
     shown = armcal("design", arm, "--runs", 4, "--robust", "--missing", "gear_ratio").output
     assert "armcal diagnose names those that the data show; identify --library-prior allows for all" in flat(shown)
     answer("init", "--links", 2, "--out", tmp_path / "new")
     steps = (tmp_path / "new" / "README.md").read_text()
-    assert "armcal identify arm.toml measurements.csv --out calibrated.toml" in steps
-    assert "too few to name effects from, `identify --library-prior` allows for all" in flat(steps)
+    assert "armcal identify arm.toml measurements.csv --library-prior --out calibrated.toml" in steps
+    assert "the error that `design --robust` expects is that of this fit" in flat(steps)
 
 
 TRUTH = '[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.05\nb_deg = 0.03\n'

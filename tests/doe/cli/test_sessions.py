@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from tests.doe.cli.conftest import Folder
+from tests.doe.six_axis import TABLE
+from tests.identification.validate.test_set_up import MOVED, cell
 
 RIPPLE = '\n[[effects]]\nname = "transmission_ripple"\njoint = 2\nk = 5\na_deg = 0.08\nb_deg = 0.05\n'
 BASES = ((0.0, 0.0), (0.4, 150.0 - 80.0j))
@@ -109,3 +111,20 @@ def test_rows_of_one_posture_are_refused_before_any_diagnosis(folder: Folder, mo
         "armcal: same.csv: 60 rows of 1 posture, allowed: at least 4, which the arm's own parameters need; "
         "armcal design --keep same.csv chooses more\n"
     )
+
+
+def test_a_reflector_mounted_anew_is_named(folder: Folder) -> None:
+    """In space: the drawing is placed as the fit is, so the fit is better; and what spoils it is said."""
+    rows = "".join(
+        f'[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\noffset_deg = 0.0\njoint = "revolute"\n'
+        for a, alpha, d in TABLE
+    )
+    folder.write("six.toml", f'name = "six"\nkind = "spatial"\n{rows}')
+    data = cell(2, {(1, "A"): MOVED}, seed=1)
+    folder.write("both.csv", data.to_frame().write_csv())
+    done = folder.armcal("identify", "six.toml", "both.csv", "--json")
+    assert done.code == 0, done.err
+    assert any(
+        "reflectors are mounted elsewhere" in said and "A in session day 2" in said for said in done.data["warnings"]
+    )
+    assert done.data["rms_after_mm"] < done.data["rms_drawing_mm"]

@@ -48,6 +48,16 @@ def test_a_full_device(folder: Folder, words: str) -> None:
     assert without_progress(done.stderr) == "armcal: standard output cannot be written (No space left on device)\n"
 
 
+@pytest.mark.skipif(not Path("/dev/stdout").exists(), reason="no such device here")
+@pytest.mark.parametrize("out", ["/dev/stdout", "/dev/null", "pipe"])
+def test_an_output_that_is_no_file_is_refused_before_the_work(folder: Folder, out: str) -> None:
+    """The work would fail: the measurements are no table. Standard output is a pipe here."""
+    folder.write("data.csv", "")
+    os.mkfifo(folder.path / "pipe")
+    done = shell(folder, f"identify arm.toml data.csv --out {out} --force", "| cat")
+    assert done.stderr == f"armcal: {out}: is not a regular file, allowed: a new file name\n"
+
+
 def test_a_closed_output(folder: Folder) -> None:
     done = shell(folder, "score arm.toml plan.csv --picture plan.png", ">&-")
     assert done.returncode == 1, done.stderr

@@ -63,6 +63,7 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
     wide = robust_problem(plain, missing_effects(plain, ["gear_ratio"]))
     data = score(wide, np.random.default_rng(3).uniform(-1.0, 1.0, (8, 3))).to_json()
     data |= {"bound": Bound(-1.0, "grid", True, candidates=2000).as_dict(), "efficiency": 0.3, "outside_limits": []}
+    data["no_efficiency"] = None
     console = Console(width=100, file=io.StringIO())
     with console.capture() as capture:
         console.print(summary_table(data, ""))

@@ -119,6 +119,22 @@ def test_a_gain_smaller_than_predicted_is_not_called_wrong() -> None:
     assert diagnosis_actions(data)[0].text.endswith("gain less than predicted.")
 
 
+@pytest.mark.parametrize(("rms", "word"), [(0.31, "no better than"), (0.27, "no better beyond chance than")])
+def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: str) -> None:
+    """It is said before what was named, and the commands of the robot are to come from the geometry."""
+    offered = {"rms_mm": rms, "max_mm": 3.07, "rms_geometry_mm": 0.275, "max_geometry_mm": 1.81, "better": False}
+    data = said("named", "backlash:2") | {"offered": offered}
+    first = diagnosis_verdict(data)[0]
+    assert first.startswith(f"This model predicts {word} the geometry alone: {rms:g}")
+    assert "(largest 3.07) against" in first
+    commands = [action.command for action in diagnosis_actions(data, written=Path("extended.toml"))]
+    assert commands[0] == "armcal identify arm.toml data.csv --out calibrated.toml"
+    assert commands[1].startswith("armcal compensate calibrated.toml ")
+    assert not any("extended.toml" in command for command in commands)
+    good = diagnosis_actions(data | {"offered": offered | {"better": True}}, written=Path("extended.toml"))
+    assert good[-1].command.startswith("armcal compensate extended.toml ")
+
+
 def test_a_file_that_was_written_is_named_in_what_follows() -> None:
     """No step asks for what has been done, and the commands name the user's own file."""
     data = {"verdict": "named", "confirmed": True, "effects": [], "where": "joint:1"}

@@ -364,6 +364,7 @@ def test_a_corner_is_left_where_the_other_factor_has_room() -> None:
     gradient leads away from it; the least cost is 0."""
 
     def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        assert len(x) == 1  # of one problem one point at a time, as fits that keep their last point need it
         a, b, c = x.T
         jacobian = np.zeros((len(x), 2, 3))
         jacobian[:, 0, 0], jacobian[:, 1, 0], jacobian[:, 0, 1], jacobian[:, 1, 2] = b, c, a, a

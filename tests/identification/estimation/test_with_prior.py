@@ -54,6 +54,32 @@ def linear(data: Measurements) -> tuple[Array, Array]:
     )
 
 
+@pytest.mark.parametrize("sigma", [1e-5, 1e-7, 1e-9])
+def test_what_the_prior_holds_is_determined_beside_rows_without_noise(sigma: float) -> None:
+    """The prior of 1 mm and 0.5 deg counts as 1 where such rows count as 1e9: a share of the largest is no measure of
+    what is determined. The truth is far within the prior, so that the arm is found where the rows determine it."""
+    generator = np.random.default_rng(0)
+    chain = chain_of(
+        [DHRow(0.0, np.pi / 2, 400.0), DHRow(-600.0, 0.0, 0.0), DHRow(-500.0, 0.0, 0.0), DHRow(120.0, np.pi / 2, 150.0)]
+    )
+    model = Model(Arm.of_chain(chain, sigma=sigma))
+    q, fresh = generator.uniform(-2.0, 2.0, (60, 4)), generator.uniform(-2.0, 2.0, (20, 4))
+    truth = 0.3 * model.parameters.vector(model.prior, 0.0) * generator.standard_normal(len(model.names))
+    found = estimate(model, Measurements(q, model.position(q, truth)))
+    assert found.not_identifiable == ()
+    assert found.status is Status.converged
+    np.testing.assert_allclose(found.model.position(fresh, found.parameters), model.position(fresh, truth), atol=1e-6)
+
+
+def test_what_neither_rows_nor_prior_determine_stays_undetermined() -> None:
+    """One joint that turns about z: how high base and tool are is a sum, and nothing holds either."""
+    model = Model(Arm.of_chain(chain_of([DHRow(300.0, 0.0, 0.0)]), sigma=1e-9))
+    q = np.linspace(-2.0, 2.0, 30)[:, None]
+    found = estimate(model, Measurements(q, model.position(q)))
+    assert found.status is Status.not_identifiable
+    assert any("base" in combination for combination in found.not_identifiable)
+
+
 def test_it_is_ridge_regression_where_the_noise_is_given() -> None:
     data, _ = measured(np.random.default_rng(0), 8, 0.1)
     found = estimate_with_prior(MODEL, data, PRIOR, sigma="given")

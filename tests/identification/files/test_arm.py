@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 import warnings
 from pathlib import Path
@@ -107,6 +108,32 @@ def same(a: object, b: object) -> None:
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("rows = -3", "calibration.provenance.rows: found -3, allowed: a whole number >= 1"),
+        ("rows = 0", "rows: found 0"),
+        ('rows = "many"', "rows: found 'many'"),
+        ("rows = true", "rows: found True"),
+        (
+            "joint_range_deg = [[0.0, 90.0], [90.0, -90.0]]",
+            "joint_range_deg[2]: found [90.0, -90.0], allowed: two finite",
+        ),
+        ("joint_range_deg = [[0.0, 90.0, 100.0]]", "joint_range_deg[1]: found [0.0, 90.0, 100.0]"),
+        ("joint_range_deg = [0.0, 90.0]", "joint_range_deg[1]: found 0.0"),
+        ("joint_range_deg = 5", "joint_range_deg[1]: found 5"),
+        ("joint_range_mm = [[nan, 1.0]]", "joint_range_mm[1]: found [nan, 1.0]"),
+        ('joint_range_mm = [["a", 1.0]]', "joint_range_mm[1]: found ['a', 1.0]"),
+    ],
+)
+def test_provenance_that_cannot_be(tmp_path: Path, line: str, expected: str) -> None:
+    """Of numbers that the program itself reads again."""
+    text = "links_mm = [300.0, 200.0]\n[calibration]\nlength_errors_mm = [0.0, 0.0]\njoint_offsets_deg = [0.0, 0.0]\n"
+    (tmp_path / "arm.toml").write_text(f"{text}[calibration.provenance]\n{line}\n")
+    with pytest.raises(InputError, match=re.escape(expected)):
+        load_arm(tmp_path / "arm.toml")
+
+
 def test_every_documented_key_is_read(tmp_path: Path) -> None:
     arm = load(tmp_path, FULL)
     degree = np.pi / 180.0
