@@ -34,7 +34,8 @@ def expected_tip(model: Model, parameters: Array, covariance: Array, postures: A
     parameters : (p,) of the fit;  covariance : (p, p), with a prior that of the posterior;  postures : (m, n) [rad]
     """
     jacobian = tip_jacobian(model, postures, parameters)[:, POINT]
-    return float(np.sqrt(np.einsum("mdp,pq,mdq->", jacobian, covariance, jacobian, optimize=True) / len(postures)))
+    total = float(np.einsum("mdp,pq,mdq->", jacobian, covariance, jacobian, optimize=True))
+    return float(np.sqrt(max(total, 0.0) / len(postures)))  # below zero by rounding, where data have no noise
 
 
 def working_postures(low: Array, high: Array) -> Array:
