@@ -81,7 +81,7 @@ def all_hold(curves: Iterable[tuple[int, ErrorCurve]], postures: Array) -> Array
     """(...) whether all curves, each with its joint from 0, hold at postures (..., n): 1, 0, or between.
 
     A curve takes up other effects, too, as they are at the postures measured: beyond the angles of one joint the curves
-    of the others are worth no more than its own (identification/README.md, "Error curves").
+    of the others are worth no more than its own (identification/README.md, "One posterior").
     """
     found = np.ones(postures.shape[:-1])
     for joint, curve in curves:

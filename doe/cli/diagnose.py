@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from doe.cli.common import Answer, CommonOptions, read_measurements, read_sessions, say, verb, warn_beside_json
-from doe.cli.options import FILE, FileOrShare, LibraryEffects, Output, output_options, prior_options
+from doe.cli.options import FILE, FileOrShare, Output, output_options
 from doe.cli.typed import origin
 from identification.errors import InputError
 
@@ -34,20 +34,18 @@ HOLDOUT = FileOrShare(path_type=Path)
     metavar="FILE|SHARE",
     help="Measurements used for nothing but the confirmation; or a share of DATA (0.3): random postures are held out.",
 )
-@click.option("--draws", type=click.IntRange(399, 1_000_000), default=999, show_default=True, help="Bootstrap draws.")
 @click.option("--report", type=FILE, metavar="FILE", help="Write an HTML page with pictures.")
 @click.option("--curves", type=FILE, metavar="FILE", help="Write the error curves of joints as a table (CSV).")
-@prior_options
-@output_options(out="Write the arm file extended by the named effect; --force also where it is not confirmed.")
+@click.option("--named-only", is_flag=True, help="Write what is named alone, without what is less likely and curves.")
+@output_options(out="Write the arm file of the model that predicts best; --force also where it is not confirmed.")
 def command(
     common: CommonOptions,
     arm: Path,
     data: tuple[Path, ...],
     holdout: Path | float | None,
-    draws: int,
     report: Path | None,
     curves: Path | None,
-    prior: LibraryEffects,
+    named_only: bool,
     output: Output,
 ) -> Answer:
     """Find where model and measurements disagree, name the missing effect, and show the gap shrink.
@@ -65,12 +63,11 @@ def command(
     from identification.validate.judgement import judged
 
     loaded = load_arm(arm)
-    check_no_arm_file(data, bool(prior.prior))
+    check_no_arm_file(data)
     measurements, held_out = parts(data, holdout, loaded, common.seed)
     loaded = with_servo_errors(loaded, measurements)
     with common.progress() as progress:
-        more = (common.seed, draws, progress)
-        found = diagnose(loaded, measurements, held_out, *more, prior=prior.held, missing=prior.names)
+        found = diagnose(loaded, measurements, held_out, common.seed, progress)
         found = judged(found, loaded, measurements, held_out)
     refuted = [f"not confirmed: {found.confirmation}"] if found.confirmed is False else []
     warn_beside_json([*found.warnings, *refuted])
@@ -81,7 +78,9 @@ def command(
     try:
         named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
         page = gap_page(found, measurements, origin(common.seed, named), output.out, [arm, *data]) if report else ""
-        answer.shown += write_diagnosis(found, arm, output, {curves: curves_text(found.curves), report: page})
+        answer.shown += write_diagnosis(
+            found, arm, output, named_only, {curves: curves_text(found.curves), report: page}
+        )
         answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), [*map(str, data)], output.out))
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))
@@ -89,12 +88,11 @@ def command(
     return answer
 
 
-def check_no_arm_file(data: tuple[Path, ...], prior: bool) -> None:
-    """Raise `InputError` for an arm file among the data, as `--prior FILE` of `identify` leads one to give it."""
+def check_no_arm_file(data: tuple[Path, ...]) -> None:
+    """Raise `InputError` for an arm file among the data."""
     for path in data:
         if path.suffix.lower() == ".toml":
-            flag = f"--prior of diagnose takes no file; armcal identify --prior {path} does; " if prior else ""
-            raise InputError(f"{path}: found an arm file among the data, {flag}allowed: files of measurements")
+            raise InputError(f"{path}: found an arm file among the data, allowed: files of measurements")
 
 
 def parts(
@@ -111,9 +109,12 @@ def parts(
     return measurements, None if holdout is None else read_measurements(holdout, arm)
 
 
-def write_diagnosis(found: Diagnosis, arm: Path, output: Output, more: Mapping[Path | None, str]) -> list[str]:
+def write_diagnosis(
+    found: Diagnosis, arm: Path, output: Output, named_only: bool, more: Mapping[Path | None, str]
+) -> list[str]:
     """Write the requested files, all or none, and return the lines that report them.
 
+    named_only : what is named, without what is less likely
     more : name -> content of the report and the curves; None: not requested
     """
     from identification.files.arm_text import urdf_beside, with_calibration, with_effects
@@ -123,8 +124,10 @@ def write_diagnosis(found: Diagnosis, arm: Path, output: Output, more: Mapping[P
     if output.out is not None and found.confirmed is False and not output.force:
         warnings.warn(f"{output.out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
     elif output.out is not None:
-        extended = with_effects(read_text(arm), found.extended_arm().effects, arm.parent)
-        files[output.out] = with_calibration(extended, found.calibration, arm.parent)
+        model = found.extended_arm(found.named if named_only else None)
+        extended = with_effects(read_text(arm), model.effects, arm.parent)
+        assert model.calibration is not None  # a diagnosis has one
+        files[output.out] = with_calibration(extended, model.calibration, arm.parent)
         files |= urdf_beside(arm, output.out)
     files |= {path: text for path, text in more.items() if path is not None}
     write_together(files, force=output.force)

@@ -49,16 +49,14 @@ def effect_library(arm: Arm) -> EffectLibrary:
     known = hypotheses(arm, frozenset())
     common = [h for h in known.members if not h.scanned and h.effect.prior == 1.0 and known.acts(h)]
     shown = [h for h in common if not h.effect.needs & BY_ORDER]
-    alike = {h.key for h in shown if h.tied}
-    model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown if not h.tied)))
+    model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown)))
     own = len(Model(arm).parameters)
-    rivals = [h for h in shown if h.tied or h.key not in alike]
-    ordered = [h.spec for h in common if h.effect.needs & BY_ORDER and not h.tied]
+    ordered = [h.spec for h in common if h.effect.needs & BY_ORDER]
     return EffectLibrary(
         own,
         whole(model),
-        tuple(basis_of(model, own, hypothesis) for hypothesis in rivals),
-        np.array([hypothesis.weight for hypothesis in rivals]),
+        tuple(basis_of(model, own, hypothesis) for hypothesis in shown),
+        np.array([hypothesis.weight for hypothesis in shown]),
         by_order(Model(arm.with_effects(*arm.effects, *ordered))),
         lambda postures: detectability(arm, postures),
     )
@@ -69,7 +67,7 @@ def basis_of(model: Model, own: int, hypothesis: Hypothesis) -> Array:
     columns = [model.parameters.index(parameter.name) - own for parameter in hypothesis.effect.parameters]
     basis = np.zeros((len(model.parameters) - own, len(columns)))
     basis[columns, range(len(columns))] = model.scales[own:][columns]
-    return basis.sum(axis=1, keepdims=True) if hypothesis.tied else basis
+    return basis.sum(axis=1, keepdims=True) if hypothesis.family else basis
 
 
 def by_order(model: Model) -> Callable[[Array], Array]:

@@ -10,9 +10,7 @@ with C_j the covariance of rival j's parameters from the data at hand, J_j its J
 are added one at a time and then exchanged; C_j and what j has already given way to i are updated like a Kalman filter.
 Delta BIC between i and j grows by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives an upper
 bound on the probability that the right candidate is the only one left within the window of the ambiguity set. All
-candidates may be wrong: the bound is multiplied by their probability together, and by the share of choices made anew
-without a fifth of the rows that fall on one of them; what such choices leave of rows that they have not seen counts
-as noise.
+candidates may be wrong: the bound is multiplied by their probability together.
 """
 
 from __future__ import annotations
@@ -33,7 +31,6 @@ from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.gap.candidate import Candidate
 from identification.gap.result import Diagnosis
-from identification.gap.selection.selection import WINDOW
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status
@@ -41,6 +38,7 @@ from identification.status import Status
 # reasons: doe/README.md, "T-optimality"
 POOL = 1500  # random postures to choose from
 SWEEPS = 2  # exchange passes after the greedy choice
+WINDOW = 6.0  # Delta BIC, or -2 log odds, within which a rival is left: odds of 20
 NUDGE = 1e-2  # weight of the smooth part of the merit, which leads where the probability is still flat
 
 
@@ -109,7 +107,7 @@ def discriminate(
     payloads : [kg] that can be hung on the arm, default its own only;  pool : (N, n) [rad] to choose from, default
         random postures that are allowed;  stop : asked before every choice, see `t_optimal`
 
-    Raises `InputError` for a diagnosis that is not ambiguous or was made with a prior, or `runs` < 1, or if no posture
+    Raises `InputError` for a diagnosis that is not ambiguous, or `runs` < 1, or if no posture
     is allowed.
     """
     if runs < 1:
@@ -118,8 +116,6 @@ def discriminate(
         raise InputError(
             f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to distinguish"
         )
-    if diagnosis.prior is not None:
-        raise InputError("diagnosis: found one with a prior, allowed: without")
     generator = np.random.default_rng(seed)
     if pool is None:
         refuse_contacts(arm.chain)
@@ -161,7 +157,7 @@ def _pool(arm: Arm, postures: Array, generator: np.random.Generator, payloads: t
 
 def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options) -> RivalPredictions:
     """Predictions of every candidate, fitted to the data at hand, over the pool."""
-    sigma = scatter_of_new_rows(diagnosis, measurements.dimension)
+    sigma = diagnosis.sigma
     positions, jacobians = [], []
     for candidate in diagnosis.candidates:
         model = Model(diagnosis.extended_arm(candidate))
@@ -170,17 +166,11 @@ def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options)
         jacobians.append(jacobian @ _root(candidate, model) / sigma)
     delta = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
     weights = np.array([candidate.probability or 0.0 for candidate in diagnosis.candidates])
-    right = (float(weights.sum()) or 1.0) * (1.0 if diagnosis.choice is None else diagnosis.choice.again)
+    right = float(weights.sum()) or 1.0
     weights = np.exp(-0.5 * delta) if weights.sum() == 0.0 else weights
     return RivalPredictions(
         weights / weights.sum(), delta[None, :] - delta[:, None], np.array(positions), jacobians, right
     )
-
-
-def scatter_of_new_rows(diagnosis: Diagnosis, dimension: int) -> float:
-    """Standard deviation [mm] per coordinate of rows that chose no effect: the noise, and the mismatch that is left."""
-    mismatch = 0.0 if diagnosis.choice is None else diagnosis.choice.excess
-    return float(np.sqrt(diagnosis.sigma**2 + mismatch / dimension))
 
 
 def _root(candidate: Candidate, model: Model) -> Array:

@@ -19,7 +19,6 @@ from doe.report.gap_tables import (
     gap_sheet,
     probability_sheet,
     replication_sheet,
-    round_sheet,
     trial_sheet,
 )
 from doe.report.identification_tables import DH_TABLE, conventions, corrected_sheet, dh_notes
@@ -28,9 +27,9 @@ from doe.report.page import Section, Sheet, page
 from doe.report.terminal import number
 from doe.report.verdict import diagnosis_actions, diagnosis_verdict, expected_elsewhere
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
-from identification.gap.noise.noise import Finding
 from identification.gap.notebook import tests_of
 from identification.gap.result import Diagnosis
+from identification.gap.scatter import Finding
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.validate import DRAWN, drawing_residuals
@@ -101,7 +100,7 @@ def further_sections(data: Data, figures: Sequence[Figure] = ()) -> list[Section
             "Everything that was tried",
             "How likely each explanation is, the strongest effects one at a time against the base model, and in which "
             "rounds the search came to its result.",
-            [probability_sheet(data), trial_sheet(data), round_sheet(data)],
+            [probability_sheet(data), trial_sheet(data)],
             folded=True,
         ),
         Section(

@@ -17,7 +17,6 @@ from identification.gap.result import Diagnosis
 from identification.gap.summary import findings, headline
 
 MOST_TRIALS = 12
-MOST_ROUNDS = 5  # of naming in a terminal
 LEFT = ("unit", "change", "shape", "joints", "session", "fitted there")  # columns of words
 
 
@@ -31,11 +30,10 @@ def candidate_sheet(data: Data) -> Sheet:
             " +\n".join(c["effects"]),
             "its cause is unknown" if is_described(data) else share(c["probability"]),
             *(f"{c[k]:.1f}" for k in ("delta_bic", "f")),
-            p_value(c["p_adjusted"]),
         ]
         for c in _explanations(data)
     ]
-    return Sheet(["effects", "probability", "Delta BIC", "F", "adjusted p"], rows)
+    return Sheet(["effects", "probability", "-2 log odds", "F"], rows)
 
 
 def _explanations(data: Data) -> list[Data]:
@@ -77,11 +75,11 @@ def p_value(p: float) -> str:
 
 def probability_sheet(data: Data) -> Sheet:
     """Every explanation that is not unlikely, with those that are no candidates."""
-    other = {f"unknown: {' + '.join(found['effects'])}": found["probability"] for found in data["other_sets"]}
+    other = {" + ".join(found["effects"]): found["probability"] for found in data["other_sets"]}
     credible = set(data["credible_set"])
     fitted = {" + ".join(c["effects"]) for c in data["candidates"]} if is_described(data) else set()
     rows = [
-        [name, share(p), "yes" if name.removeprefix("unknown: ") in credible else ""]
+        [name, share(p), "yes" if name in credible else ""]
         for name, p in (data["probabilities"] | other).items()
         if name not in fitted
     ]
@@ -96,10 +94,10 @@ def gap_sheet(data: Data) -> Sheet:
 def trial_sheet(data: Data) -> Sheet:
     """The strongest effects, one at a time against the base model."""
     rows = [
-        [t["effect"], f"{t['f']:.1f}", p_value(t["p_adjusted"]), f"{t['delta_bic']:.1f}"]
+        [t["effect"], share(1.0 - t["p_adjusted"]), f"{t['f']:.1f}", p_value(t["p"]), f"{t['delta_bic']:.1f}"]
         for t in data["trials"][:MOST_TRIALS]
     ]
-    return Sheet(["effect alone", "F", "adjusted p", "change of BIC"], rows)
+    return Sheet(["effect", "probability", "F alone", "p", "-2 log odds alone"], rows)
 
 
 def excluded_sheet(data: Data) -> Sheet:
@@ -183,23 +181,6 @@ def order_sheet(data: Data) -> Sheet:
     return Sheet(["wave", "joint moved over [deg]", "orders that fit"], rows)
 
 
-def round_sheet(data: Data) -> Sheet:
-    """What each round of naming added (+) and took back (-), and the gap that it left."""
-    changes = ([*(f"+ {n}" for n in one["added"]), *(f"- {n}" for n in one["removed"])] for one in data["rounds"])
-    rows = zip(changes, data["rounds"], strict=True)
-    shown = [[f"round {k}", "\n".join(change), number(one["rms_mm"])] for k, (change, one) in enumerate(rows, start=1)]
-    return Sheet(["", "change", "left [mm]"], shown)
-
-
-def history(data: Data) -> list[Any]:
-    """How the search came to its result: a table where it is short, else where to find it."""
-    rounds = data["rounds"]
-    if len(rounds) <= MOST_ROUNDS:
-        return [as_table(round_sheet(data), "Named in rounds")] if len(rounds) > 1 else []
-    steps = f"{number(data['gap']['rms_before_mm'])} -> {number(rounds[-1]['rms_mm'])} mm"
-    return [f"Named in {len(rounds)} rounds ({steps}); the page of --report and --json list them."]
-
-
 def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     """Verdict first, then the gap, candidates, and what else a person should know."""
     data, lines = diagnosis.to_json(), [*findings(diagnosis, orders=False), *diagnosis.warnings]
@@ -213,7 +194,6 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is not None and not test.as_predicted]
     shown += effect_tables(diagnosis, data) if diagnosis.effects else excluded_tables(data)
     shown.append(Text(diagnosis.likely))
-    shown += history(data)
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))

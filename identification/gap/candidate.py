@@ -32,17 +32,16 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A set of effects whose BIC is within the window of the best set.
+    """A set of effects that is not much less likely than the best set.
 
     effects : labels such as `transmission_ripple:2[k=17]`
     specs : entries of an arm file in the same order (settings, no estimates)
-    classes : classes of the effects, sorted;  delta_bic : BIC less the lowest BIC
-    f, p_adjusted : F statistic and adjusted p-value of the effect that enters last
+    classes : classes of the effects, sorted;  delta_bic : -2 log odds to the best set
+    f : F statistic of the set against the base model;  p_adjusted : 1 less the probability of the set
     parameters : estimates of the effects' parameters;  calibration : all estimates with their covariance
     probability : posterior probability that exactly these effects are missing; None where it was not computed
     intervals, reliance : basis of the 95 % intervals, as a keyword of `estimation.uncertainty` and in words
     freedom : degrees of freedom of each variance in the calibration's covariance; empty: those of the residuals
-    held : further effects of the calibration, shrunk by their prior
     """
 
     effects: tuple[str, ...]
@@ -57,7 +56,6 @@ class Candidate:
     intervals: str = "scatter"
     reliance: str = "from the scatter of the residuals"
     freedom: tuple[float, ...] = ()
-    held: tuple[EffectSpec, ...] = ()
 
     @property
     def title(self) -> str:

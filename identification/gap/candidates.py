@@ -1,57 +1,49 @@
-"""Turn the ambiguity set and the tests of single effects into results: `Candidate` and `Trial`."""
+"""Turn explanations into results: `Candidate` from a fit, `Trial` of every effect alone."""
 
 from __future__ import annotations
 
 from types import MappingProxyType
 
 import numpy as np
+from scipy.special import fdtrc
 
 from identification.arm import Calibration
+from identification.arrays import Array
 from identification.estimation.intervals import freedom_kept, limits_95
-from identification.estimation.uncertainty import Uncertainty
+from identification.estimation.uncertainty import FittedRows, Uncertainty, uncertainty
+from identification.gap.average import PredictingModel
 from identification.gap.candidate import Candidate, Estimate
 from identification.gap.fits.fit import Fit
+from identification.gap.posterior import Posterior
 from identification.gap.result import Trial
-from identification.gap.selection.certainty import certainty
-from identification.gap.selection.search import Choice, HypothesisSearch
-from identification.gap.selection.selection import trial_of
-from identification.gap.workflow import Findings
+from identification.gap.verdict import block_probabilities
+from identification.information import spectrum
 from identification.kinematics.joint_range import joint_range
+from identification.model import Model
 from identification.validate.row_groups import DIAGNOSED
 
 
-def candidate_list(found: Findings, draws: int, generator: np.random.Generator) -> tuple[Candidate, ...]:
-    """The ambiguity set as results; where an unknown effect was found, only the effects named beside it."""
-    rivals = found.selection.rivals
-    if found.unknown.place is not None:
-        rivals = ((found.unknown.chosen, 0.0),) if found.unknown.chosen else ()
-    searches = found.search, found.fits
-    return tuple(candidate(*searches, chosen, delta, draws, generator) for chosen, delta in rivals)
+def certainty(found: Fit, given: float | None, doubtful: bool) -> Uncertainty:
+    """Covariance and degrees of freedom of a fit's estimates, computed as if no bound were active.
 
-
-def candidate(
-    search: HypothesisSearch,
-    fits: HypothesisSearch,
-    chosen: Choice,
-    delta: float,
-    draws: int,
-    generator: np.random.Generator,
-) -> Candidate:
-    """A set of effects as a result.
-
-    search : provides the tests;  fits : provides the fits, possibly to more rows;  delta : BIC less the lowest BIC
-    draws, generator : of the bootstrap
+    given : sigma of the arm file;  doubtful : a noise model was estimated, so that the sandwich covariance is used
     """
-    found = fits.fit(chosen)
-    test = trial_of(search, chosen, draws, generator)
-    return candidate_of(found, len(chosen), test, certainty(fits, found), delta)
+    rows = found.rows
+    sigma = None if doubtful else rows.sigma or given
+    unit, m, d = sigma or 1.0, len(rows), rows.dimension
+    jacobian, residual = found.jacobian / unit, found.residual / unit
+    tall, numbers = jacobian.reshape(m, d, -1), (rows.posture_numbers, rows.repeat_numbers)
+    fitted = FittedRows(tall, residual.reshape(m, d), found.rank, rows.sequence, *numbers)
+    return uncertainty(fitted, spectrum(jacobian, found.model.scales), known=sigma is not None, doubtful=doubtful)
 
 
-def candidate_of(found: Fit, added: int, test: tuple[float, float], sure: Uncertainty, delta: float = 0.0) -> Candidate:
+def candidate_of(
+    found: Fit, added: int, sure: Uncertainty, f: float, probability: float | None, delta: float = 0.0
+) -> Candidate:
     """The last `added` effects of a fitted model as a result.
 
-    test : F statistic and adjusted p-value;  sure : covariance and degrees of freedom of the estimates
-    delta : BIC less the lowest BIC
+    sure : covariance and degrees of freedom of the estimates;  f : of the F test against the base model
+    delta : -2 log odds to the best set
     """
     own = len(found.model.effects) - added  # the arm's own come first
     effects, specs = found.model.effects[own:], found.model.arm.effects
@@ -63,36 +55,63 @@ def candidate_of(found: Fit, added: int, test: tuple[float, float], sure: Uncert
         specs[len(specs) - added :],
         tuple(sorted({effect.family for effect in effects})),
         delta,
-        *test,
-        estimates(found, sure, {p.name for effect in effects for p in effect.parameters}),
+        f,
+        1.0 - (probability or 0.0),
+        estimates(found.model, found.values, sure, {p.name for effect in effects for p in effect.parameters}),
         Calibration(found.by_name, found.model.names, sure.covariance, MappingProxyType(origin)),
+        probability=probability,
         intervals=sure.kind,
         reliance=sure.sentence,
         freedom=tuple(sure.freedom.tolist()),
     )
 
 
-def estimates(found: Fit, sure: Uncertainty, names: set[str]) -> tuple[Estimate, ...]:
+def predicting_candidate(model: PredictingModel, named: Candidate, postures: Array) -> Candidate:
+    """The posterior's average: what is named, with everything else that it has in it."""
+    freedom = np.full(len(model.values), float(model.freedom))
+    ranges = joint_range(postures, model.model.joint_types)
+    origin = {"source": DIAGNOSED, **ranges, "scatter_mm": model.sigma, **freedom_kept(model.model.names, freedom)}
+    return Candidate(
+        named.effects,
+        tuple(model.specs),
+        named.classes,
+        named.delta_bic,
+        named.f,
+        named.p_adjusted,
+        named.parameters,
+        Calibration(model.by_name, model.model.names, model.covariance, MappingProxyType(origin)),
+        probability=named.probability,
+        intervals=named.intervals,
+        reliance=named.reliance,
+        freedom=tuple(freedom.tolist()),
+    )
+
+
+def estimates(model: Model, values: Array, sure: Uncertainty, names: set[str]) -> tuple[Estimate, ...]:
     """Estimates and 95 % intervals of the parameters with these names."""
-    parameters, deviations = found.model.parameters, np.sqrt(np.diag(sure.covariance))
-    limits = limits_95(parameters, found.values, deviations, sure.freedom)
-    figures = np.column_stack([found.values, deviations, limits])
+    parameters, deviations = model.parameters, np.sqrt(np.diag(sure.covariance))
+    limits = limits_95(parameters, values, deviations, sure.freedom)
+    figures = np.column_stack([values, deviations, limits])
     rows = zip(parameters, figures, strict=True)
     return tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in rows if p.name in names)
 
 
-def trial_list(found: Findings) -> tuple[Trial, ...]:
-    """Every effect tested against the base model, lowest BIC first; of a scanned setting only the best value."""
-    test = found.selection.first
+def trial_list(found: Posterior) -> tuple[Trial, ...]:
+    """Every effect alone against the base model, likeliest first; of a scanned setting only the best value."""
+    problem, shares = found.problems[0], block_probabilities(found)
+    products = problem.products
+    added = products.added(products.given((), ())).averaged
+    total = sum(b.weight for b in problem.blocks if not b.row)
     best: dict[str, Trial] = {}
-    for k, h in enumerate(test.members):
-        trial = Trial(
-            h.label,
-            float(test.omnibus_test.f[k]),
-            float(test.omnibus_test.p[k]),
-            float(test.omnibus_test.adjusted[k]),
-            float(test.change[k]),
-        )
-        if h.key not in best or trial.delta_bic < best[h.key].delta_bic:
-            best[h.key] = trial
-    return tuple(sorted(best.values(), key=lambda t: t.delta_bic))
+    for k, block in enumerate(problem.blocks):
+        if block.named:
+            own = products.columns([k])
+            gain = float(products.right[own] @ np.linalg.pinv(products.gram[np.ix_(own, own)]) @ products.right[own])
+            rest = max(products.freedom - len(own), 1)
+            f = gain / len(own) / (max(products.squares - gain, 1e-300) / rest)
+            odds = float(added[k] + np.log(block.weight / total))
+            p = float(fdtrc(len(own), rest, f))
+            trial = Trial(block.label, f, p, 1.0 - shares.get(block.key, 0.0), -2.0 * odds)
+            if block.key not in best or trial.delta_bic < best[block.key].delta_bic:
+                best[block.key] = trial
+    return tuple(sorted(best.values(), key=lambda t: (round(t.delta_bic, 9), t.effect)))

@@ -1,62 +1,44 @@
-"""`diagnose`: find out which effect is missing in a model (identification/README.md, "Gap workflow", 8 steps)."""
+"""`diagnose`: find out which effect is missing in a model (identification/README.md, "Gap workflow")."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.checks import check_measurements
-from identification.estimation.outlying import together
+from identification.estimation.outlying import outlying, together
+from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
+from identification.gap.average import PredictingModel, averaged
 from identification.gap.candidate import Candidate
-from identification.gap.candidates import trial_list
-from identification.gap.confirmation.confirmation import HeldOut
+from identification.gap.candidates import candidate_of, certainty, predicting_candidate, trial_list
 from identification.gap.confirmation.cross_validation import cross_validation
 from identification.gap.confirmation.holdout import (
-    Gap,
     check_holdout,
     check_same_arm,
     confirmation_of,
     gap_of,
     held_out,
-    held_out_conditions,
     other_set_up,
 )
-from identification.gap.explanation import Explanation, Fits, explained_fits
-from identification.gap.fits.fit import Fit
+from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
-from identification.gap.hypotheses.detectability import Detectability, assess, require_spare
+from identification.gap.hypotheses.detectability import assess, require_spare
 from identification.gap.hypotheses.hypotheses import hypotheses
-from identification.gap.library.library_prior import given_by, library_prior
-from identification.gap.noise.misfit import misfit
-from identification.gap.noise.noise import unexplained_rows
+from identification.gap.noise.misfit import Misfit, misfit
 from identification.gap.noise.repeats import noise_floor, repeat_finding
-from identification.gap.notes import (
-    alias_list,
-    curve_notes,
-    hidden_orders,
-    notes,
-    order_notes,
-    prior_note,
-    unexplained_note,
-)
-from identification.gap.outside.excluded_waves import excluded_waves
-from identification.gap.probability.agreement import overruled
-from identification.gap.probability.choice_validation import ChoiceValidation, disagreement, validate_choice
-from identification.gap.probability.probabilities import Probabilities
+from identification.gap.notes import alias_list, curve_notes, hidden_orders, notes, order_notes, unexplained_note
+from identification.gap.order_range import order_ranges
+from identification.gap.posterior import Explanation, Posterior, posterior, refit
 from identification.gap.result import Diagnosis, Residuals
-from identification.gap.selection.certainty import fit_doubts
-from identification.gap.selection.order_range import order_ranges
-from identification.gap.selection.rounds import rounds_of
-from identification.gap.selection.search import LEVEL_FACTOR, HypothesisSearch
-from identification.gap.selection.selection import ALPHA_NEXT
+from identification.gap.scatter import Finding
 from identification.gap.sessions.replicate import replications
-from identification.gap.workflow import Findings, Workflow
+from identification.gap.verdict import Names, Probabilities, likeliest, probabilities
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import practical
@@ -64,9 +46,16 @@ from identification.progress import Progress, Tell, silent
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 from identification.threads import single_thread
 
-# the strictest level must be within reach: p >= 1 / (draws + 1) (identification/README.md, "Constants")
-FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * LEVEL_FACTOR)) - 1
-BEGINS = (0.0, 0.0, 0.8, 0.95)  # part of the work that is done when each of the four steps begins
+BEGINS = (0.0, 0.1, 0.7)  # part of the work that is done when each of the three steps begins
+IMPOSSIBLE = 1e-3  # p-value of what is left, below which the noise cannot be all: a trusted sigma, or repeats
+KINDS = {
+    "time": "smooth in time",
+    "workspace": "smooth over the workspace",
+    "wobble": "tilt or shift across the axis",
+    "shared": "depends on other joints too",
+    "history": "depends on the direction of approach",
+    "library": "many small effects",
+}
 
 
 @single_thread()
@@ -75,11 +64,7 @@ def diagnose(
     measurements: Measurements,
     holdout: Measurements | None = None,
     seed: int = 0,
-    draws: int = 999,
     progress: Progress = silent,
-    *,
-    prior: bool = False,
-    missing: Sequence[str] | None = None,
 ) -> Diagnosis:
     """Whether model and measurements disagree, which effect is missing, and whether adding it closes the gap.
 
@@ -88,53 +73,35 @@ def diagnose(
         (`practical`).
     measurements : of one session, or of several distinguished by their column `session`, each with its own base
     holdout : measurements of the same arm, used for the confirmation only
-    seed, draws : of the bootstrap; the same seed gives the same diagnosis; at least 399 draws
-    prior : once effects are named, fit the best set together with the rest of the library, each effect with a normal
-        prior of its typical size;  missing : restrict the prior to these effects
+    seed : the same seed gives the same diagnosis
 
     Raises `InputError` for data of another arm, effects without the data they need, fewer than 4 residual degrees of
-    freedom, a single posture or position, a hold-out of another arm or one that shares rows with the data, and unknown
-    names in `missing`.
+    freedom, a single posture or position, and a hold-out of another arm or one that shares rows with the data.
     """
-    check_input(arm, measurements, holdout, draws)
+    check_input(arm, measurements, holdout)
     holdout = None if holdout is None else of_these_sessions(holdout, measurements)
     given = practical(arm, measurements)
     arm = with_sessions(given, measurements)
-    if prior:
-        library_prior(arm, given_by(measurements), missing)
     generator = np.random.default_rng(seed)
-    found = findings_of(arm, measurements, holdout, draws, generator, progress)
-    explained, fits = explained_fits(found, measurements, draws, generator, prior, missing, step(3, progress))
-    step(4, progress)("sizes excluded, tests on other rows")
-    result = diagnosis_of(measurements, holdout, explained, fits, generator)
-    progress(1, 1, result.sentence)
-    return result if arm is given else of_first_session(result, given)
-
-
-def findings_of(
-    arm: Arm,
-    measurements: Measurements,
-    holdout: Measurements | None,
-    draws: int,
-    generator: np.random.Generator,
-    progress: Progress,
-) -> Findings:
-    """Steps 1 to 5: which effects are missing. Raises `InputError` for too few rows or a hold-out of another arm."""
     if not Model(arm).names:
         raise InputError("measurements: no parameter of the arm follows from these rows, allowed: data that show one")
     rows = Rows.of(measurements)
     library = hypotheses(arm, varying(measurements), rows)
-    first = HypothesisSearch(library, rows).fit(())
-    require_spare(first.freedom, len(rows))
-    if holdout is not None:
-        check_same_arm(first, measurements, holdout)
     step(1, progress)("base model")
-    return Workflow(library, draws, generator, step(2, progress)).findings(rows)
+    base = fit(library.base, rows)
+    require_spare(base.freedom, len(rows))
+    if holdout is not None:
+        check_same_arm(base, measurements, holdout)
+    found = posterior(library, rows, generator, step(2, progress))
+    step(3, progress)("fits, tests on other rows")
+    result = diagnosis_of(found, measurements, holdout, generator)
+    progress(1, 1, result.sentence)
+    return result if arm is given else of_first_session(result, given)
 
 
 def step(number: int, progress: Progress) -> Tell:
     """What is told of a step, and the part of the work that is usually done when it begins."""
-    return lambda message: progress(BEGINS[number - 1], 1.0, f"step {number} of 4: {message}")
+    return lambda message: progress(BEGINS[number - 1], 1.0, f"step {number} of {len(BEGINS)}: {message}")
 
 
 def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
@@ -143,14 +110,13 @@ def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
     def single(found: Candidate) -> Candidate:
         return replace(found, calibration=without_sessions(found.calibration))
 
-    candidates = tuple(map(single, result.candidates))
-    return replace(result, arm=with_base(arm), candidates=candidates, named=single(result.named))
+    candidates, models = tuple(map(single, result.candidates)), map(single, (result.named, result.predicting))
+    named, predicting = models
+    return replace(result, arm=with_base(arm), candidates=candidates, named=named, predicting=predicting)
 
 
-def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None, draws: int) -> None:
-    """Raise `InputError` for too few draws and for data that do not fit the arm or lack what its effects need."""
-    if draws < FEWEST_DRAWS:
-        raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
+def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None) -> None:
+    """Raise `InputError` for data that do not fit the arm or lack what its effects need."""
     check_measurements(Model(arm), measurements)
     touching = arm.chain is not None and arm.chain.instrument.contact  # contacts have no positions
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
@@ -168,138 +134,155 @@ def varying(measurements: Measurements) -> frozenset[str]:
 
 
 def diagnosis_of(
-    measurements: Measurements,
-    holdout: Measurements | None,
-    explained: Explanation,
-    fits: Fits,
-    generator: np.random.Generator,
+    found: Posterior, measurements: Measurements, holdout: Measurements | None, generator: np.random.Generator
 ) -> Diagnosis:
-    """Steps 6 to 8: the verdict, the gap before and after, and the tests on rows that were not used for the fits."""
-    found, arm, named = explained.found, fits.base.model.arm, bool(explained.named.effects)
-    kept = ~found.outlier
-    choice = None if explained.smooth else validate_choice(found, measurements, generator)
-    there = held_out_rows(explained, fits, choice, measurements, holdout)
-    residuals = show_residuals(arm, measurements, fits.base, fits.after)
+    """Everything that is read off the posterior."""
+    library = found.library
+    kept = np.ones(len(found.rows), dtype=bool)
+    kept[list(found.best.wrong)] = False
+    base = fit(library.base, Rows.of(measurements).pick(kept))
+    best = refit(found, found.best)
+    predicting = averaged(found, best, int(kept.sum()) * found.rows.dimension)
+    scatter = findings(found)
+    left = predicting.position_residuals(measurements, measurements.conditions)
+    estimated = int(kept.sum()) * found.rows.dimension - predicting.freedom
+    repeats = repeat_finding(left, estimated, measurements, kept)
+    over_sigma = misfit(left, estimated, measurements, library.arm.sigma, kept)
+    likely = guarded(probabilities(found), repeats, over_sigma, measurements)
+    verdict = likely.verdict
+    named, *candidates = models(found, base, likely)
+    something = verdict != "none"
+    tests = cross_validation(found, measurements, kept, generator, something)
+    if tests[0].shrinks is False and tests[0].after > tests[0].before:
+        predicting = geometry(base)
+        left = predicting.position_residuals(measurements, measurements.conditions)
+        worse = ["other rows are predicted better by the geometry alone: that is what --out writes"]
+    else:
+        worse = []
+    there = None if holdout is None else held_out(base, predicting, measurements, kept, holdout)
+    residuals = show_residuals(library.arm, measurements, base, left)
     before, after = residuals.before[kept], residuals.after[kept]
-    gap = gap_of(before, after, there, noise_floor(residuals.after, measurements, kept, arm.sigma))
-    estimated = len(fits.after.residual) - fits.after.freedom  # effective number of parameters
-    result = named_effects(explained, measurements, residuals, gap, estimated)
-    over_sigma = misfit(residuals.after, estimated, measurements, arm.sigma, kept)
-    rows = Rows.of(measurements)
-    unexplained = together(unexplained_rows(fits.after, rows), rows.postures, rows.posture_numbers) & kept
+    unexplained = kept & unexplained_rows(best, found.rows)
+    gap = gap_of(before, after, there, noise_floor(left, measurements, kept, library.arm.sigma))
     confirmation = None
     if holdout is not None and there is not None:
-        confirmation = confirmation_of(measurements, holdout, there, named)
-    return replace(
-        result,
-        data=MappingProxyType({k: v for k, v in measurements.origin.items() if k != "rows"}),
-        choice=choice,
-        replication=replications(explained.fit, measurements, kept, result.effects),
-        misfit=over_sigma,
-        confirmation=confirmation,
-        cross_validation=cross_validation(fits.base, fits.after, measurements, kept, generator, named),
-        warnings=(*fit_doubts(arm, measurements, fits.after, after), *other_set_up(there)),
-        notes=(
-            *result.notes,
-            *notes(arm, measurements, found, holdout, gap, over_sigma),
-            *unexplained_note(residuals.after, unexplained),
-            *prior_note(explained.prior),
-        ),
-        unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
-    )
-
-
-def named_effects(
-    explained: Explanation, measurements: Measurements, residuals: Residuals, gap: Gap, estimated: int
-) -> Diagnosis:
-    """The verdict with its candidates, aliases and tests.
-
-    estimated : effective number of parameters of the best set
-    """
-    found, named, unknown = explained.found, explained.named, explained.found.unknown
-    curves = explained.smooth.curves if explained.smooth else ()
-    hidden = hidden_orders(found.search, {h.label: h for h in explained.chosen})
-    detectable = assess_data(found, explained.fit.sigma)
-    repeats = repeat_finding(residuals.after, estimated, measurements, ~found.outlier)
+        confirmation = confirmation_of(measurements, holdout, there, something)
+    effects = library.model(likeliest_of(found, likely).effects)
+    fitted = fit(effects, found.noises[found.best.noise].rows.pick(kept), best.by_name)
+    at_base = library.base.jacobian(base.rows.postures, base.values, base.rows.conditions)
+    detectable = assess(library, base.rows, at_base, base.by_name, predicting.sigma)
+    hidden = hidden_orders(found) if named.effects else ()
+    place = likely.place if verdict == "unknown" else None
     return Diagnosis(
-        arm=found.search.hypotheses.base.arm,
-        verdict="named" if curves and unknown.place is None else verdict_of(found),
-        candidates=explained.candidates,
+        arm=library.arm,
+        verdict=verdict,
+        candidates=tuple(candidates),
         named=named,
-        aliases=(*hidden, *alias_list(detectable, explained.candidates)),
-        where=unknown.place,
-        shape=next((c.shape for c in curves if unknown.place == f"joint:{c.joint}"), unknown.shape),
-        scatter=(*found.scatter, *repeats),
-        outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(found.outlier)),
+        predicting=predicting_candidate(predicting, named, base.rows.postures),
+        aliases=(*hidden, *alias_list(detectable, tuple(candidates))),
+        where=place,
+        shape=shape_of(place, predicting, likeliest_of(found, likely)),
+        scatter=(*scatter, *(repeats if not any(f.name == "repeats" for f in scatter) else ())),
+        outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(~kept)),
         gap=gap,
         trials=trial_list(found),
         detectability=detectable,
         residuals=residuals,
-        sigma=explained.fit.sigma,
-        rounds=rounds_of(found.search, found.selection.path, explained.fit, named.effects),
-        shapes=order_ranges(explained.fit, found.fits.rows, named.effects),
-        probabilities=explained.likely,
-        curves=curves,
-        notes=(*overruled(found, explained.likely), *order_notes(hidden), *curve_notes(curves)),
-        prior=explained.prior,
+        sigma=fitted.sigma,
+        probabilities=likely,
+        data=MappingProxyType({k: v for k, v in measurements.origin.items() if k != "rows"}),
+        misfit=over_sigma,
+        confirmation=confirmation,
+        cross_validation=tests,
+        warnings=(*fit_doubts(library.arm, measurements, best, after), *other_set_up(there)),
+        notes=(
+            *order_notes(hidden),
+            *curve_notes(predicting.curves),
+            *worse,
+            *notes(found, measurements, best, holdout, gap, over_sigma),
+            *unexplained_note(left, unexplained),
+        ),
+        unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
+        shapes=order_ranges(fitted, fitted.rows, named.effects),
+        replication=replications(fitted, measurements, kept, named.effects),
+        curves=predicting.curves,
     )
 
 
-def held_out_rows(
-    explained: Explanation,
-    fits: Fits,
-    validated: ChoiceValidation | None,
-    measurements: Measurements,
-    holdout: Measurements | None,
-) -> HeldOut | None:
-    """Squared residuals of both models in the hold-out, with their prediction; None without a hold-out."""
-    if holdout is None:
-        return None
-    smooth, found = explained.smooth, explained.found
-    mismatch = smooth.excess if smooth else mismatch_of(found, explained.likely, validated, measurements, holdout)
-    return held_out(fits.base, fits.after, measurements, ~found.outlier, holdout, mismatch)
+def guarded(
+    likely: Probabilities, repeats: tuple[Finding, ...], over_sigma: Misfit | None, measurements: Measurements
+) -> Probabilities:
+    """The probabilities where the noise may be known: of its rows, or from repeats of one posture. More than it can be
+    is left by something."""
+    p = min([1.0, *(finding.p for finding in repeats)])
+    if measurements.sigma is not None and over_sigma is not None:
+        p = min(p, over_sigma.p_value)
+    return likely.not_none(p) if p < IMPOSSIBLE else likely
 
 
-def mismatch_of(
-    found: Findings,
-    likely: Probabilities,
-    validated: ChoiceValidation | None,
-    measurements: Measurements,
-    holdout: Measurements | None,
-) -> float:
-    """Mean square distance [mm^2] in the hold-out due to a possibly wrong choice of effects.
-
-    The larger of two estimates: the excess in the cross-validation of the choice, and the disagreement between the
-    named model and its alternatives in the hold-out.
-    """
-    if validated is None or holdout is None:
-        return 0.0
-    there = held_out_conditions(measurements, holdout)
-    return max(validated.excess, disagreement(found, likely, holdout, there))
+def likeliest_of(found: Posterior, likely: Probabilities) -> Explanation:
+    """The likeliest explanation with what is named."""
+    if likely.verdict == "unknown" and likely.place is not None:
+        return likeliest(found, (), outside=True)
+    if likely.verdict in ("unknown", "none"):
+        return next((e for e in found.explanations if not e.effects and not e.outside), found.best)
+    return likeliest(found, likely.best)
 
 
-def verdict_of(found: Findings) -> str:
-    """`none`, `named`, `ambiguous` or `unknown`."""
-    if found.unknown.place is not None:
-        return "unknown"
-    if not found.selection.chosen:
-        return "none"
-    return "ambiguous" if len(found.selection.rivals) > 1 else "named"
+def models(found: Posterior, base: Fit, likely: Probabilities) -> list[Candidate]:
+    """What is named, and the candidates."""
+    rivals: list[Names] = likely.rivals
+    explanations = [likeliest(found, names) for names in rivals] or [likeliest_of(found, likely)]
+    candidates = []
+    for one in explanations:
+        fitted = refit(found, one)
+        noise = found.noises[one.noise]
+        sure = certainty(fitted, found.library.arm.sigma, doubtful=bool(noise.name))
+        plain = fit(found.library.base, fitted.rows, base.by_name) if one.effects else fitted
+        size = fitted.rank - plain.rank
+        gain = (plain.squares - fitted.squares) / max(size, 1) / max(fitted.sigma**2, 1e-300)
+        keys = [h.key for h in one.effects]
+        p = likely.of(keys) if likely.verdict != "unknown" else None
+        best = max(likely.of(likely.best), 1e-300)
+        delta = 0.0 if p is None else -2.0 * float(np.log(max(p, 1e-300) / best))
+        candidates.append(candidate_of(fitted, len(one.effects), sure, max(float(gain), 0.0), p, delta))
+    listed = candidates if rivals or (likely.verdict == "unknown" and candidates[0].effects) else []
+    return [candidates[0], *listed]
 
 
-def assess_data(found: Findings, sigma: float) -> Detectability:
-    """Detectability of every effect in these data, at the noise estimated from them; with waves if nothing is found."""
-    search = found.search
-    base = search.fit(())
-    jacobian = base.model.jacobian(search.rows.postures, base.values, search.rows.conditions)
-    level = found.selection.first.omnibus_test.threshold
-    effects = assess(search.hypotheses, search.rows, jacobian, base.by_name, sigma, level)
-    waves = excluded_waves(search, sigma) if verdict_of(found) == "none" else {}
-    return replace(effects, detectable=MappingProxyType({**effects.detectable, **waves}))
+def findings(found: Posterior) -> tuple[Finding, ...]:
+    """Properties of the noise that are likelier than not."""
+    shares: dict[str, float] = {}
+    sizes: dict[str, tuple[float, float]] = {}
+    for one in found.explanations:
+        noise = found.noises[one.noise]
+        shares[noise.name] = shares.get(noise.name, 0.0) + one.probability
+        sizes.setdefault(noise.name, (one.probability, noise.size))
+    return tuple(Finding(name, 1.0 - p, sizes[name][1]) for name, p in shares.items() if name and p >= 0.5)
 
 
-def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) -> Residuals:
-    """Residuals before and after, with the quantities they can be plotted against."""
+def unexplained_rows(found: Fit, rows: Rows) -> NDArray[np.bool_]:
+    """(m,) True for rows that a fit does not explain and that come together, so that they are no outliers."""
+    predicted, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
+    residual = rows.whiten(rows.positions - predicted).reshape(predicted.shape)
+    far = outlying(residual, rows.whiten(jacobian / found.model.scales))
+    return together(far, rows.postures, rows.posture_numbers)
+
+
+def geometry(base: Fit) -> PredictingModel:
+    """The base model as a predicting model."""
+    return PredictingModel(base.model, base.values, base.covariance(), (), (), base.sigma, max(base.freedom, 1))
+
+
+def shape_of(place: str | None, predicting: PredictingModel, one: Explanation) -> str | None:
+    """Of what is outside the library, in words;  one : the likeliest explanation with something outside"""
+    curves = (c.shape for c in predicting.curves if place == f"joint:{c.joint}")
+    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
+    return None if place is None else next(curves, None) or next(kinds, None)
+
+
+def show_residuals(arm: Arm, measurements: Measurements, base: Fit, left: Array) -> Residuals:
+    """Residuals before and after, with the quantities they can be plotted against;  left : after (m, d) [mm]"""
     conditions = measurements.conditions
     against: dict[str, Array] = {f"joint {j + 1} [rad]": measurements.postures[:, j] for j in range(arm.links)}
     against["time"] = np.zeros(len(measurements)) if conditions.time is None else conditions.time
@@ -310,8 +293,16 @@ def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) 
         against["temperature [C]"] = measurements.temperature
     return Residuals(
         readonly(base.position_residuals(measurements, conditions)),
-        readonly(named.position_residuals(measurements, conditions)),
+        readonly(left),
         MappingProxyType({name: readonly(values) for name, values in against.items()}),
         measurements.positions,
         conditions,
     )
+
+
+def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) -> tuple[str, ...]:
+    """Warnings about the data and about a model fitted to them, one sentence each;  left : (m, d) residuals [mm]."""
+    estimable: NDArray[np.bool_] = np.ones(len(found.values), dtype=bool)
+    bad = [*far_off(left, found.model), *flipped(found.model, found.values, estimable)]
+    place = (*another_frame(arm, measurements), *outside_limits(arm, measurements))
+    return (*misread(arm, measurements).sentences, *bad, *place, *copied_rows(measurements))

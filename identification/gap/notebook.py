@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from identification.estimation.shown import p_value_in_words
 from identification.gap import summary
 from identification.html_tables import html_folded, html_lines, html_table, in_symbols
 from identification.numbers_in_text import number, to_significant_digits
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 def html(found: Diagnosis) -> str:
     """The whole diagnosis as HTML."""
     candidates = [c for c in found.candidates or (found.named,) if c.effects]
-    sets = ("effects", "probability", "F", "adjusted p", "ΔBIC")
+    sets = ("effects", "probability", "F", "-2 log odds")
     said = [found.likely, *(f"scatter: {finding}" for finding in found.scatter), *map(str, found.replication)]
     if found.outlier_rows:
         said.append(f"left out as outliers: rows {', '.join(map(str, found.outlier_rows))}")
@@ -60,8 +59,7 @@ def tests_of(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def _figures(found: Diagnosis, candidate: Candidate) -> list[str]:
     """How likely a candidate is, and its tests; what curves describe is no name, and has no probability."""
     likely = "-" if summary.described(found) else number(candidate.probability, 2)
-    p = p_value_in_words(candidate.p_adjusted).removeprefix("p ").removeprefix("= ")
-    return [candidate.title, likely, f"{candidate.f:.1f}", p, f"{candidate.delta_bic:.1f}"]
+    return [candidate.title, likely, f"{candidate.f:.1f}", f"{candidate.delta_bic:.1f}"]
 
 
 def _estimates(candidate: Candidate, several: bool) -> str:
@@ -77,15 +75,9 @@ def _estimates(candidate: Candidate, several: bool) -> str:
 
 
 def _folded(found: Diagnosis) -> list[str]:
-    """Rounds of the search, sizes that are excluded where nothing is named, and notes."""
-    rounds = [
-        [str(k), *str(one).removesuffix(" mm left").rsplit(": ", 1)] for k, one in enumerate(found.rounds, start=1)
-    ]
+    """Sizes that are excluded where nothing is named, and notes."""
     sizes = [] if found.effects else [[name, str(size)] for name, size in found.excluded.items()]
     return [
-        html_folded(f"{len(rounds)} rounds", html_table(("round", "added and removed", "left [mm]"), rounds))
-        if len(rounds) > 1
-        else "",
         html_folded(
             "Sizes that are excluded", html_table(("effect", "smallest size that would have been found"), sizes)
         )

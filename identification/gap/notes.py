@@ -7,17 +7,14 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
 from identification.gap.candidate import Candidate
 from identification.gap.confirmation.holdout import Gap
 from identification.gap.curves.curve import Curve
-from identification.gap.hypotheses.detectability import EXACT, NEAR, Detectability, likenesses
-from identification.gap.hypotheses.hypotheses import Hypothesis
-from identification.gap.library.library_prior import LibraryPrior
+from identification.gap.fits.fit import Fit
+from identification.gap.hypotheses.detectability import EXACT, NEAR, Detectability
 from identification.gap.noise.misfit import Misfit
-from identification.gap.selection.search import HypothesisSearch
-from identification.gap.workflow import Findings
+from identification.gap.posterior import MOST_ROWS, Posterior
 from identification.inspection.data_checks import gap_notes
 from identification.measurements import Measurements, distances
 from identification.status import Status
@@ -39,23 +36,28 @@ def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tupl
     return (*pairs, *((name, like, 1.0) for name, like in before.aliases.items()))
 
 
-def hidden_orders(search: HypothesisSearch, named: Mapping[str, Hypothesis]) -> tuple[tuple[str, str, float], ...]:
-    """Gear ripples not distinguishable at these postures from a named effect of the same joint.
+def hidden_orders(found: Posterior) -> tuple[tuple[str, str, float], ...]:
+    """Gear ripples not distinguishable at these postures from an effect of the best set at the same joint.
 
     Returns triples (effect, ripple, likeness). On a grid of angles a ripple of 15 periods per turn can have the same
     column as an eccentric encoder; the diagnosis then names the more probable one.
     """
-    listed = []
-    for name, member in named.items():
-        members, against = search.rivals(tuple(h for h in named.values() if h is not member))
-        mine = next((i for i, h in enumerate(members) if h.label == member.label), None)
-        if mine is None or member.spec.joint is None:
-            continue
-        for i, other in enumerate(members):
-            if i != mine and other.scanned and other.spec.joint == member.spec.joint:
-                likeness = likenesses(against, [mine, i])[0, 1]
+    problem, listed = found.problems[found.best.noise], []
+    products, blocks = problem.products, problem.blocks
+    for mine, b in zip(found.best.blocks, found.best.weighed.blocks, strict=True):
+        for k, other in enumerate(blocks):
+            if (
+                mine.named
+                and other.member is not None
+                and other.member.scanned
+                and k != b
+                and other.place == mine.place
+            ):
+                across = products.gram[np.ix_(products.columns([b]), products.columns([k]))]
+                # columns have orthonormal directions, over the root of their number
+                likeness = float(np.sqrt(np.sum(across**2) * across.shape[1]))
                 if likeness >= NEAR:
-                    listed.append((name, other.label, float(likeness)))
+                    listed.append((mine.label, other.label, min(likeness, 1.0)))
     return tuple(sorted(listed, key=lambda row: -round(row[2], 4)))
 
 
@@ -91,11 +93,6 @@ def unexplained_note(residual: Array, unexplained: NDArray[np.bool_]) -> list[st
     return [f"{rows_in_words(unexplained)} are not explained ({far}); they stay in, as whole postures or neighbors"]
 
 
-def prior_note(prior: LibraryPrior | None) -> list[str]:
-    """A sentence about the further effects in the model of the fit, if it has a prior."""
-    return [] if prior is None else [f"after: fitted {prior.sentence}"]
-
-
 def inseparable(joint: int) -> str:
     """The parameters that cannot be separated if a joint (from 0) does not move, in words."""
     if joint == 0:
@@ -104,21 +101,21 @@ def inseparable(joint: int) -> str:
 
 
 def notes(
-    arm: Arm,
+    found: Posterior,
     measurements: Measurements,
-    found: Findings,
+    best: Fit,
     holdout: Measurements | None,
     gap: Gap,
     misfit: Misfit | None,
 ) -> list[str]:
     """Sentences to read before the verdict is trusted."""
-    said = untested(found.search.hypotheses.skipped)
-    if found.whole is not None:
-        searched = f"{len(found.search.rows)} of the {len(measurements)} rows, taken at random"
+    arm = found.library.arm
+    said = untested(found.library.skipped)
+    if len(measurements) > MOST_ROWS:
+        searched = f"{MOST_ROWS} of the {len(measurements)} rows, taken at random"
         said.append(f"effects were looked for in {searched}; what was found is fitted to all")
-    fit = found.fits.fit(found.unknown.chosen)
-    if fit.status is not Status.converged:
-        said.append(f"the fit of the named model did not converge: {fit.status.value}")
+    if best.status is not Status.converged:
+        said.append(f"the fit of the best model did not converge: {best.status.value}")
     if measurements.directions is None:
         said += ["directions of approach were derived from the order of measurement", *gap_notes(measurements)]
     said += [
@@ -132,9 +129,9 @@ def notes(
     if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
         times = gap.held_out_after / gap.predicted
         said.append(f"the held-out residuals are {times:.2g} times larger than predicted: other postures or set-up?")
-    if once := [h.key for h in found.unknown.chosen if h.effect.once]:
+    if once := [h.key for h in found.best.effects if h.effect.once]:
         which = f"{', '.join(once)}: of this session only; the extended model has what is left of it at the end, as"
         said.append(f"{which} validate and compensate take it")
-    if holdout is not None and any("drift" in h.key for h in found.unknown.chosen):
+    if holdout is not None and any("drift" in h.key for h in found.best.effects):
         said.append("a drift of one session does not carry over to another; confirm it on held-out rows of this one")
     return said

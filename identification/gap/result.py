@@ -18,20 +18,18 @@ from identification.gap.confirmation.holdout import Gap
 from identification.gap.confirmation.offered import Offered
 from identification.gap.curves.curve import Curve
 from identification.gap.hypotheses.detectability import Detectability, Size
-from identification.gap.library.library_prior import LibraryPrior
 from identification.gap.noise.misfit import Misfit
-from identification.gap.noise.noise import Finding
-from identification.gap.probability.choice_validation import ChoiceValidation
-from identification.gap.probability.probabilities import Probabilities
-from identification.gap.selection.order_range import OrderRange
-from identification.gap.selection.rounds import Round
+from identification.gap.order_range import OrderRange
+from identification.gap.scatter import Finding
 from identification.gap.sessions.replication import Replication
+from identification.gap.verdict import Probabilities
 from identification.model.minimal import placed_calibration
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Test of one effect against the base model: F statistic, p-value, p-value adjusted for all effects, Delta BIC."""
+    """One effect alone against the base model: F statistic and its p-value, 1 less the probability that it is missing,
+    and -2 log posterior odds against nothing."""
 
     effect: str
     f: float
@@ -56,26 +54,27 @@ class Diagnosis:
     """Whether model and data disagree, where, which effect is missing, and the gap with that effect in the model.
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where, shape : place and best shape of an unknown effect
-    candidates, named : ambiguity set, and best set of effects;  aliases : triples (effect, effect like it, likeness)
+    candidates, named : ambiguity set, and best set of effects;  predicting : the posterior's average, or the geometry
+    alone
+        where that predicts other rows better;  aliases : triples (effect, effect like it, likeness)
     scatter : significant properties of the noise;  outlier_rows : numbers of the rows left out, from 1
     unexplained_rows : of rows that the best set does not explain either, but that come together and stay in
     gap : RMS distances before and after;  sigma : noise of one coordinate estimated from the residuals [mm]
     trials : test of every effect against the base model;  detectability : smallest detectable sizes in these data
     misfit : test against the given sigma, None without one;  confirmation : on held-out rows, None without
-    choice : cross-validation of the choice of effects, None where it was not made
     cross_validation : for other postures, and for another interval of time
-    rounds : effects added in each round of the search, and the gap afterwards
     shapes : named waves whose order the range of their joint does not determine
     replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
     offered : the extended model beside the geometry alone, None where it was not judged (`validate.judgement.judged`)
-    prior : of further effects beside the named ones, None without;  data : `file` and `sha256` of the rows, if known
+    data : `file` and `sha256` of the rows, if known
     """
 
     arm: Arm
     verdict: str
     candidates: tuple[Candidate, ...]
     named: Candidate
+    predicting: Candidate
     aliases: tuple[tuple[str, str, float], ...]
     where: str | None
     shape: str | None
@@ -87,17 +86,14 @@ class Diagnosis:
     residuals: Residuals
     sigma: float
     probabilities: Probabilities
-    choice: ChoiceValidation | None = None
     misfit: Misfit | None = None
     confirmation: Confirmation | None = None
     cross_validation: tuple[Confirmation, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     shapes: tuple[OrderRange, ...] = ()
-    rounds: tuple[Round, ...] = ()
     replication: tuple[Replication, ...] = ()
     curves: tuple[Curve, ...] = ()
-    prior: LibraryPrior | None = None
     data: Mapping[str, Any] = field(default_factory=dict)
     unexplained_rows: tuple[int, ...] = ()
     offered: Offered | None = None
@@ -124,12 +120,13 @@ class Diagnosis:
 
     @property
     def probability(self) -> dict[str, float]:
-        """Probability of `none`, of each candidate (by title) and of `unknown`, anything else, with sum 1.
-
-        A curve that describes an unknown effect is no name for it: its set has probability 0, counted in `unknown`.
-        """
-        found = {"none": self.probabilities.none} | {c.title: c.probability or 0.0 for c in self.candidates}
-        return found | {"unknown": max(0.0, 1.0 - sum(found.values()))}
+        """Probability of `none`, of each candidate (by title), of `unknown`, something outside the library, and of
+        `other sets` of effects, with sum 1."""
+        found = {"none": self.probabilities.none}
+        found |= {c.title: self.probabilities.of(c.keys) for c in self.candidates if self.verdict != "unknown"}
+        found["unknown"] = self.probabilities.outside
+        rest = 1.0 - sum(found.values())
+        return found | ({"other sets": rest} if rest > 1e-9 else {})
 
     @property
     def likely(self) -> str:
@@ -137,15 +134,11 @@ class Diagnosis:
         other = ", ".join(f"{name} {p:.2f}" for name, p in self.other_sets.items())
         short = {c.title: "what is named" for c in self.candidates[:1] if len(c.title) > summary.SHORT}
         text = ", ".join(f"{short.get(name, name)} {p:.2f}" for name, p in self.probability.items() if p >= 0.005)
-        tries = "the tries without a fifth of the rows"
-        again = f"; chosen again in {100.0 * self.choice.again:.0f} % of {tries}" if self.choice else ""
-        curves = ", a cause without a name, which the curves describe" if summary.described(self) else ""
-        among = summary.among(self)
-        return f"probability{among}: {text}{curves}" + (f" (of that {other})" if other else "") + again
+        return f"probability{summary.among(self)}: {text}" + (f" (of that {other})" if other else "")
 
     @property
     def other_sets(self) -> dict[str, float]:
-        """Title -> probability of further sets of effects that are not negligible, counted in `unknown`."""
+        """Title -> probability of further sets of effects that are not negligible."""
         beside = self.probabilities.beside(c.keys for c in self.candidates)
         return {self.probabilities.title(names): p for names, p in beside.items()}
 
@@ -173,14 +166,17 @@ class Diagnosis:
         return False if any(test.confirmed is False for test in self.cross_validation) else None
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
-        """The arm with the effects of the best set (or of `candidate`) added and the estimates as its calibration."""
-        chosen = candidate or self.named
-        calibration = self.calibration if candidate is None else chosen.calibration
-        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs, *chosen.held), calibration=calibration)
+        """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it."""
+        chosen = candidate or self.predicting
+        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=self.calibration_of(chosen))
 
     @property
     def calibration(self) -> Calibration:
-        """All estimates of the best set, with the verdict, its rivals and its confirmation as provenance."""
+        """All estimates of the predicting model."""
+        return self.calibration_of(self.predicting)
+
+    def calibration_of(self, chosen: Candidate) -> Calibration:
+        """All estimates of a model, with the verdict, its rivals and its confirmation as provenance."""
         said: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
         if self.confirmed is not None:
             said["confirmed"] = self.confirmed
@@ -189,7 +185,7 @@ class Diagnosis:
         said |= {name: value for name, value in self.gap.to_json().items() if value is not None}
         said["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
         said["probability"] = self.probability
-        named = self.named.calibration
+        named = chosen.calibration
         named = replace(named, provenance=MappingProxyType({**named.provenance, **said}))
         return placed_calibration(self.arm, named)
 
@@ -204,7 +200,6 @@ class Diagnosis:
             "candidates": [c.to_json() for c in self.candidates],
             "probabilities": self.probability,
             "credible_set": list(self.credible_set),
-            "chosen_again": None if self.choice is None else self.choice.again,
             "other_sets": [{"effects": name.split(" + "), "probability": p} for name, p in self.other_sets.items()],
             "classes": list(self.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
@@ -227,9 +222,9 @@ class Diagnosis:
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
             "trials": [vars(t) for t in self.trials],
-            "rounds": [one.to_json() for one in self.rounds],
+            "predicting": [spec.key for spec in self.predicting.specs],
             "notes": list(self.notes),
-        } | ({} if self.prior is None else {"prior": self.prior.to_json()})
+        }
 
     def to_frame(self, kind: str = "polars") -> Any:
         """Data frame with a row for each parameter of each candidate;  kind : `polars` or `pandas`."""

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from identification.estimation.shown import p_value_in_words
-from identification.gap.outside.excluded_waves import waves_clause
-from identification.gap.selection.order_range import order_clauses
+from identification.gap.order_range import order_clauses
 from identification.gap.sessions.replication import replication_clauses
 
 if TYPE_CHECKING:
@@ -19,7 +17,7 @@ VERDICTS = {
     "none": "none: no missing effect is detectable; effects larger than the sizes listed are excluded",
     "named": "named: {effects} missing from the model",
     "ambiguous": "ambiguous: {count} explanations fit about equally well{options}; measure more postures",
-    "unknown": "unknown: something outside the library at {where}{beside}",
+    "unknown": "unknown: something outside the library, {where}{beside}",
 }
 
 
@@ -33,7 +31,7 @@ def headline(found: Diagnosis) -> str:
         effects=f"{named(found)} {'is' if len(found.effects) == 1 else 'are'}",
         count=len(found.candidates),
         options=f" ({options})" if len(options) <= SHORT else "",
-        where=found.where,
+        where=place(found),
         beside=f", beside {named(found)}" if found.effects else "",
     )
     if found.verdict == "unknown" and described(found):
@@ -62,7 +60,7 @@ def among(found: Diagnosis) -> str:
 
 def place(found: Diagnosis) -> str:
     """Place of the unknown effect: `joint 3`, `time`."""
-    return (found.where or "").replace(":", " ")
+    return (found.where or "a place that is not known").replace(":", " ")
 
 
 def named(found: Diagnosis) -> str:
@@ -86,7 +84,7 @@ def of_joints(joints: Sequence[int]) -> str:
 
 def findings(found: Diagnosis, *, orders: bool = True) -> list[str]:
     """Findings that belong to the verdict, one clause each;  orders : those about waves of undetermined order too"""
-    shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else waves_clause(found.excluded)
+    shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else []
     return [
         *shape,
         *unexplained(found),
@@ -118,7 +116,8 @@ def rests_on(found: Diagnosis) -> list[str]:
 
 def candidate_lines(candidate: Candidate) -> list[str]:
     """Test statistics and estimates of a candidate, one line each."""
-    figures = f"F = {candidate.f:.1f}, {p_value_in_words(candidate.p_adjusted)}, Delta BIC = {candidate.delta_bic:.1f}"
+    likely = "" if candidate.probability is None else f"probability {candidate.probability:.2f}, "
+    figures = f"{likely}F = {candidate.f:.1f}, -2 log odds = {candidate.delta_bic:.1f}"
     stated = {label: found for label, found in candidate.estimates.items() if found}  # a curve has no parameters
     estimates = [f"  {label}: {', '.join(map(str, found))}" for label, found in stated.items()]
     sure = [f"  95 % intervals: {candidate.reliance}"] if stated else []
@@ -134,9 +133,8 @@ def text(found: Diagnosis) -> str:
 
 
 def remarks(found: Diagnosis) -> list[str]:
-    """Further lines: rounds, probabilities, replication, sizes excluded if nothing is named, and notes."""
-    lines = [f"round {k}: {one}" for k, one in enumerate(found.rounds, start=1) if len(found.rounds) > 1]
-    lines += [found.likely, *map(str, found.replication)]
+    """Further lines: probabilities, replication, sizes excluded if nothing is named, and notes."""
+    lines = [found.likely, *map(str, found.replication)]
     if not found.effects:
         lines += [f"excluded: {name} > {size}" for name, size in found.excluded.items()]
     return [*lines, *(f"note: {note}" for note in found.notes)]

@@ -22,12 +22,12 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
+from identification.gap.probability.probabilities import FIRST, NEXT
 
 from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells, hidden_effects, simulator
 from identification.effects.rare import RARE
-from identification.gap.probability.probabilities import FIRST, NEXT
 from identification.model import Model
 
 COUNT = 400

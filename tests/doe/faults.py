@@ -72,7 +72,7 @@ COMMANDS = (
     ),
     Command(
         "diagnose",
-        "diagnose arm.toml data.csv --draws 399 --out extended.toml --report gap.html --force",
+        "diagnose arm.toml data.csv --out extended.toml --report gap.html --force",
         "",  # the page shows the command line: another one would be another page
         ("extended.toml", "gap.html"),
     ),

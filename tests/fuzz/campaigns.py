@@ -48,7 +48,7 @@ COMMANDS = {  # what it says with --json, by the file that this becomes
     "": "simulate arm.toml plan.csv --truth truth.toml --out data.csv",
     "score.json": "score arm.toml plan.csv",
     "identify.json": "identify arm.toml data.csv --out calibrated.toml",
-    "diagnose.json": "diagnose arm.toml data.csv --draws 399 --out extended.toml --force",
+    "diagnose.json": "diagnose arm.toml data.csv --out extended.toml --force",
     "validate.json": "validate calibrated.toml data.csv",
 }
 

@@ -44,7 +44,7 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
         ("{5: -0.28087, 6: -0.29680, 7: -0.19865, 9: -0.13103, 10: -0.14288}", "{7: -0.19865, 10: -0.14288}"),
     ],
     "7": [("starts=60", "starts=10")],
-    "9": [("--runs 30 --robust", "--runs 40 --solver random"), ("armcal diagnose", "armcal diagnose --draws 399")],
+    "9": [("--runs 30 --robust", "--runs 40 --solver random")],
 }
 OWN_KERNEL = "79"  # they register effects, or change the environment
 IN_PROCESS = """

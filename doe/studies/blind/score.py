@@ -256,21 +256,21 @@ def contradictions(said: Mapping[str, Any]) -> list[str]:
     others = {" + ".join(one["effects"]): one["probability"] for one in said["other_sets"]}
     named = " + ".join(said["effects"])
     own = chance.get(named, 0.0)
+    rest = chance.pop("other sets", 0.0)
+    of_library = sum(chance.values()) + rest
     rivals = [*(p for name, p in chance.items() if name != named), *others.values()]
-    unlisted = unknown - sum(others.values())
     wrong = {
-        "probabilities without sum 1": abs(none + unknown + sum(chance.values()) - 1.0) > 1e-6,
-        "listed beyond unknown": unlisted < -1e-6,
-        "none at less than a half": verdict == "none" and none < 0.5,
+        "probabilities without sum 1": abs(none + unknown + of_library - 1.0) > 1e-6,
+        "listed beyond the rest": sum(others.values()) > rest + 1e-6,
+        "none less likely than something": verdict == "none" and none < max(of_library, unknown) - 1e-9,
         "none with effects": verdict == "none" and bool(named),
         "named nothing": verdict in ("named", "ambiguous") and not named,
-        "named less likely than none": verdict in ("named", "ambiguous") and own < none,
-        "named less likely than unknown": verdict in ("named", "ambiguous") and own < unlisted,
+        "names less likely than none": verdict in ("named", "ambiguous") and of_library < max(none, unknown) - 1e-9,
+        "named at less than a half": verdict == "named" and own < 0.5,
         "named less likely than others": verdict in ("named", "ambiguous") and own < max(rivals, default=0.0),
         "named beside its equals": verdict == "named" and len(chance) > 1 and own < 0.5,
         "ambiguous alone": verdict == "ambiguous" and len(chance) < 2,
-        "unknown less likely than none": verdict == "unknown" and unlisted < none,
-        "unknown less likely than a name": verdict == "unknown" and unlisted < max([own, *rivals]),
+        "unknown less likely than names or none": verdict == "unknown" and unknown < max(none, of_library) - 1e-9,
     }
     return [doubt for doubt, there in wrong.items() if there]
 

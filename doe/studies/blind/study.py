@@ -46,7 +46,6 @@ from identification.model import Model
 from identification.progress import Progress, silent
 
 BATCH = 10  # sets per task
-DRAWS = 499  # of the bootstrap
 NULL_SETS, SETS = 1000, 400  # data sets per cell, without and with a hidden effect
 SPATIAL_SETS = 100  # per cell in space, where a diagnosis takes ten times as long
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
@@ -64,7 +63,6 @@ def blind_study(
     workers: Workers | None = None,
     *,
     seed: int = 0,
-    draws: int = DRAWS,
     resume: bool = False,
     force: bool = False,
     progress: Progress = silent,
@@ -76,7 +74,6 @@ def blind_study(
     count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200; in space
         100
     folder : where plans.parquet, truth.parquet, diagnoses.parquet and the tables of the result go
-    draws : of the bootstrap
 
     Raises `InputError` for an unknown cell.
     """
@@ -88,10 +85,10 @@ def blind_study(
         plans = {row[KEY]: row.get("postures_deg") for row in made.iter_rows(named=True)}
 
         def planned(key: Key) -> list[list[float]] | None:
-            return plans.get(canonical({name: value for name, value in key.items() if name != "draws"}))
+            return plans.get(canonical(key))
 
         truth = job.run(hide, keys, TRUTH, payload=planned)
-        diagnoses = job.run(examine, [{**key, "draws": draws} for key in keys], DIAGNOSES, payload=planned)
+        diagnoses = job.run(examine, keys, DIAGNOSES, payload=planned)
         found = scored_table(truth, diagnoses)
         if folder is not None:
             write_together(
@@ -163,12 +160,12 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[f
     """What the diagnosis says of each set of a batch."""
     rows = []
     for number, data in _data_sets(key, planned):
-        found = diagnose(data.arm, data.measurements, data.holdout, seed=number, draws=key["draws"])
+        found = diagnose(data.arm, data.measurements, data.holdout, seed=number)
         row = {"set": number, **said_of(data, found)}
         if key["cell"] in COMPARED:
             row |= {"gap_library_mm": library_gap(data), "gap_process_mm": process_gap(data)}
         if key["cell"] == AMBIGUOUS and found.verdict == "ambiguous":
-            row |= _measured_further(data, found, number, key["draws"])
+            row |= _measured_further(data, found, number)
         rows.append(row)
     return rows
 
@@ -206,7 +203,7 @@ def _probability(found: Diagnosis) -> float:
 
 def _intervals(found: Diagnosis) -> Row:
     """95 % limits of base and effects [API units]."""
-    parameters = Model(found.extended_arm()).parameters
+    parameters = Model(found.extended_arm(found.named)).parameters
     fitted = found.named.calibration
     assert fitted.covariance is not None  # a diagnosis has one
     half = quantile_95(found.named.freedom) * np.sqrt(np.diag(fitted.covariance))
@@ -220,14 +217,14 @@ def _intervals(found: Diagnosis) -> Row:
     return {"interval_of": list(limits), "low_95": list(low), "high_95": list(high)}
 
 
-def _measured_further(data: DataSet, found: Diagnosis, number: int, draws: int) -> Row:
+def _measured_further(data: DataSet, found: Diagnosis, number: int) -> Row:
     """The ambiguous set again after 2, 8 and 16 more postures: chosen ones, with two payloads, and random ones."""
     row: Row = {}
     payload = 0.0 if data.arm.gravity is None else data.arm.gravity.payload
     for runs in FURTHER_RUNS:
         for how, payloads in (("next", None), ("loaded", (0.0, payload)), ("random", None)):
             longer, chance = _appended(data, found, runs, how == "random", payloads, number)
-            again = diagnose(data.arm, longer, seed=number, draws=draws)
+            again = diagnose(data.arm, longer, seed=number)
             name = f"{how}_{runs}"
             row |= {
                 f"{name}_verdict": again.verdict,

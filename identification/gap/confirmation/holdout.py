@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.effects.places import widths
 from identification.errors import InputError
+from identification.gap.average import PredictingModel
 from identification.gap.confirmation.confirmation import (
     Confirmation,
     Groups,
@@ -113,7 +114,7 @@ def confirmation_of(measurements: Measurements, holdout: Measurements, there: He
 
 def held_out(
     base: Fit,
-    named: Fit,
+    named: Fit | PredictingModel,
     measurements: Measurements,
     kept: NDArray[np.bool_],
     holdout: Measurements,
@@ -144,7 +145,7 @@ def held_out(
 
 
 def placed_residuals(
-    base: Fit, named: Fit, measurements: Measurements, holdout: Measurements
+    base: Fit, named: Fit | PredictingModel, measurements: Measurements, holdout: Measurements
 ) -> tuple[Array, Array, SetUp]:
     """(m, d) residuals [mm] of both models in a hold-out, and what another set-up of it has had refitted: the least
     that the second model needs, the same for both."""
@@ -153,7 +154,7 @@ def placed_residuals(
     elsewhere = renamed or transfer_of(measurements, holdout) in (SESSION, OTHER_ROWS)
     names = np.full(len(holdout), "") if holdout.marker is None else np.asarray(holdout.marker)
 
-    def predicted(fit: Fit) -> Predicted:
+    def predicted(fit: Fit | PredictingModel) -> Predicted:
         left = fit.position_residuals(holdout, there)[:, POINT]
         measured, axes = holdout.positions[:, POINT], None
         if fit.model.arm.chain is not None and fit.model.arm.chain.instrument.whole:
@@ -181,7 +182,7 @@ def groups_of(measurements: Measurements, kept: NDArray[np.bool_]) -> tuple[Grou
     return groupings(measurements.postures[kept], measurements.posture_numbers[kept], turn[kept])
 
 
-def parameter_part(found: Fit, rows: Measurements, there: Conditions) -> Mean:
+def parameter_part(found: Fit | PredictingModel, rows: Measurements, there: Conditions) -> Mean:
     """Mean square distance [mm^2] in other rows due to errors of the parameters.
 
     With G = mean of J_i^T J_i over the rows and C the covariance, the mean of |J_i e|^2 is e^T G e: its expectation is

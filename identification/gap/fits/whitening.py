@@ -26,6 +26,7 @@ class Rows:
     correlation : lag-1 correlation of the noise between consecutive rows
     numbers : (m,) equal numbers mark rows of one posture, None: equal angles do
     sigma : standard deviation [mm] of a whitened coordinate as given by the data, None: not given
+    shared : variance that all rows of one posture have in common, relative to that of each row
     """
 
     postures: Array
@@ -36,6 +37,7 @@ class Rows:
     correlation: float = 0.0
     numbers: NDArray[np.int64] | None = None
     sigma: float | None = None
+    shared: float = 0.0
 
     def __len__(self) -> int:
         return len(self.postures)
@@ -100,16 +102,29 @@ class Rows:
         """Log determinant of the relative covariance of all m d coordinates."""
         memory = self.dimension * (len(self) - 1) * np.log1p(-(self.correlation**2))
         spread = 0.0 if self.spread is None else 2.0 * np.sum(np.linalg.slogdet(self.spread)[1])
-        return float(memory + spread)
+        repeats = np.bincount(self.posture_numbers) if self.shared else np.zeros(1)
+        return float(memory + spread + self.dimension * np.sum(np.log1p(self.shared * repeats)))
 
     def whiten(self, values: Array) -> Array:
         """Transform (m, d, ...) to (m d, ...) with white noise; linear, so that it serves residuals and columns."""
         m, d = len(self), self.dimension
         if self.spread is not None:
             values = (self._inverse @ values.reshape(m, d, -1)).reshape(values.shape)
+        if self.shared:
+            values = self._parted(values)
         if self.correlation:
             values = self._decorrelated(values)
         return values.reshape(m * d, *values.shape[2:])
+
+    def _parted(self, values: Array) -> Array:
+        """With the mean over the n rows of each posture shrunk by (1 + n shared)^(-1/2); (m, d, ...)."""
+        numbers = self.posture_numbers
+        counts = np.bincount(numbers)
+        flat = values.reshape(len(values), -1)
+        sums = np.zeros((len(counts), flat.shape[1]))
+        np.add.at(sums, numbers, flat)
+        taken = (1.0 - (1.0 + counts * self.shared) ** -0.5) / counts
+        return (flat - (sums * taken[:, None])[numbers]).reshape(values.shape)
 
     def _decorrelated(self, values: Array) -> Array:
         """Subtract from each row what the previous row predicts, for a first-order autoregression; (m, d, ...)."""

@@ -5,7 +5,7 @@ See identification/README.md, "Gap workflow", step 1.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
@@ -17,8 +17,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.gap.fits.whitening import Rows
-from identification.gap.hypotheses.f_tests import Dictionary
-from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, hypotheses, projected
+from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.information import column_space
 from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
 from identification.model import Model
@@ -28,6 +27,7 @@ from identification.threads import single_thread
 SPARE = 4  # residual degrees of freedom; with fewer an effect of two parameters is found at no size
 POWER, LEVEL = 0.9, 0.05  # convention
 EXACT, NEAR = 0.9999, 0.9  # likeness: Delta BIC of two effects stays within the window up to lambda = 173 and 5.6
+VISIBLE = 1e-4  # share of a column's length that must survive projection; less is an alias of what is in the model
 LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test
 
 
@@ -145,33 +145,39 @@ def assess(
     jacobian: Array,
     values: Mapping[str, float],
     sigma: float,
-    level: float | None = None,
 ) -> Detectability:
     """Detectability at given base parameters.
 
     jacobian : (m, d, p) of the base model at `values`;  sigma : noise of one coordinate [mm]
-    level : weighted p-value below which the omnibus test is significant; None: Bonferroni's for all hypotheses
     """
     white = rows.whiten(jacobian)
-    model_basis = column_space(white, library.base.scales)
-    freedom = len(white) - model_basis.shape[1]
+    basis = column_space(white, library.base.scales)
+    freedom = len(white) - basis.shape[1]
     require_spare(freedom, len(rows))
-    columns = library.matrix(rows, values)
-    members = library.members
-    tested = projected(model_basis, members, columns)
-    threshold = LEVEL / sum(h.weight for h in members) if level is None else level
+    matrix, members = library.matrix(rows, values), library.members
+    ends = np.concatenate([[0], np.cumsum(library.sizes)])
+    squares = np.einsum("nc,nc->c", matrix, matrix)
+    matrix -= basis @ (basis.T @ matrix)
+    threshold = LEVEL / sum(h.weight for h in members)
     limit = LARGEST * library.base.reach, len(rows)
-    lengths = shown_lengths(tested)
     sizes: dict[str, list[Size]] = {}
-    for hypothesis, length in zip(members, lengths, strict=True):
-        if not hypothesis.tied and library.acts(hypothesis):
-            size = _detectable(hypothesis, *length, freedom, sigma, threshold * hypothesis.weight, *limit)
-            sizes.setdefault(hypothesis.key, []).append(size)
-    plain = [k for k, h in enumerate(members) if not h.scanned and not h.tied and library.acts(h)]
+    fractions: dict[int, float] = {}
+    for k, hypothesis in enumerate(members):
+        if not library.acts(hypothesis):
+            continue
+        part = slice(ends[k], ends[k + 1])
+        own, whole = matrix[:, part], float(np.sqrt(squares[part].max()))
+        lengths = np.sqrt(np.maximum(squares[part], 1e-300))
+        gram = own.T @ own
+        least = float(np.sqrt(max(np.linalg.eigvalsh(gram)[0], 0.0)))
+        fractions[k] = float(np.sqrt(max(np.linalg.eigvalsh(gram / np.outer(lengths, lengths))[0], 0.0)))
+        size = _detectable(hypothesis, whole, least, freedom, sigma, threshold * hypothesis.weight, *limit)
+        sizes.setdefault(hypothesis.key, []).append(size)
+    plain = [k for k in fractions if not members[k].scanned]
     return Detectability(
         tuple(members[k].key for k in plain),
-        readonly(tested.norm_fractions[plain]),
-        readonly(likenesses(tested, plain)),
+        readonly(np.array([fractions[k] for k in plain])),
+        readonly(likenesses([matrix[:, ends[k] : ends[k + 1]] for k in plain])),
         # of several settings the one that is hardest to see
         MappingProxyType({key: max(found, key=Size.order) for key, found in sizes.items()}),
         freedom,
@@ -180,23 +186,19 @@ def assess(
     )
 
 
-def likenesses(tested: Dictionary, members: list[int]) -> Array:
-    """(H, H) root mean square fraction of the projected columns of one member (row) in the span of another (column)."""
-    sizes = tested.sizes[members]
-    bases = np.hstack([np.zeros((len(tested.model_basis), 0)), *(tested.block(k) for k in members)])
-    owner = np.repeat(np.eye(len(members)), sizes, axis=0)  # (D, H)
-    squares = owner.T @ np.square(bases.T @ bases) @ owner
-    return np.minimum(np.sqrt(squares / np.maximum(sizes, 1)[:, None]), 1.0)
-
-
-def shown_lengths(tested: Dictionary) -> list[tuple[float, float]]:
-    """For each hypothesis the root sum of squares of its largest column, and what projection leaves of the combination
-    that is hardest to see."""
-    found = np.empty((len(tested.columns.sizes), 2))
-    for size, (before, after) in tested.products.items():
-        squares = np.einsum("hdd->hd", before).max(axis=1), np.linalg.eigvalsh(after)[:, 0]
-        found[tested.columns.places(size)[0]] = np.sqrt(np.maximum(squares, 0.0)).T
-    return [(whole, least) for whole, least in found.tolist()]
+def likenesses(columns: Sequence[Array]) -> Array:
+    """(H, H) root mean square share of one member's columns (row), projected off the base, in another's span."""
+    bases, owner = [], []
+    for k, own in enumerate(columns):
+        u, s, _ = np.linalg.svd(own, full_matrices=False)
+        kept = u[:, s > VISIBLE * s.max(initial=0.0)] if s.max(initial=0.0) > 0.0 else u[:, :0]
+        bases.append(kept)
+        owner += [k] * kept.shape[1]
+    if not owner:
+        return np.zeros((len(columns), len(columns)))
+    stacked, belongs = np.hstack(bases), np.eye(len(columns))[owner]
+    squares = belongs.T @ np.square(stacked.T @ stacked) @ belongs
+    return np.minimum(np.sqrt(squares / np.maximum(belongs.sum(axis=0), 1.0)[:, None]), 1.0)
 
 
 def _detectable(

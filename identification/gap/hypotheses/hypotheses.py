@@ -6,7 +6,7 @@ time of a step) are scanned: each value is a hypothesis, and together they have 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -19,15 +19,14 @@ from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
 from identification.effects.places import state_size
-from identification.gap.fits.fit import Fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.columns import Bundle, bundles
-from identification.gap.hypotheses.f_tests import CHUNK, Columns, Dictionary, dictionary
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 UNSEEN = 1e-3  # share of the reach
+CHUNK = 2**20  # numbers worked on at once: eight megabytes
 KEPT = 128  # effort: models compiled, of some arms
 Slopes = list[Array | None]  # per bundle (m, K, Z), None where they depend on the fitted model
 
@@ -38,19 +37,11 @@ class Hypothesis:
 
     weight : prior weight: 1 for an effect of the whole arm, n^(-1/2) at each of n joints (between one for each joint
         and one for all joints together), divided by the number of scanned settings, times the effect's own `prior`
-    tied : the parameters of a family are equal. Compliance of all joints together is detected long before that of each
-        joint, so it is tested with a single parameter too; once named, each joint has its own parameter.
     """
 
     effect: Effect
     spec: EffectSpec
     weight: float = 1.0
-    tied: bool = False
-
-    @property
-    def free(self) -> Hypothesis:
-        """The same hypothesis without the tie: the one that is named when this one is found."""
-        return replace(self, tied=False) if self.tied else self
 
     @property
     def scanned(self) -> bool:
@@ -65,17 +56,22 @@ class Hypothesis:
     @cached_property
     def label(self) -> str:
         """The key with the scanned setting: `transmission_ripple:2[k=6]`."""
-        return f"{self.key}[equal]" if self.tied else self.effect.label
+        return self.effect.label
 
     @cached_property
     def size(self) -> int:
         """Number of parameters."""
-        return 1 if self.tied else len(self.effect.parameters)
+        return len(self.effect.parameters)
 
     @cached_property
     def one_sign(self) -> bool:
         """True if no parameter can be negative."""
         return all(p.lower == 0.0 for p in self.effect.parameters)
+
+    @property
+    def family(self) -> bool:
+        """True for an effect with one similar parameter for each joint."""
+        return not self.scanned and self.one_sign and self.size > 1
 
     @cached_property
     def one_sided(self) -> bool:
@@ -93,12 +89,6 @@ def modelled(arm: Arm) -> Model:
 def _modelled(arm: Arm, classes: tuple[type[Effect], ...]) -> Model:
     """classes : of the arm's effects, part of the key as users can redefine an effect"""
     return Model(arm)
-
-
-def projected(model_basis: Array, members: Sequence[Hypothesis], columns: Columns) -> Dictionary:
-    """Hypotheses with their whitened columns, projected off a fitted model: see `f_tests.dictionary`."""
-    one_sided = np.array([h.one_sided for h in members], dtype=bool)
-    return dictionary(model_basis, columns, one_sided, np.array([h.weight for h in members]))
 
 
 @dataclass(frozen=True)
@@ -128,36 +118,6 @@ class HypothesisSet:
         return np.array([h.size for h in self.members], dtype=np.int64)
 
     @cached_property
-    def _signs_and_weights(self) -> tuple[NDArray[np.bool_], Array]:
-        return np.array([h.one_sided for h in self.members], dtype=bool), np.array([h.weight for h in self.members])
-
-    @cached_property
-    def _with_label(self) -> dict[str, list[int]]:
-        """Label of an effect -> indices of its hypotheses: one, or free and tied."""
-        found: dict[str, list[int]] = {}
-        for k, h in enumerate(self.members):
-            found.setdefault(h.effect.label, []).append(k)
-        return found
-
-    def places_of(self, chosen: Sequence[Hypothesis]) -> list[int]:
-        """Indices of all members with the effects of these hypotheses, tied ones included."""
-        return [k for h in chosen for k in self._with_label.get(h.effect.label, ())]
-
-    def projected(self, model_basis: Array, columns: Columns, inside: Array | None = None) -> Dictionary:
-        """All members with their whitened columns, projected off a fitted model: see `f_tests.dictionary`."""
-        return dictionary(model_basis, columns, *self._signs_and_weights, inside)
-
-    @cached_property
-    def total_weight(self) -> float:
-        """Sum of the prior weights of all effects."""
-        return float(sum(h.weight for h in self.members if not h.tied))
-
-    @cached_property
-    def families(self) -> frozenset[str]:
-        """Keys of effects with one parameter for each joint, of similar size."""
-        return frozenset(h.key for h in self.members if h.tied)
-
-    @cached_property
     def base(self) -> Model:
         """Model of the arm without further effects."""
         return self.model(())
@@ -170,58 +130,36 @@ class HypothesisSet:
     @cached_property
     def unscanned(self) -> tuple[Hypothesis, ...]:
         """Hypotheses without a scanned setting that can act on the base model."""
-        return tuple(h for h in self.members if not h.scanned and not h.tied and self.acts(h))
+        return tuple(h for h in self.members if not h.scanned and self.acts(h))
+
+    def own_places(self, model: Model) -> list[int]:
+        """Indices of the base model's parameters in a model with further effects; similar ones change their names."""
+        own = [p.name for effect in self.base.effects for p in effect.parameters]
+        there = [p.name for effect in model.effects[: len(self.base.effects)] for p in effect.parameters]
+        renamed = dict(zip(own, there, strict=True))
+        return [model.parameters.index(renamed.get(name, name)) for name in self.base.names]
 
     def acts(self, hypothesis: Hypothesis) -> bool:
         """False if the effect only changes others (`Effect.through`) and the base model has none of those."""
         through = hypothesis.effect.through
         return not through or any(through in effect.needs for effect in self.base.effects)
 
-    def shows_more(self, chosen: Sequence[Hypothesis]) -> bool:
-        """True if some member shows through one of these (`Effect.through`) and through nothing that the arm has."""
-        return any(h.effect.needs & self._not_shown for h in chosen)
-
-    @cached_property
-    def _not_shown(self) -> frozenset[str]:
-        return frozenset(h.effect.through for h in self.members if not self.acts(h))
-
-    @cached_property
-    def changing(self) -> NDArray[np.int64]:
-        """(k,) indices of the members whose columns depend on such effects in the fitted model."""
-        return np.array([k for k, h in enumerate(self.members) if h.effect.needs & self._not_shown], dtype=np.int64)
-
-    def changed_columns(self, rows: Rows, found: Fit) -> Array:
-        """(N, r) whitened columns of the members `changing`, side by side, at a fit to these rows."""
-        levers, state = found.model.place_levers(rows.postures, found.values, rows.conditions)
-        columns: dict[int, Array] = {}
-        for bundle in self._changing_bundles:
-            columns |= bundle.columns(levers, bundle.slopes(rows.postures, rows.conditions, state))
-        return rows.whiten(np.concatenate(self._listed(self.changing.tolist(), columns), axis=2))
-
-    @cached_property
-    def _changing_bundles(self) -> tuple[Bundle, ...]:
-        some = ((int(k), self.members[k]) for k in self.changing)
-        return bundles(self.arm, [(number, h.effect) for number, h in some if not h.tied])
-
     @cached_property
     def _bundles(self) -> tuple[Bundle, ...]:
-        return bundles(self.arm, [(number, h.effect) for number, h in enumerate(self.members) if not h.tied])
+        return bundles(self.arm, [(number, h.effect) for number, h in enumerate(self.members)])
 
     def slopes(self, rows: Rows) -> Slopes:
         """The part of the columns that does not depend on the fit, shared by all fits to the same rows."""
         state = np.zeros((len(rows), state_size(self.arm.links, self.arm.dimension)))
         return [b.slopes(rows.postures, rows.conditions, state) if b.fixed else None for b in self._bundles]
 
-    def matrix(
-        self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None
-    ) -> Columns:
-        """`columns` of all members side by side, whitened; built in parts of about `CHUNK` numbers."""
+    def matrix(self, rows: Rows, values: Mapping[str, float]) -> Array:
+        """(m d, C) `columns` of all members side by side, whitened; built in parts of about `CHUNK` numbers."""
         stacked = np.empty((len(rows), rows.dimension, int(self.sizes.sum())))
         step = max(CHUNK // max(stacked[0].size, 1), 1)
         for part in (slice(k, k + step) for k in range(0, len(rows), step)):
-            known = None if slopes is None else [None if s is None else s[part] for s in slopes]
-            stacked[part] = np.concatenate(self.columns(rows.pick(part), values, known, model), axis=2)
-        return Columns(rows.whiten(stacked), self.sizes)
+            stacked[part] = np.concatenate(self.columns(rows.pick(part), values), axis=2)
+        return rows.whiten(stacked)
 
     def columns(
         self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None
@@ -239,13 +177,7 @@ class HypothesisSet:
         for bundle, given in zip(self._bundles, known, strict=True):
             given = bundle.slopes(rows.postures, rows.conditions, state) if given is None else given
             found |= bundle.columns(levers, given)
-        return self._listed(range(len(self.members)), found)
-
-    def _listed(self, numbers: Iterable[int], columns: Mapping[int, Array]) -> list[Array]:
-        """Columns (m, d, size) of these members, from those of the members that are not tied, by their numbers."""
-        free = {self.members[k].label: found for k, found in columns.items()}
-        some = (self.members[k] for k in numbers)
-        return [free[h.free.label].sum(axis=2, keepdims=True) if h.tied else free[h.label] for h in some]
+        return [found[k] for k in range(len(self.members))]
 
 
 def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> HypothesisSet:
@@ -311,11 +243,8 @@ def _joints(cls: type[Effect], links: int) -> list[int | None]:
 
 
 def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hypothesis]:
-    """The hypotheses of one effect at one joint: one for each setting, or free and tied."""
+    """The hypotheses of one effect at one joint: one for each setting."""
     arm, scans = scope.arm, [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
     specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
     weight = cls.prior * (1.0 if spec.joint is None else 1.0 / np.sqrt(arm.links)) / max(len(specs), 1)
-    found = [Hypothesis(build(s, arm.links, arm.lengths, dimension=arm.dimension), s, weight) for s in specs]
-    if not cls.settings and len(found[0].effect.parameters) > 1 and found[0].one_sign:
-        found.append(replace(found[0], tied=True))
-    return found
+    return [Hypothesis(build(s, arm.links, arm.lengths, dimension=arm.dimension), s, weight) for s in specs]

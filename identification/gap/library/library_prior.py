@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, EffectSpec
@@ -22,7 +23,6 @@ from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, library, unknown_effect
 from identification.errors import InputError
 from identification.estimation.prior import Prior
-from identification.gap.curves.curve_choice import is_function_of
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
@@ -126,10 +126,9 @@ def given_by(measurements: Measurements) -> frozenset[str]:
 
 
 def _once(members: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The free hypotheses, without those at single joints of an effect that is also given for all joints."""
+    """The hypotheses, without those at single joints of an effect that is also given for all joints."""
     whole = {h.effect.name for h in members if h.effect.joint is None}
-    free = (h for h in members if not h.tied)
-    return [h for h in free if h.effect.joint is None or h.effect.name not in whole]
+    return [h for h in members if h.effect.joint is None or h.effect.name not in whole]
 
 
 def _why_not(effect: Effect, given: frozenset[str]) -> str | None:
@@ -145,6 +144,16 @@ def _curved(known: HypothesisSet) -> dict[str, str]:
     there = {h.key: h.effect for h in known.members if h.effect.joint in joints}
     functions = (key for key, e in there.items() if is_function_of(e, (e.joint or 0) - 1, known.base))
     return dict.fromkeys(functions, "its joint has an error curve")
+
+
+def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
+    """Whether an effect adds to the angle of a joint (from 0) a function of that angle alone."""
+    if effect.joint != joint + 1 or type(effect).joint_angles is Effect.joint_angles:
+        return False
+    q, c, _, _ = model.symbols
+    angle = ca.SX(effect.joint_angles(model.expressions.chain(q, c), ca.SX.sym("v", len(effect.parameters))))[joint]
+    others = ca.vertcat(*(q[k] for k in range(model.joints) if k != joint), c)
+    return bool(ca.depends_on(angle, q[joint])) and not bool(ca.depends_on(angle, others))
 
 
 def _thinned(members: Sequence[Hypothesis], most: int | None) -> list[Hypothesis]:

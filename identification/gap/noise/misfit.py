@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arrays import Array
-from identification.gap.noise.noise import LEVEL
 from identification.measurements import Measurements
+
+LEVEL = 0.01  # convention: of misfit that is said
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,12 @@ from identification.arrays import Array
 from identification.estimation import Identification
 from identification.estimation.plausibility import only_rounding
 from identification.estimation.shown import MISFIT
-from identification.gap.noise.noise import LEVEL, Finding
-from identification.gap.noise.posture_neighbors import FAR
+from identification.gap.scatter import Finding
 from identification.measurements import POINT, Measurements
 
 # reasons: identification/README.md, "Constants"
+LEVEL = 0.01  # convention: of lack of fit that is said
+FAR = 0.1  # of the session, between two rows that share no slow error
 FEWEST = 4  # degrees of freedom below which a standard deviation is not reported
 
 Groups = NDArray[np.int64]

@@ -13,7 +13,6 @@ from scipy.special import fdtrc
 from identification.arrays import Array
 from identification.effects import Effect
 from identification.gap.confirmation.confirmation import Groups
-from identification.gap.curves.curves import CurveFit
 from identification.gap.fits.fit import Fit
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.sessions import BASE, SESSIONS
@@ -73,21 +72,11 @@ class SharedFit:
         """Linearize a fit;  sessions : of the rows of the fit."""
         rows = found.rows
         shape = len(rows), rows.dimension, -1
-        columns, values, penalty = [found.jacobian.reshape(shape)], [found.values], [np.zeros(len(found.values))]
-        curves, end = {}, len(found.values)
-        if isinstance(found, CurveFit):
-            columns.append(rows.whiten(found.curve_columns(rows.postures, rows.conditions)).reshape(shape))
-            for basis in found.bases:
-                curves[basis.joint + 1] = np.arange(end, end + basis.count)
-                end += basis.count
-            values.append(found.evidence.coefficients)
-            penalty.append(1.0 / found.evidence.variances)
-        jacobian, known = np.concatenate(columns, axis=2), np.concatenate(values)
+        jacobian, known = found.jacobian.reshape(shape), found.values
         lengths = np.sqrt(np.einsum("mdp,mdp->p", jacobian, jacobian))
         lengths = np.where(lengths > 0.0, lengths, 1.0)
         response = found.residual.reshape(shape[:2]) + jacobian @ known
-        jacobian /= lengths  # in place: with curves it is large
-        return cls(found, jacobian, response, lengths, np.concatenate(penalty) / lengths**2, curves, sessions)
+        return cls(found, jacobian / lengths, response, lengths, np.zeros(len(lengths)), {}, sessions)
 
     def columns_of(self, effect: Effect) -> Index:
         """Indices of the columns of an effect's parameters, or of its error curve."""

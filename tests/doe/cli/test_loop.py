@@ -126,11 +126,11 @@ def test_two_ripples_of_one_joint_go_round_the_loop(folder: Folder) -> None:
     rows = [",".join([str(k + 1), *(f"{a:.6f}" for a in posture)]) for k, posture in enumerate(postures)]
     folder.write("plan.csv", "\n".join(["run,q1_deg,q2_deg,q3_deg,q4_deg", *rows]) + "\n")
     folder.simulated()
-    words = ["diagnose", "arm.toml", "data.csv", "--draws", "399", "--json", "--out", "extended.toml"]
+    words = ["diagnose", "arm.toml", "data.csv", "--json", "--out", "extended.toml"]
     found = folder.armcal(*words).data
     one, other = "transmission_ripple:1[k=20]", "transmission_ripple:1[k=29]"
     assert (found["verdict"], set(found["effects"])) == ("named", {one, other, "transmission_ripple:2[k=18]"})
-    again = folder.armcal("diagnose", "extended.toml", "data.csv", "--draws", "399", "--json").data
+    again = folder.armcal("diagnose", "extended.toml", "data.csv", "--json").data
     assert again["verdict"] == "none"
     done = folder.armcal("identify", "extended.toml", "data.csv", "--json", "--out", "calibrated.toml")
     assert done.code == 0, done.err

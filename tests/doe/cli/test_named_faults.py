@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from doe.cli import main
@@ -15,8 +13,6 @@ from doe.cli.progress import lines
 from doe.report.monte_carlo import _cell_table
 from identification.errors import LONGEST_LINE, InputError, in_one_line
 from identification.files.csv import read_table
-from identification.gap.curves.curve_fit import Penalized
-from identification.gap.hypotheses.omnibus_test import BLOCK, _in_parts
 from tests.doe.cli.conftest import Folder
 from tests.doe.cli.test_bad_input import HEADER, refused
 
@@ -93,27 +89,6 @@ def test_a_planar_truth_of_a_spatial_arm(folder: Folder) -> None:
     folder.write("space.toml", f'kind = "spatial"\n{rows}[measurement]\nsigma_mm = 0.1\n')
     words = ["simulate", "space.toml", "plan.csv", "--truth", "arm.toml", "--out", "out.file"]
     refused(folder, words, "arm.toml: found an arm that is planar", "allowed: spatial, revolute")
-
-
-def test_more_draws_than_memory(folder: Folder) -> None:
-    folder.simulated()
-    refused(folder, ["diagnose", "arm.toml", "data.csv", "--draws", "1000000000"], "--draws", "1000000000")
-
-
-def test_draws_are_held_a_block_at_a_time() -> None:
-    """And up to a block they are those of one call, to the last bit."""
-    hypotheses, asked = SimpleNamespace(index=np.arange(1000)), []
-
-    def numbers(count: int) -> np.ndarray:
-        asked.append(count)
-        return generator.standard_normal((100, count))
-
-    generator = np.random.default_rng(3)
-    one = np.concatenate(list(_in_parts(numbers, hypotheses, BLOCK)), axis=1)  # type: ignore[arg-type]
-    assert np.array_equal(one, np.random.default_rng(3).standard_normal((100, BLOCK)))
-    several = _in_parts(numbers, hypotheses, 2 * BLOCK + 7)  # type: ignore[arg-type]
-    assert sum(part.shape[1] for part in several) == 2 * BLOCK + 7
-    assert asked == [BLOCK, BLOCK, BLOCK, 7]
 
 
 STUDY = 'arms = ["arm.toml"]\nplans = ["same.csv"]\nreplications = 4\n'
@@ -287,12 +262,6 @@ def test_a_working_directory_that_is_gone(folder: Folder) -> None:
     (folder.path / "gone").rmdir()
     done = folder.armcal("effects")
     assert (done.code, done.err) == (1, "armcal: the working directory is no longer there; change into another one\n")
-
-
-def test_curves_over_thousands_of_turns() -> None:
-    """Nodes further apart than a turn: the longest wave that is tried is no shorter than the shortest."""
-    wide = SimpleNamespace(bases=[SimpleNamespace(spacing=100.0)], _units=np.ones(1))
-    assert all(low <= high for low, high in Penalized._bounds.fget(wide))  # type: ignore[attr-defined]
 
 
 def test_a_resumed_study_without_a_result_leaves_nothing(folder: Folder) -> None:

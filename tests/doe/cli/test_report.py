@@ -77,7 +77,7 @@ def test_a_model_that_is_no_better_than_the_drawing_is_not_recommended(campaign:
 
 
 def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> None:
-    words = "diagnose", "arm.toml", "data.csv", "--draws", "399", "--out", "extended.toml"
+    words = "diagnose", "arm.toml", "data.csv", "--out", "extended.toml"
     done = campaign.armcal(*words, "--report", "gap.html", "--json")
     assert done.code == 0, done.err
     calibration = load_arm(campaign.path / "extended.toml").calibration
@@ -145,7 +145,7 @@ def test_commands_whose_numbers_are_none_are_one_line(campaign: Folder) -> None:
 
 def test_the_headline_is_the_error_on_rows_that_no_fit_has_seen(campaign: Folder) -> None:
     """Whichever file says it: other measurements, what `validate` said of them, or a diagnosis with rows held out."""
-    words = "diagnose", "arm.toml", "data.csv", "--draws", "399", "--holdout", "other.csv", "--json"
+    words = "diagnose", "arm.toml", "data.csv", "--holdout", "other.csv", "--json"
     campaign.write("diag.json", campaign.armcal(*words).out)
     valid, diagnosis = (json.loads(campaign.read(name)) for name in ("valid.json", "diag.json"))
     by_rows = f"to {in_a_sentence(valid['rms_mm'])} mm"

@@ -20,13 +20,13 @@ COMMANDS = (
     "design arm.toml --runs 5 --starts 4",
     "relax narrow.toml --grid 7",
     "identify arm.toml data.csv",
-    "diagnose arm.toml data.csv --draws 399",
+    "diagnose arm.toml data.csv",
 )
 SPATIAL = (
     "design six.toml --runs 16 --starts 2 --solver random",
     "score six.toml plan.csv",
     "identify six.toml measured.csv",
-    "diagnose six.toml measured.csv --draws 399",
+    "diagnose six.toml measured.csv",
 )
 ELBOW = ((0, 90, 400), (-600, 0, 0), (-500, 0, 0), (0, 90, 150), (0, -90, 120), (0, 0, 90))
 CODE = """

@@ -41,7 +41,7 @@ def sessions(folder: Folder) -> Folder:
 
 
 def test_files_are_sessions(sessions: Folder) -> None:
-    words = ["diagnose", "arm.toml", "monday.csv", "friday.csv", "--json", "--draws", "399", "--out", "extended.toml"]
+    words = ["diagnose", "arm.toml", "monday.csv", "friday.csv", "--json", "--out", "extended.toml"]
     done = sessions.armcal(*words, "--report", "gap.html")
     assert done.code == 0, done.err
     assert done.data["effects"] == ["transmission_ripple:2[k=5]"]

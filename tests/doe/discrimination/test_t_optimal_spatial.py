@@ -30,7 +30,7 @@ def test_rivals_are_told_apart_where_they_differ() -> None:
     real = postures + np.eye(3)[1] * 2e-3 * np.cos(postures[:, 1:2] - 1.2)
     exact = Model(Arm.of_chain(STANDS)).position(real)
     data = Measurements(postures, exact + SIGMA * generator.standard_normal((16, 3)))
-    found = diagnose(Arm.of_chain(CHAIN, sigma=SIGMA), data, draws=399)
+    found = diagnose(Arm.of_chain(CHAIN, sigma=SIGMA), data)
     assert found.verdict == "ambiguous"
     chosen = discriminate(found.arm, found, data, 4, seed=0)
     rivals = [Model(found.extended_arm(candidate)) for candidate in found.candidates]

@@ -67,7 +67,7 @@ def test_it_is_estimated_and_named() -> None:
     deviation = float(np.sqrt(found.covariance[k, k]))
     assert abs(found.parameters[k] - 0.6) < 4.0 * deviation < 0.2
     assert found.rms_after < 0.022
-    assert diagnose(arm, data, draws=399).named.effects == ("length_offset",)
+    assert diagnose(arm, data).named.effects == ("length_offset",)
 
 
 def test_it_is_simulated() -> None:

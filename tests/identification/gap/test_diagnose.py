@@ -15,12 +15,11 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
 from identification.errors import InputError
 from identification.estimation import estimate as identify
-from identification.gap.candidates import candidate
+from identification.gap.candidates import candidate_of, certainty
 from identification.gap.diagnose import diagnose
+from identification.gap.fits.fit import fit
 from identification.gap.fits.whitening import Rows
-from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.result import Diagnosis
-from identification.gap.selection.search import HypothesisSearch
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -48,7 +47,7 @@ def measured(name: str | None, seed: int = 1, m: int = 60, **changes: object) ->
 
 @cache
 def diagnosed(name: str | None) -> Diagnosis:
-    return diagnose(ARM, measured(name), draws=399)
+    return diagnose(ARM, measured(name))
 
 
 CLEAR = [
@@ -65,15 +64,17 @@ def test_names_a_clear_effect_and_the_extended_arm_has_it(name: str) -> None:
     settings = "[k=45]" if name == "transmission_ripple" else ""  # as drawn in `measured`
     assert found.effects == (name if joint is None else f"{name}:2{settings}",)
     assert found.gap.rms_after < found.gap.rms_before
-    refitted = identify(Model(found.extended_arm()), measured(name))
-    assert refitted.rms_before == pytest.approx(found.gap.rms_after, rel=1e-6)  # nothing is lost on the way to the arm
-    assert refitted.rms_after == pytest.approx(found.gap.rms_after, rel=1e-6)  # and it is the best fit
+    refitted = identify(Model(found.extended_arm(found.named)), measured(name))
+    assert refitted.rms_before == pytest.approx(refitted.rms_after, rel=1e-6)  # what is named is the best fit
+    predicting = Model(found.extended_arm())
+    left = measured(name).positions - predicting.position(measured(name).postures, None, measured(name).conditions)
+    assert np.sqrt(np.mean(np.sum(left**2, axis=1))) == pytest.approx(found.gap.rms_after, rel=1e-6)  # nothing is lost
 
 
 @pytest.mark.parametrize("name", ["backlash", "base_drift", "link_bending"])
 def test_the_extended_arm_has_nothing_missing(name: str) -> None:
     """An effect of a joint, of the whole arm and of all joints; ripples: below."""
-    assert diagnose(diagnosed(name).extended_arm(), measured(name), draws=399).verdict == "none"
+    assert diagnose(diagnosed(name).extended_arm(), measured(name)).verdict == "none"
 
 
 def test_estimate_is_near_the_truth() -> None:
@@ -98,7 +99,7 @@ def rippled(m: int = 120) -> Measurements:
 
 
 def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
-    found = diagnose(ARM, rippled(), draws=399)
+    found = diagnose(ARM, rippled())
     ripple = "transmission_ripple"
     assert found.verdict == "named"
     assert set(found.effects) == {f"{ripple}:1[k=12]", f"{ripple}:2[k=20]", f"{ripple}:2[k=29]"}
@@ -107,14 +108,14 @@ def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
         assert abs(estimate.value - np.degrees(truth.get(estimate.name, 0.0))) < 4.0 * estimate.std
     said = found.to_json()["candidates"][0]
     assert [f"{spec.key}[k={spec.values['k']:g}]" for spec in found.named.specs] == list(found.effects)  # same order
-    assert found.extended_arm().effects == found.named.specs
+    assert found.extended_arm(found.named).effects == found.named.specs
     assert said["settings"] == {f"{ripple}:1.k": 12.0, f"{ripple}:2[k=20].k": 20.0, f"{ripple}:2[k=29].k": 29.0}
-    assert diagnose(found.extended_arm(), rippled(), draws=399).verdict == "none"
+    assert diagnose(found.extended_arm(), rippled()).verdict == "none"
 
 
 def test_a_ripple_beside_one_that_is_in_the_arm() -> None:
     known = [EffectSpec("transmission_ripple", j, {"k": k}) for j, k in ((1, 12.0), (2, 20.0))]
-    found = diagnose(ARM.with_effects(*known), rippled(), draws=399)
+    found = diagnose(ARM.with_effects(*known), rippled())
     assert (found.verdict, found.effects) == ("named", ("transmission_ripple:2[k=29]",))
 
 
@@ -122,7 +123,7 @@ def test_a_wave_of_no_whole_order_is_one_ripple_and_not_two() -> None:
     rng = np.random.default_rng(22)
     run = simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng)
     wave = ("free_ripple", 2, {"k": 20.5, "a": 6e-4, "b": 6e-4})
-    found = diagnose(ARM, simulator.measure(replace(TRUTH, effects=[wave]), run, rng, "white"), draws=399)
+    found = diagnose(ARM, simulator.measure(replace(TRUTH, effects=[wave]), run, rng, "white"))
     assert (found.verdict, found.effects) == ("named", ("transmission_ripple:2[k=20.5]",))
 
 
@@ -170,7 +171,7 @@ def test_json_has_the_documented_keys_and_no_nan() -> None:
 
 
 def test_same_seed_same_diagnosis() -> None:
-    again = diagnose(ARM, measured("backlash"), draws=399)
+    again = diagnose(ARM, measured("backlash"))
     assert again.to_json() == diagnosed("backlash").to_json()
 
 
@@ -220,18 +221,17 @@ class PlainFit:
 
 def test_held_out_gap_shrinks_to_the_noise() -> None:
     data, (fresh, noise) = eccentric(60, 1)[0], eccentric(200, 2)
-    found = diagnose(ARM, data, fresh, draws=399)
+    found = diagnose(ARM, data, fresh)
     gap = found.gap
     assert found.confirmation is not None
     assert found.confirmation.shrinks is True
     before, after = PlainFit(data, eccentric=False), PlainFit(data, eccentric=True)
     assert gap.held_out_before == pytest.approx(before.rms(fresh), rel=1e-6)
-    assert gap.held_out_after == pytest.approx(after.rms(fresh), rel=1e-6)
+    assert gap.held_out_after == pytest.approx(after.rms(fresh), rel=0.01)  # the size of the effect has a prior
     assert gap.noise_floor == pytest.approx(np.sqrt(2.0) * ARM.sigma)  # no repeats here: the instrument's sigma
     columns = after.columns(fresh)
     added = np.sum((columns @ after.covariance) * columns) / len(fresh)
-    assert found.choice is not None  # what the choices made without a fifth of the rows miss belongs to the prediction
-    assert gap.predicted == pytest.approx(np.sqrt(2.0 * after.variance + added + found.choice.excess), rel=1e-4)
+    assert gap.predicted == pytest.approx(np.sqrt(2.0 * after.variance + added), rel=0.02)
     # 8 parameters from 120 numbers add 8/120 of the noise's square, give or take twice that: 3 to 10 % of its RMS
     assert noise * 0.97 < gap.held_out_after < noise * 1.10
     assert gap.held_out_before > 1.5 * noise
@@ -241,12 +241,12 @@ def test_order_of_rows_does_not_matter_when_conditions_are_given() -> None:
     data = measured("base_drift")
     mixed = np.random.default_rng(3).permutation(len(data))
     shuffled = data.rows(mixed)
-    assert diagnose(ARM, shuffled, draws=399).effects == ("base_drift",)
+    assert diagnose(ARM, shuffled).effects == ("base_drift",)
 
 
 def test_sigma_of_the_data_sheet_does_not_decide() -> None:
     for sigma in (None, 0.005, 5.0):
-        found = diagnose(replace(ARM, sigma=sigma), measured(None), draws=399)
+        found = diagnose(replace(ARM, sigma=sigma), measured(None))
         assert found.verdict == "none"
     assert any("times the sigma_mm" in note for note in found.notes)
 
@@ -255,7 +255,7 @@ def test_outliers_are_listed_and_left_out() -> None:
     data = measured("backlash")
     positions = data.positions.copy()
     positions[[4, 20, 33]] += 1.5
-    found = diagnose(ARM, replace(data, positions=positions), draws=399)
+    found = diagnose(ARM, replace(data, positions=positions))
     assert found.outlier_rows == (5, 21, 34)
     assert found.effects == ("backlash:2",)
 
@@ -264,7 +264,7 @@ def test_many_far_rows_are_structure_not_outliers() -> None:
     data = measured(None)
     positions = data.positions.copy()
     positions[:12] += 2.0  # 40 sigma: the tracker was bumped after the twelfth row
-    found = diagnose(ARM, replace(data, positions=positions), draws=399)
+    found = diagnose(ARM, replace(data, positions=positions))
     assert (found.verdict, [spec.key for spec in found.named.specs]) == ("named", ["base_step"])
     assert found.named.specs[0].values["at"] == pytest.approx(11.5 / 59 - 0.5, abs=1e-6)
     assert found.outlier_rows == ()
@@ -305,16 +305,16 @@ def test_one_posture_or_one_position_is_refused() -> None:
 def test_a_holdout_of_another_arm_is_refused() -> None:
     data, fresh = measured("encoder_eccentricity"), measured("encoder_eccentricity", seed=2, m=30)
     with pytest.raises(InputError, match="another arm"):
-        diagnose(ARM, data, replace(fresh, positions=1.2 * fresh.positions), draws=399)
+        diagnose(ARM, data, replace(fresh, positions=1.2 * fresh.positions))
     turn = np.array([[0.985, 0.174], [-0.174, 0.985]])
-    turned = diagnose(ARM, data, replace(fresh, positions=fresh.positions @ turn), draws=399)  # by 10 deg, of the base
+    turned = diagnose(ARM, data, replace(fresh, positions=fresh.positions @ turn))  # by 10 deg, of the base
     assert turned.confirmation is not None
     assert turned.confirmation.refitted == ("base",)
     bumped = fresh.positions.copy()
     bumped[:5] += 50.0  # a few outliers are not another arm
-    found = diagnose(ARM, data, replace(fresh, positions=bumped), draws=399)
+    found = diagnose(ARM, data, replace(fresh, positions=bumped))
     assert any("times larger than predicted" in note for note in found.notes)
-    assert not any("farther off" in note for note in diagnose(ARM, data, fresh, draws=399).notes)
+    assert not any("farther off" in note for note in diagnose(ARM, data, fresh).notes)
 
 
 def test_a_rounded_copy_is_no_holdout() -> None:
@@ -332,10 +332,10 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     q = rng.uniform(-3.0, 3.0, (60, 1))
     tau = -9.81 * (10.0 * 0.15 + 5.0 * 0.3) * np.cos(q[:, 0])
     p = 300.0 * np.exp(1j * (q[:, 0] - 2e-5 * tau)) + 0.02 * rng.normal(size=(60, 2)) @ [1, 1j]
-    search = HypothesisSearch(hypotheses(arm, frozenset()), Rows.of(Measurements(q, np.column_stack([p.real, p.imag]))))
-    chosen = tuple(h for h in search.hypotheses.members if h.key == "joint_compliance:1")
-    (estimate,) = candidate(search, search, chosen, 0.0, 99, rng).parameters
-    std = search.fit(chosen).sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
+    rows = Rows.of(Measurements(q, np.column_stack([p.real, p.imag])))
+    fitted = fit(Model(arm.with_effects(EffectSpec("joint_compliance", 1))), rows)
+    (estimate,) = candidate_of(fitted, 1, certainty(fitted, None, doubtful=False), 0.0, None).parameters
+    std = fitted.sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
     assert estimate.value == estimate.low_95 == 0.0
     assert estimate.std == pytest.approx(std, rel=1e-3)  # the link is 300 mm to 1e-4
     assert estimate.high_95 == pytest.approx(stats.t(2 * 60 - 3).ppf(0.975) * std, rel=1e-3)
@@ -348,15 +348,15 @@ def test_poor_data_do_not_crash() -> None:
     run = simulator.RowConditions(still, data.order, data.temperature, data.directions, np.full(60, TRUTH.payload))
     truth = replace(TRUTH, effects=[])
     p = simulator.position(truth, run) + 0.05 * np.random.default_rng(1).normal(size=(60, 2)) @ [1.0, 1.0j]
-    found = diagnose(ARM, Measurements(still, np.column_stack([p.real, p.imag])), draws=399)
+    found = diagnose(ARM, Measurements(still, np.column_stack([p.real, p.imag])))
     assert found.verdict == "none"
     assert any("joint 2 does not move" in note for note in found.notes)
     massless = replace(ARM, gravity=Gravity(np.array([0.0, -9.81]), np.zeros(3), np.full(3, 0.5), 0.0))
-    assert diagnose(massless, data, draws=399).excluded["link_bending"].value is None
+    assert diagnose(massless, data).excluded["link_bending"].value is None
     constant = replace(data, temperature=np.full(60, 21.0), directions=np.ones((60, 3)))
-    assert diagnose(ARM, constant, draws=399).verdict == "none"
+    assert diagnose(ARM, constant).verdict == "none"
     repeated = data.rows(np.repeat(np.arange(5), 4))
-    assert diagnose(ARM, repeated, draws=399).detectability.freedom == 40 - 6
+    assert diagnose(ARM, repeated).detectability.freedom == 40 - 6
 
 
 @pytest.mark.parametrize("m", [6, 7, 8])
@@ -367,9 +367,7 @@ def test_hardly_any_rows_do_not_crash(m: int) -> None:
         rng = np.random.default_rng([m, seed])
         q = rng.uniform(-2.0, 2.0, (m, 4))
         p = np.exp(1j * np.cumsum(q, axis=1)) @ [260.0, 180.0, 120.0, 100.0] + rng.normal(size=(m, 2)) @ [0.1, 0.1j]
-        found = diagnose(
-            Arm([260.0, 180.0, 120.0, 100.0]), Measurements(q, np.column_stack([p.real, p.imag])), draws=399
-        )
+        found = diagnose(Arm([260.0, 180.0, 120.0, 100.0]), Measurements(q, np.column_stack([p.real, p.imag])))
         assert found.detectability.freedom == 2 * m - 8
 
 
@@ -378,7 +376,7 @@ def test_one_link_lists_its_exact_aliases() -> None:
     q = np.linspace(-3.0, 3.0, 40)[:, None]
     torque = -9.81 * (10.0 * 0.15 + 5.0 * 0.3) * np.cos(q[:, 0])
     p = 300.0 * np.exp(1j * (q[:, 0] + 1e-4 * torque)) + 0.02 * np.random.default_rng(1).normal(size=(40, 2)) @ [1, 1j]
-    found = diagnose(arm, Measurements(q, np.column_stack([p.real, p.imag])), draws=399)
+    found = diagnose(arm, Measurements(q, np.column_stack([p.real, p.imag])))
     assert found.verdict == "ambiguous"
     assert {"joint_compliance", "joint_compliance:1"} <= {c.effects[0] for c in found.candidates}
 
@@ -402,20 +400,15 @@ def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     theta[:, 1] += 5e-4 * theta[:, 1] ** 2
     p = simulator.position(TRUTH, simulator.session(TRUTH, theta, np.random.default_rng(0)))
     positions = np.column_stack([p.real, p.imag]) + 0.05 * np.random.default_rng(2).normal(size=(60, 2))
-    found = diagnose(ARM, replace(data, positions=positions), draws=399)
+    found = diagnose(ARM, replace(data, positions=positions))
     assert "cable_square:2" in [c.effects[0] for c in found.candidates]
-
-
-def test_too_few_draws_for_the_strictest_level() -> None:
-    with pytest.raises(InputError, match="draws: 398, allowed: at least 399"):
-        diagnose(ARM, measured(None), draws=398)
 
 
 def test_a_fifth_of_the_rows_are_outliers() -> None:
     data, rng = measured("backlash"), np.random.default_rng(4)
     positions, wrong = data.positions.copy(), np.sort(rng.choice(60, 12, replace=False))
     positions[wrong] += 80.0 * rng.normal(size=(12, 2))
-    found = diagnose(ARM, replace(data, positions=positions), draws=399)
+    found = diagnose(ARM, replace(data, positions=positions))
     assert found.outlier_rows == tuple(wrong + 1)
     assert found.effects == ("backlash:2",)
 
@@ -423,7 +416,7 @@ def test_a_fifth_of_the_rows_are_outliers() -> None:
 def test_a_scatter_above_sigma_stands_in_the_verdict() -> None:
     assert "sigma_mm" not in diagnosed(None).sentence
     rough = measured(None).positions + np.random.default_rng(8).normal(size=(60, 2))  # 1 mm, the arm file says 0.05
-    found = diagnose(ARM, replace(measured(None), positions=rough), draws=399)
+    found = diagnose(ARM, replace(measured(None), positions=rough))
     assert found.misfit is not None
     assert found.misfit.ratio == pytest.approx(20.0, rel=0.2)
     assert found.sentence.endswith(f"; scatter {found.misfit.ratio:.3g} x sigma_mm, not explained")
@@ -438,7 +431,7 @@ def test_before_is_what_identify_leaves() -> None:
         model.jacobian(data.postures)[:, :, 4] * (0.002 * np.random.default_rng(6).normal(size=60))[:, None]
     )
     shaken[7] += 4.0
-    found = diagnose(ARM, replace(data, positions=shaken), draws=399)
+    found = diagnose(ARM, replace(data, positions=shaken))
     assert found.outlier_rows == (8,)
     assert found.scatter[0].name.startswith("joint_noise")
     others = np.arange(60) != 7
@@ -447,7 +440,7 @@ def test_before_is_what_identify_leaves() -> None:
 
 
 def test_a_hold_out_without_the_effect_refutes_it() -> None:
-    found = diagnose(ARM, measured("backlash"), measured(None, seed=3, m=200), draws=399)
+    found = diagnose(ARM, measured("backlash"), measured(None, seed=3, m=200))
     assert found.verdict == "named"
     assert found.confirmed is False
     assert found.sentence.startswith("not confirmed: named: backlash:2")
@@ -462,7 +455,7 @@ def test_on_a_grid_the_ripples_that_an_effect_imitates_are_told() -> None:
     q = np.radians(10.0) * rng.integers(-18, 18, (60, 3))
     run = simulator.session(TRUTH, q, rng)
     truth = replace(TRUTH, effects=[("transmission_ripple", 2, {"k": 35, "a": 8e-4, "b": 6e-4})])
-    found = diagnose(ARM, simulator.measure(truth, run, rng, "white"), draws=399)
+    found = diagnose(ARM, simulator.measure(truth, run, rng, "white"))
     assert found.effects == ("encoder_eccentricity:2",)
     like = {other: alike for own, other, alike in found.aliases if own == "encoder_eccentricity:2"}
     assert like["transmission_ripple:2[k=35]"] == pytest.approx(1.0)
@@ -484,7 +477,7 @@ def test_a_bent_instrument_is_unknown_in_the_workspace(name: str) -> None:
     p = data.positions @ np.array([1.0, 1.0j])
     bent = LENS[name](p, TRUTH.lengths.sum())
     p = p + bent * 0.2 / np.sqrt(np.mean(np.abs(bent) ** 2))
-    found = diagnose(ARM, replace(data, positions=np.column_stack([p.real, p.imag])), draws=399)
+    found = diagnose(ARM, replace(data, positions=np.column_stack([p.real, p.imag])))
     assert (found.verdict, found.where) == ("unknown", "workspace")
 
 

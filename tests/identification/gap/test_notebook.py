@@ -26,7 +26,7 @@ def diagnosed(play: float) -> Diagnosis:
     angles = np.cumsum(q + play * sides * [0.0, 1.0], axis=1)
     tips = np.stack([np.cos(angles) @ LENGTHS, np.sin(angles) @ LENGTHS], axis=1)
     measured = Measurements(q, tips + generator.normal(0.0, 0.02, (40, 2)), directions=sides)
-    return diagnose(Arm(LENGTHS, sigma=0.02), measured, draws=399)
+    return diagnose(Arm(LENGTHS, sigma=0.02), measured)
 
 
 def tables(page: str) -> list[list[list[str]]]:

@@ -8,7 +8,6 @@ from typing import cast
 import pytest
 
 from identification.gap.result import Diagnosis
-from identification.gap.selection.rounds import Round
 from identification.gap.summary import among, headline, of_joints
 
 
@@ -24,13 +23,6 @@ from identification.gap.summary import among, headline, of_joints
 )
 def test_joints(joints: list[int], words: str) -> None:
     assert of_joints(joints) == words
-
-
-def test_a_round_spells_out_a_few_names() -> None:
-    removed = tuple(f"backlash:{j}" for j in range(1, 9))
-    assert str(Round(("gear_ratio:1",), removed, 0.125)) == (
-        "+ gear_ratio:1 - backlash:1 - backlash:2 - backlash:3 - backlash:4 - backlash:5 - 3 more: 0.125 mm left"
-    )
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,7 @@ def test_what_is_said_of_the_real_robot_holds_on_the_sample() -> None:
     columns, there = base_columns(data), base_columns(others)
     alone = predicted_rms(columns, data.positions, columns, data.positions)
     assert fitted.rms_after == pytest.approx(alone, rel=1e-6)
-    found = diagnose(ARM, data, others, draws=399)
+    found = diagnose(ARM, data, others)
     named = waves(found)
     # 60 deg of joint 1 tell whole numbers of periods apart to one or two
     first, second, third = best_waves(data)

@@ -37,7 +37,7 @@ def session(drift: float, backlash: float, seed: int = 3, m: int = 80) -> Measur
 def drifting() -> tuple[Diagnosis, Measurements, Measurements]:
     data = session(0.6, 6e-4)
     own, held = data.rows(np.arange(80) % 3 > 0), data.rows(np.arange(80) % 3 == 0)
-    return judged(diagnose(ARM, own, held, draws=399), ARM, own, held), own, held
+    return judged(diagnose(ARM, own, held), ARM, own, held), own, held
 
 
 def test_the_figures_are_those_of_validate_on_the_same_rows(
@@ -80,7 +80,7 @@ def test_a_model_that_is_worse_says_so_first(drifting: tuple[Diagnosis, Measurem
 
 def test_without_a_hold_out_other_postures_say_it() -> None:
     data = session(0.0, 8e-4)
-    found = judged(diagnose(ARM, data, draws=399), ARM, data, None)
+    found = judged(diagnose(ARM, data), ARM, data, None)
     test = next(test for test in found.cross_validation if test.transfer == "other postures")
     assert found.offered is not None
     assert (found.offered.by, found.offered.better) == ("cross-validation", True)
@@ -88,7 +88,7 @@ def test_without_a_hold_out_other_postures_say_it() -> None:
     assert test.largest_before > test.before
     assert test.to_json()["max_after_mm"] == test.largest_after
     nothing = session(0.0, 0.0)
-    assert judged(diagnose(ARM, nothing, draws=399), ARM, nothing, None).offered is None
+    assert judged(diagnose(ARM, nothing), ARM, nothing, None).offered is None
 
 
 def test_geometry_and_largest_error_of_residuals_by_hand() -> None:

@@ -97,7 +97,7 @@ def check_rivals(found: BlindStudy, cell: str) -> None:
 def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[BlindStudy, Path]:
     """A study of few sets, and its folder."""
     folder = tmp_path_factory.mktemp("blind") / "study"
-    return blind_study(IN_EVERY_RUN, SETS, folder, draws=399), folder
+    return blind_study(IN_EVERY_RUN, SETS, folder), folder
 
 
 def test_limits_are_those_of_the_binomial_distribution() -> None:
@@ -125,7 +125,7 @@ def test_the_bars_of_few_sets(small: tuple[BlindStudy, Path]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", CELLS)
 def test_the_bars_of_a_cell(cell: str) -> None:
-    found = blind_study([cell], 100, draws=399)
+    found = blind_study([cell], 100)
     for place, measure in BARS:
         if place == cell:
             check(found, (place, measure))
@@ -136,7 +136,7 @@ def test_the_bars_of_a_cell(cell: str) -> None:
 @pytest.mark.slow
 def test_further_postures_settle_ambiguous_sets() -> None:
     """About a third of the sets are ambiguous: of a hundred, some thirty are measured further."""
-    found = blind_study([blind.AMBIGUOUS], 100, draws=399)
+    found = blind_study([blind.AMBIGUOUS], 100)
     check(found, (blind.AMBIGUOUS, "next_2 right"))
     check(found, (blind.AMBIGUOUS, "next_8 right"))
     assert found.value(blind.AMBIGUOUS, "next_8 predicted") > found.value(blind.AMBIGUOUS, "next_2 predicted")
@@ -157,7 +157,7 @@ def test_named_cells_by_the_command_line(tmp_path: Path) -> None:
 def test_the_study_in_space_of_few_sets(tmp_path: Path) -> None:
     """Two sets with a hidden effect and one without: all wrong once in 100 cases; judged as those in the plane."""
     cells = ("space, none, m=60", "space, lambda 8, m=60")
-    found = [blind_study([cell], count, tmp_path / str(count), draws=399) for count, cell in enumerate(cells, 1)]
+    found = [blind_study([cell], count, tmp_path / str(count)) for count, cell in enumerate(cells, 1)]
     for one, (cell, measure) in zip(found, zip(cells, ("alarm", "exact"), strict=True), strict=True):
         check(one, (cell, measure))
     assert found[1].sets["hidden"].n_unique() == 2
@@ -420,9 +420,9 @@ def test_the_diagnoses_table_knows_nothing_of_the_truth(small: tuple[BlindStudy,
 def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blind, "BATCH", 1)
     folder = tmp_path / "study"
-    first = blind_study(["none m=20"], 1, folder, draws=399)
+    first = blind_study(["none m=20"], 1, folder)
     before = polars.read_parquet(folder / blind.DIAGNOSES)
-    more = blind_study(["none m=20"], 2, folder, draws=399, resume=True)
+    more = blind_study(["none m=20"], 2, folder, resume=True)
     after = polars.read_parquet(folder / blind.DIAGNOSES)
     assert (len(first.sets), len(more.sets)) == (1, 2)
     assert after.head(1)["seconds"].to_list() == before["seconds"].to_list()  # not done again

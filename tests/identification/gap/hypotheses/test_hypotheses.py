@@ -30,7 +30,7 @@ COLUMNS = LIBRARY.columns(ROWS, VALUES, LIBRARY.slopes(ROWS))
         "transmission_ripple:2[k=7]",
         "transmission_ripple:3[k=64]",
         "joint_compliance:2",
-        "joint_compliance[equal]",
+        "joint_compliance",
         "joint_coupling:3",
         "backlash:1",
         "thermal_growth",
@@ -46,7 +46,7 @@ def test_columns_are_derivatives_by_the_effects_parameters(label: str) -> None:
     ((k, member),) = [(k, h) for k, h in enumerate(LIBRARY.members) if h.label == label]
     model = Model(ARM.with_effects(*ARM.effects, member.spec))
     start, own = model.parameters.vector(VALUES), [p.name for p in model.effects[-1].parameters]
-    groups = [own] if member.tied else [[name] for name in own]
+    groups = [[name] for name in own]
     assert COLUMNS[k].shape == (12, 2, len(groups))
     for column, names in enumerate(groups):
         steps = model.parameters.vector(dict.fromkeys(names, 1.0))

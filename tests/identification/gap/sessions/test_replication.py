@@ -126,7 +126,7 @@ def bumpy(number: int, sign: float, width: float) -> Measurements:
 def test_a_curve_returns_where_both_sessions_have_measured(sign: float, answer: bool) -> None:
     """One session covers a part of the angles of the other; its curve has another level there."""
     data = pooled_sessions({"wide": bumpy(0, 1.0, np.pi), "narrow": bumpy(1, sign, 1.2)})
-    diagnosis = diagnose(Arm(LENGTHS), data, draws=399)
+    diagnosis = diagnose(Arm(LENGTHS), data)
     curve = next((r for r in diagnosis.replication if r.effect == "joint_error_curve:2"), None)
     if answer:
         assert curve is not None

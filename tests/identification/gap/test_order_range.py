@@ -9,7 +9,7 @@ from identification.arm import Arm, EffectSpec
 from identification.gap.fits.fit import fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.detectability import NEAR
-from identification.gap.selection.order_range import order_clauses, order_ranges
+from identification.gap.order_range import order_clauses, order_ranges
 from identification.measurements import Measurements
 from identification.model import Model
 

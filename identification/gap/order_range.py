@@ -15,8 +15,7 @@ from identification.arrays import Array
 from identification.effects import Effect
 from identification.gap.fits.fit import Fit
 from identification.gap.fits.whitening import Rows
-from identification.gap.hypotheses.detectability import NEAR
-from identification.gap.hypotheses.f_tests import VISIBLE
+from identification.gap.hypotheses.detectability import NEAR, VISIBLE
 from identification.information import column_space
 
 FIXED_ORDERS = {"encoder_eccentricity": 1.0, "encoder_second_harmonic": 2.0}

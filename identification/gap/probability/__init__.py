@@ -1,1 +1,0 @@
-"""How probable each explanation is, and how far a choice is to be trusted."""

@@ -1,0 +1,113 @@
+"""Components of the noise: each is a covariance of the rows with one parameter, weighed by its marginal likelihood.
+
+The noise is white, or has one of: noise of a joint, along its lever; noise that grows with the reach, or in time;
+serial correlation; an error that all rows of one posture share. Given a set of effects, the likelihood of a covariance
+W with flat priors for all parameters is, with residual sum of squares R of f degrees of freedom (H. D. Patterson, R.
+Thompson, 1971),
+
+    -1/2 log |W| - 1/2 log |J^T W^-1 J| - f/2 log R.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.gap.fits.fit import Fit
+from identification.gap.fits.whitening import Rows
+
+# reasons: identification/README.md, "Constants"
+UNEVEN = 0.05  # prior probability of each kind of noise that is not white
+RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one
+CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next
+CLEAR = 1e-10  # eigenvalues of a normal matrix, of the largest
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A property of the noise.
+
+    name : `joint_noise:j`, `reach_noise`, `time_noise`, `serial_correlation`, `repeats`;  p : probability that it is
+    not there
+    size : ratio of the additional to the common variance (at the mean posture), or the correlation
+    """
+
+    name: str
+    p: float
+    size: float
+
+    def __str__(self) -> str:
+        kind, _, joint = self.name.partition(":")
+        what = {
+            "joint_noise": f"larger the farther joint {joint} moves the point, by a relative variance of",
+            "reach_noise": "larger far from the base, by a relative variance of",
+            "time_noise": f"larger {'early' if self.size < 0.0 else 'late'} in the session, by a relative variance of",
+            "serial_correlation": "rows measured one after the other err alike, lag-1 correlation",
+            "repeats": "rows of one posture err alike, by a relative variance of",
+        }[kind]
+        return f"{self.name} ({what} {abs(self.size):.2g}, probability {1.0 - self.p:.2f})"
+
+
+@dataclass(frozen=True)
+class Noise:
+    """A covariance of the rows;  name : as of `Finding`, empty: white;  prior : log probability"""
+
+    name: str
+    size: float
+    rows: Rows
+    prior: float
+
+
+def noises(rows: Rows, at: Fit) -> Iterator[Noise]:
+    """White noise, and every other that these rows can have, at a fitted model."""
+    where = (rows.postures, at.values, rows.conditions)
+    forms = variance_forms(rows, at.model.position(*where), at.model.joint_levers(*where))
+    joints = sum(name.startswith("joint") for name in forms)
+    yield Noise("", 0.0, rows, 0.0)
+    for name, form in forms.items():
+        signs = (1.0, -1.0) if name == "time_noise" else (1.0,)
+        kinds = (joints if name.startswith("joint") else 1) * len(RATIOS) * len(signs)
+        for sign in signs:
+            shape = form if sign > 0.0 else form.max() * np.eye(form.shape[1]) - form
+            values, vectors = np.linalg.eigh(shape)
+            for ratio in RATIOS:
+                deviations = np.sqrt(1.0 + ratio * np.maximum(values, 0.0))
+                spread = vectors * deviations[:, None, :] @ vectors.transpose(0, 2, 1)
+                more = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
+                yield Noise(name, sign * ratio, more, float(np.log(UNEVEN / kinds)))
+    for rho in CORRELATIONS:
+        prior = float(np.log(UNEVEN / len(CORRELATIONS)))
+        yield Noise("serial_correlation", rho, replace(rows, correlation=rho), prior)
+    if len(np.unique(rows.posture_numbers)) < len(rows):
+        for ratio in RATIOS:
+            yield Noise("repeats", ratio, replace(rows, shared=ratio), float(np.log(0.5 / len(RATIOS))))
+
+
+def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Array]:
+    """Name of a finding -> (m, d, d) shape of the additional covariance, with mean trace d.
+
+    position : (m, d) computed [mm];  levers : (m, d, n) of `Model.joint_levers` [mm/rad]
+    """
+    d, forms = rows.dimension, {}
+    for j, lever in enumerate(np.moveaxis(levers, 2, 0), start=1):
+        forms[f"joint_noise:{j}"] = lever[:, :, None] * lever[:, None, :]
+    forms["reach_noise"] = np.sum(position**2, axis=1)[:, None, None] * np.eye(d)
+    time = rows.conditions.time if rows.conditions.time is not None else np.zeros(len(rows))
+    forms["time_noise"] = (time - time.min() + 1e-9)[:, None, None] * np.eye(d)
+    traces = {name: float(np.einsum("mii->", form)) for name, form in forms.items()}
+    return {name: form * (d * len(form) / traces[name]) for name, form in forms.items() if traces[name] > 0.0}
+
+
+def log_likelihood(rows: Rows, left: Array, columns: Array) -> float:
+    """Of a covariance, see above;  left : (m, d) residuals [mm];  columns : (m, d, p) of all free parameters"""
+    residual, basis = rows.whiten(left), rows.whiten(columns)
+    values, turn = np.linalg.eigh(basis.T @ basis)
+    seen = values > CLEAR * values.max(initial=0.0)
+    scores = turn[:, seen].T @ (basis.T @ residual)
+    squares = float(residual @ residual - np.sum(scores**2 / values[seen]))
+    freedom = len(residual) - int(seen.sum())
+    cost = freedom * np.log(max(squares, 1e-300)) + rows.log_determinant + float(np.sum(np.log(values[seen])))
+    return -0.5 * float(cost)

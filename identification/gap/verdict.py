@@ -1,0 +1,146 @@
+"""What a posterior says: probabilities of explanations, and the verdict that follows from them.
+
+An explanation is nothing missing, a set of effects of the library (settings left out), or something outside the
+library. A verdict that is wrong costs 1, and so it is the likeliest of these three: nothing, some effects of the
+library, something outside. To name a wrong set costs 1, to leave it open which one it is 1/2: a set is `named` where
+it has half of the probability, else the verdict is `ambiguous`, and candidates are the sets that are not `RIVAL` times
+less likely than the best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from identification.gap.posterior import Explanation, Posterior
+
+# reasons: identification/README.md, "Constants"
+RIVAL = 20.0  # odds
+MOST = 8  # effort: candidates that are fitted
+CREDIBLE = 0.9  # probability of the credible set
+LISTED = 0.01  # less likely sets are not listed by name
+Names = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Probabilities:
+    """Posterior probabilities of all explanations, with sum 1.
+
+    none : nothing is missing;  sets : sorted keys of a set of effects -> its probability
+    places : place -> probability of something outside the library there, as part of the likeliest explanation
+    titles : sorted keys -> title with the most probable settings, `base_offset + transmission_ripple:2[k=17]`
+    """
+
+    none: float
+    sets: Mapping[Names, float]
+    places: Mapping[str, float]
+    titles: Mapping[Names, str] = field(default_factory=dict)
+    outside: float = 0.0
+
+    def title(self, names: Names) -> str:
+        """Title of a set of effects, given by its sorted keys."""
+        return self.titles.get(names, " + ".join(names))
+
+    def of(self, keys: Iterable[str]) -> float:
+        """Probability that exactly the effects with these keys are missing."""
+        names = tuple(sorted(keys))
+        return self.sets.get(names, 0.0) if names else self.none
+
+    def beside(self, candidates: Iterable[Names]) -> dict[Names, float]:
+        """Sets of effects other than the candidates with a probability of at least `LISTED`, most probable first."""
+        known = {tuple(sorted(keys)) for keys in candidates}
+        rest = [(names, p) for names, p in self.sets.items() if p >= LISTED and names not in known]
+        return dict(sorted(rest, key=lambda pair: -pair[1]))
+
+    @property
+    def credible(self) -> dict[Names | None, float]:
+        """Credible set: explanations with a total probability of about `CREDIBLE`, most probable first.
+
+        The last one is included if more than half of its probability is needed, so that over many data sets the set
+        contains the truth about as often as stated. () is nothing missing, None something outside the library.
+        """
+        every: list[tuple[Names | None, float]] = [((), self.none), *self.sets.items(), (None, self.outside)]
+        found: dict[Names | None, float] = {}
+        for names, p in sorted(every, key=lambda pair: -pair[1]):
+            if found and sum(found.values()) + 0.5 * p >= CREDIBLE:
+                break
+            found[names] = p
+        return found
+
+    @property
+    def best(self) -> Names:
+        """The likeliest set of names, empty without any."""
+        return max(self.sets, key=lambda n: (round(self.sets[n], 9), n), default=())
+
+    @property
+    def verdict(self) -> str:
+        """`none`, `named`, `ambiguous` or `unknown`."""
+        totals = {"none": self.none, "named": sum(self.sets.values()), "unknown": self.outside}
+        likeliest = max(totals, key=lambda kind: round(totals[kind], 9))
+        return "ambiguous" if likeliest == "named" and self.sets[self.best] < 0.5 else likeliest
+
+    @property
+    def rivals(self) -> list[Names]:
+        """Candidates: sets of names that are not much less likely than the likeliest, this first."""
+        if self.verdict not in ("named", "ambiguous"):
+            return []
+        least = self.sets[self.best] / RIVAL
+        order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != self.best, n))
+        least_many = 2 if self.verdict == "ambiguous" else 1
+        return order[: max(least_many, min(MOST, sum(self.sets[names] >= least for names in order)))]
+
+    @property
+    def place(self) -> str | None:
+        """Where something outside the library is likeliest."""
+        return max(self.places, key=lambda p: (round(self.places[p], 9), p), default=None)
+
+    def not_none(self, p: float) -> Probabilities:
+        """Where noise cannot leave so much with more than probability p: nothing is as much less likely."""
+        moved = self.none * (1.0 - p)
+        return Probabilities(self.none - moved, self.sets, self.places, self.titles, self.outside + moved)
+
+
+def keys_of(one: Explanation) -> Names:
+    """Sorted keys of an explanation's effects."""
+    return tuple(sorted(h.key for h in one.effects))
+
+
+def probabilities(found: Posterior) -> Probabilities:
+    """Probabilities of explanations, noise models and settings summed over."""
+    none = outside = 0.0
+    sets: dict[Names, float] = {}
+    places: dict[str, float] = {}
+    titles: dict[Names, str] = {}
+    for one in found.explanations:
+        names, p = keys_of(one), one.probability
+        if one.outside:
+            outside += p
+            for place in {block.place for block in one.outside}:
+                places[place] = places.get(place, 0.0) + p
+        elif names:
+            sets[names] = sets.get(names, 0.0) + p
+            titles.setdefault(names, " + ".join(h.label for h in one.effects))
+        else:
+            none += p
+    return Probabilities(none, sets, places, titles, outside)
+
+
+def likeliest(found: Posterior, names: Names, outside: bool = False) -> Explanation:
+    """The likeliest explanation with exactly these effects;  outside : or, with something outside beside any effects"""
+    if outside:
+        return next((one for one in found.explanations if one.outside), found.best)
+    return next(one for one in found.explanations if not one.outside and keys_of(one) == names)
+
+
+def block_probabilities(found: Posterior) -> dict[str, float]:
+    """Key of each effect -> probability that it is missing."""
+    shares: dict[str, float] = {}
+    for one in found.explanations:
+        for key in {h.key for h in one.effects}:
+            shares[key] = shares.get(key, 0.0) + one.probability
+    return shares
+
+
+def sentence_of_rest(sets: Sequence[float]) -> str:
+    """How much of the probability is in sets that are not listed."""
+    return f"{max(0.0, 1.0 - sum(sets)):.2f} in sets less likely than {LISTED:g} each"
