@@ -1,8 +1,8 @@
 """The model that predicts best: the average over the posterior, as an arm file has it.
 
-The coefficients of all blocks that are likely enough have the mean and the covariance of the mixture of all
+The parameters of all blocks that are likely enough have the mean and the covariance of the mixture of all
 explanations, E[cov] + cov[E]; the base's parameters follow them. Blocks that an arm file cannot have (functions of
-time and workspace) are left out, and the base follows what is left.
+time and workspace) are left out, the base stays as it is without them, and what they may be is part of the intervals.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ import numpy as np
 
 from identification.arm import EffectSpec
 from identification.arrays import Array
-from identification.gap.blocks import Basis, Block
+from identification.gap.blocks import WAVES, Block, Linearized, Where
 from identification.gap.curves.curve import Curve
 from identification.gap.evidence import SIZES
-from identification.gap.fits.fit import Fit
 from identification.gap.posterior import Posterior
 from identification.kinematics.base_axes import along, planar_axes
 from identification.kinematics.parameters import JOINT_OFFSET
@@ -28,102 +27,107 @@ from identification.sessions import SESSIONS
 
 # reasons: identification/README.md, "Constants"
 WRITTEN = 0.05  # probability of a block that is part of the model
-LIKELY = 1e-4  # of an explanation that is averaged
+SETS = 150  # effort: explanations that are averaged
 TIDY = 7  # decimals of a value in degrees, in files
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Mixture over explanations of the parameters of some blocks, with the base's parameters first.
+    """Mixture over explanations of the base's g parameters, and of those of the blocks behind them.
 
-    blocks : with the probability of each;  mean : (g + k,);  covariance : (g + k, g + k)
-    response : (g, k) by which the base gives way to each;  sigma : of one coordinate [mm];  effective : number of
-    parameters
+    first : label of each block -> it and its first parameter
+    mean : (P,);  covariance : (P, P);  response : (g, P) by which the base gives way to each parameter of a block
+    normal : (g, g) covariance of the base's parameters in noise of unit variance
+    sigma : of one coordinate [mm];  effective : number of parameters
     """
 
-    blocks: tuple[tuple[Block, float], ...]
+    first: Mapping[str, tuple[Block, int]]
     mean: Array
     covariance: Array
     response: Array
+    normal: Array
     sigma: float
     effective: float
 
 
 def mixture_of(found: Posterior) -> Moments:
-    """Mean and covariance of the blocks that an arm file can have, of those that are likely."""
-    shares: dict[str, float] = {}
-    known: dict[str, tuple[Block, int]] = {}
-    numbers = [{block.label: k for k, block in enumerate(problem.blocks)} for problem in found.problems]
-    for one in found.explanations:
-        inside: dict[str, int] = {}
-        for block, b in zip(one.blocks, one.weighed.blocks, strict=True):
-            if block.named or block.basis is not None:
-                inside[block.label] = b
-            inside |= {label: numbers[one.noise][label] for label in block.parts}
-        for label, b in inside.items():
-            problem = found.problems[one.noise]
-            shares[label] = shares.get(label, 0.0) + one.probability
-            known.setdefault(label, (problem.blocks[b], problem.roots[b].shape[0]))
-    kept = [label for label in known if shares[label] >= WRITTEN]
-    order = {label: k for k, label in enumerate(found.order)}
-    kept.sort(key=lambda label: order.get(label, len(order)))
-    ends = np.cumsum([0, *(known[label][1] for label in kept)])
-    place = {label: np.arange(first, last) for label, first, last in zip(kept, ends[:-1], ends[1:], strict=True)}
-    g, k = len(found.problems[0].base), int(ends[-1])
-    likely = [one for one in found.explanations if one.probability >= LIKELY]
+    """Mean and covariance of the parameters of the base and of the blocks that are likely enough.
+
+    The base's are those beside what an arm file can have: what it cannot have stays with the base.
+    """
+    likely = found.explanations[:SETS]
     total = sum(one.probability for one in likely)
-    mean, second, inner = np.zeros(g + k), np.zeros((g + k, g + k)), np.zeros((g + k, g + k))
-    squares = effective = 0.0
-    response = np.zeros((g, k))
+    shares: dict[str, float] = {}
+    blocks: dict[str, Block] = {}
     for one in likely:
-        problem, share = found.problems[one.noise], one.probability / total
-        blocks = one.weighed.blocks
-        own = problem.products.columns(blocks)
-        turn = np.zeros((g + k, len(own)))
-        variance = problem.products.squares / max(problem.products.freedom, 1)
-        z, cov = np.zeros(0), np.zeros((0, 0))
-        if len(own):
+        inside = {part.label: part for b in one.blocks for part in (b.parts or (b,))}
+        blocks |= inside
+        for label in inside:
+            shares[label] = shares.get(label, 0.0) + one.probability / total
+    order = {label: k for k, label in enumerate(found.order)}
+    kept = [b for b in blocks.values() if shares[b.label] >= WRITTEN and not b.row]
+    kept.sort(key=lambda b: order.get(b.label, len(order)))
+    widths = {b.label: c.shape[2] for p in found.problems for b, c in zip(p.blocks, p.columns, strict=True)}
+    g = len(found.whole.base)
+    ends = g + np.cumsum([0, *(_width(b) or widths[b.label] for b in kept)])
+    first = {b.label: (b, int(end)) for b, end in zip(kept, ends[:-1], strict=True)}
+    count, base = int(ends[-1]), found.whole.base
+    mean, second, response = np.zeros(count), np.zeros((count, count)), np.zeros((g, count))
+    squares = effective = 0.0
+    for number, problem in enumerate(found.problems):
+        turn, products = _to_parameters(problem, first, g, count), problem.products
+        moment, square = np.zeros(len(products.right)), np.zeros((len(products.right), len(products.right)))
+        weight = variance = 0.0
+        for one in likely:
+            if one.noise != number:
+                continue
+            share, places = one.probability / total, products.places(one.weighed.blocks)
             sizes = SIZES[list(one.weighed.sizes)]
-            z, cov = problem.products.estimates(blocks, sizes)
-            variance = max(problem.products.squares - float(z @ problem.products.right[own]), 0.0)
-            variance /= max(problem.products.freedom, 1)
-            prior = np.repeat(sizes**2, problem.products.widths[list(blocks)]) * max(variance, 1e-300)
-            effective += share * float(np.sum(1.0 - np.diag(cov) / prior))
-        at = 0
-        for block, b in zip(one.blocks, blocks, strict=True):
-            width = problem.roots[b].shape[1]
-            part = slice(at, at + width)
-            if block.label in place:
-                turn[g + place[block.label], part] = problem.roots[b]
-                turn[:g, part] = problem.response[:, own[part]]
-            elif block.row:
-                turn[:g, part] = problem.response[:, own[part]]
-            elif block.parts:
-                first = row = 0
-                for label in block.parts:
-                    root = problem.roots[numbers[one.noise][label]]
-                    if label in place:
-                        here = np.arange(at + first, at + first + root.shape[1])
-                        rows = slice(row, row + root.shape[0])
-                        turn[np.ix_(g + place[label], here)] = problem.roots[b][rows, first : first + root.shape[1]]
-                        turn[:g, here] = problem.response[:, own[here]]
-                    first, row = first + root.shape[1], row + root.shape[0]
-            at += width
-        there = turn @ z
-        there[:g] += problem.base
-        mean += share * there
-        second += share * np.outer(there, there)
-        inner += share * turn @ cov @ turn.T
-        inner[:g, :g] += share * variance * problem.normal
-        squares += share * variance
-    best = found.problems[found.best.noise]
-    for b, block in enumerate(best.blocks):
-        if block.label in place:
-            columns = best.products.columns([b])
-            response[:, place[block.label]] = best.response[:, columns] @ np.linalg.pinv(best.roots[b])
-    covariance = inner + second - np.outer(mean, mean)
-    blocks_kept = tuple((known[label][0], shares[label]) for label in kept)
-    return Moments(blocks_kept, mean, covariance, response, float(np.sqrt(squares)), effective + g)
+            z, covariance = products.estimates(one.weighed.blocks, sizes)
+            left = max(products.squares - float(z @ products.right[places]), 0.0) / max(products.freedom, 1)
+            prior = np.repeat(sizes**2, products.widths[list(one.weighed.blocks)]) * max(left, 1e-300)
+            effective += share * float(np.sum(1.0 - np.diag(covariance) / prior))
+            moment[places] += share * z
+            square[np.ix_(places, places)] += share * (covariance + np.outer(z, z))
+            weight, variance = weight + share, variance + share * left
+        there, moved = turn @ moment, np.zeros(count)
+        moved[:g] = problem.base - base
+        mean += there + weight * moved
+        second += (
+            turn @ square @ turn.T + np.outer(there, moved) + np.outer(moved, there) + weight * np.outer(moved, moved)
+        )
+        second[:g, :g] += variance * problem.normal
+        squares += variance
+        for b, block in enumerate(problem.blocks):
+            if block.label in first:
+                at, places = first[block.label][1], products.places([b])
+                part = slice(at, at + len(problem.roots[b]))
+                response[:, part] = problem.response[:, places] @ np.linalg.pinv(problem.roots[b])
+    covariance = second - np.outer(mean, mean)
+    mean[:g] += base
+    best = found.problems[found.best.noise].normal
+    return Moments(first, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
+
+
+def _width(block: Block) -> int:
+    """Number of parameters of what an arm file can have, else 0."""
+    return block.member.size if block.member is not None else WAVES if block.basis is not None else 0
+
+
+def _to_parameters(problem: Linearized, first: Mapping[str, tuple[Block, int]], g: int, count: int) -> Array:
+    """(P, C) from the coefficients of a problem's columns to the base's parameters and those of the blocks."""
+    turn = np.zeros((count, len(problem.products.right)))
+    for b, block in enumerate(problem.blocks):
+        places, row = problem.products.places([b]), 0
+        for part in block.parts or (block,):
+            if part.label in first:
+                at = first[part.label][1]
+                width = _width(part) or len(problem.roots[b])
+                turn[at : at + width, places] = problem.roots[b][row : row + width]
+                row += width
+        if block.row or (block.written and block.label in first) or (block.parts and row):
+            turn[:g, places] = problem.response[:, places]
+    return turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +135,10 @@ class PredictingModel:
     """The predicting model: its values and covariance in the order of its parameters.
 
     specs : entries of the arm file beyond the base's;  curves : among them
-    loading : (p + c, ...) none;  left_over : covariance of the curves' coefficients, with the blocks' bases
+    sigma : of one coordinate [mm];  freedom : residual degrees of freedom
+    beside : what its parameters do not hold, and may be there: the error curves' own uncertainty, blocks that an arm
+        file cannot have;  response : (p, c) by which the parameters would give way to the latter's c coefficients
+    joint : (p + c, p + c) expected products of all errors
     """
 
     model: Model
@@ -141,8 +148,9 @@ class PredictingModel:
     curves: tuple[Curve, ...]
     sigma: float
     freedom: int
-    bases: tuple[Basis, ...] = ()
-    joint: Array | None = None  # (p + c, p + c) covariance with the coefficients of the curves
+    beside: tuple[Block, ...] = ()
+    response: Array | None = None
+    joint: Array | None = None
 
     @property
     def by_name(self) -> dict[str, float]:
@@ -155,74 +163,92 @@ class PredictingModel:
         return measurements.positions - position
 
     def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
-        """(m, d, q) derivative of the positions with respect to all estimates, curves last, and their covariance."""
+        """(m, d, q) derivative of the positions with respect to all that is uncertain, and (q, q) the expected products
+        of its errors."""
         jacobian = self.model.jacobian(postures, self.values, conditions)
-        if self.joint is None:
+        if self.joint is None or self.response is None:
             return jacobian, self.covariance
-        levers = self.model.joint_levers(postures, self.values, conditions)
-        parts = [levers[:, :, b.joint, None] * b.at(postures[:, b.joint])[:, None, :] for b in self.bases]
-        return np.concatenate([jacobian, *parts], axis=2), self.joint
+        where = Where.of(self.model, self.values, postures, conditions)
+        columns = [block.columns(where) for block in self.beside if block.columns is not None]
+        more = np.concatenate([np.zeros((*where.position.shape, 0)), *columns], axis=2)
+        return np.concatenate([jacobian, more + jacobian @ self.response], axis=2), self.joint
 
 
-def averaged(found: Posterior, at: Fit, rows: int) -> PredictingModel:
-    """The posterior's average as a model;  at : fit of the best explanation;  rows : number of coordinates"""
+def averaged(found: Posterior, rows: int) -> PredictingModel:
+    """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
     mixed, library = mixture_of(found), found.library
-    g = len(found.problems[0].base)
-    effects = [(k, b) for k, (b, _) in enumerate(mixed.blocks) if b.member is not None]
-    widths = [0 if b.member is None else len(b.member.effect.parameters) for b, _ in mixed.blocks]
-    widths = [w if w else b.basis.count for w, (b, _) in zip(widths, mixed.blocks, strict=True)]  # type: ignore[union-attr]
-    ends = g + np.cumsum([0, *widths])
-    arm = library.arm
-    specs = tuple(b.member.spec for _, b in effects if b.member is not None)
+    g, arm = len(found.whole.base), library.arm
+    members = [(b.member, at) for b, at in mixed.first.values() if b.member is not None]
+    specs = tuple(member.spec for member, _ in members)
     plain = Model(arm.with_effects(*arm.effects, *specs))
     own = [p.name for e in library.base.effects for p in e.parameters]
     longer = [p.name for e in plain.effects for p in e.parameters]
     renamed = dict(zip(own, longer[: len(own)], strict=True))
     place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
-    for (k, _), effect in zip(effects, plain.effects[len(plain.effects) - len(effects) :], strict=True):
-        place |= {p.name: int(ends[k]) + i for i, p in enumerate(effect.parameters)}
+    for (_, at), effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
+        place |= {p.name: at + i for i, p in enumerate(effect.parameters)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
-    low, high = plain.parameters.lower, plain.parameters.upper
-    values = np.clip(mixed.mean[index], low, high)
-    curved = [(k, b) for k, (b, _) in enumerate(mixed.blocks) if b.basis is not None]
-    bases = tuple(b.basis for _, b in curved if b.basis is not None)
-    coefficients = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(ends[k], ends[k + 1]) for k, _ in curved)])
-    curves = tuple(_curves(found, mixed, curved, ends, values, plain))
+    values = np.clip(mixed.mean[index], plain.parameters.lower, plain.parameters.upper)
+    curves = tuple(
+        _curve(found, mixed, block, at, values, plain) for block, at in mixed.first.values() if block.basis is not None
+    )
     every = (*specs, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *every))
-    both = np.concatenate([index, coefficients])
-    joint = mixed.covariance[np.ix_(both, both)] if len(curved) else None
-    freedom = max(rows - round(mixed.effective), 1)
-    covariance = mixed.covariance[np.ix_(index, index)]
-    return PredictingModel(model, values, covariance, every, curves, mixed.sigma, freedom, bases, joint)
-
-
-def _curves(
-    found: Posterior,
-    mixed: Moments,
-    curved: list[tuple[int, Block]],
-    ends: Array,
-    values: Array,
-    model: Model,
-) -> list[Curve]:
-    """The error curve of each joint that has one: the sum over correlation lengths."""
-    curves, g = [], len(found.problems[0].base)
-    for joint in sorted({b.basis.joint for _, b in curved if b.basis is not None}):
-        there = [(k, b.basis) for k, b in curved if b.basis is not None and b.basis.joint == joint]
-        finest = max((basis for _, basis in there), key=lambda basis: basis.count)
-        at = np.concatenate([np.arange(ends[k], ends[k + 1]) for k, _ in there])
-        angles = np.linspace(finest.start, finest.stop, 2 * finest.count - 1)
-        functions = np.concatenate([basis.at(angles) for _, basis in there], axis=1)
-        error = functions @ mixed.mean[at]
-        variance = np.einsum("ak,kl,al->a", functions, mixed.covariance[np.ix_(at, at)], functions, optimize=True)
-        geometry = mixed.response[:, at - g] @ mixed.mean[at]
-        table = finest.table(np.radians(np.round(np.degrees(error[::2]), TIDY)))
-        table = replace(
-            table, geometry=_tied(model, dict(zip(found.library.base.names, geometry, strict=True)), values)
+    beside = [(b, at) for b, at in mixed.first.values() if b.member is None]
+    ends = {
+        at: end
+        for at, end in zip(
+            sorted(a for _, a in mixed.first.values()),
+            [*sorted(a for _, a in mixed.first.values())[1:], len(mixed.mean)],
+            strict=True,
         )
-        length = sum(basis.length for _, basis in there) / len(there)
-        curves.append(Curve(joint + 1, table, angles, table.at(angles), np.sqrt(np.maximum(variance, 0.0)), length))
-    return curves
+    }
+    extra = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(at, ends[at]) for _, at in beside)])
+    lacking = np.concatenate([np.zeros(0, dtype=bool), *(np.full(ends[at] - at, not b.written) for b, at in beside)])
+    both = np.concatenate([index, extra])
+    joint = mixed.covariance[np.ix_(both, both)]
+    off = np.concatenate([np.zeros(len(index)), np.where(lacking, mixed.mean[extra], 0.0)])
+    joint += np.outer(off, off)  # the mean of what is not written is an error of the model
+    response = np.zeros((len(index), len(extra)))
+    of_base = np.flatnonzero(index < g)
+    response[np.ix_(of_base, np.flatnonzero(lacking))] = mixed.response[np.ix_(index[of_base], extra[lacking])]
+    freedom = max(rows - round(mixed.effective), 1)
+    blocks = tuple(b for b, _ in beside)
+    p = len(index)
+    whole = PredictingModel(model, values, joint[:p, :p], every, curves, mixed.sigma, freedom, blocks, response, joint)
+    if not blocks:
+        return whole
+    # the file's covariance, which knows parameters only, gives as much at the postures measured as there is
+    columns, products = whole.uncertain(found.rows.postures, found.rows.conditions)
+    missing = _mean_trace(columns, products) - _mean_trace(columns[:, :, :p], joint[:p, :p])
+    normal = np.zeros((p, p))
+    normal[np.ix_(of_base, of_base)] = mixed.normal[np.ix_(index[of_base], index[of_base])]
+    unit = _mean_trace(columns[:, :, :p], normal)
+    more = max(missing, 0.0) / max(unit, 1e-300) * normal
+    return replace(whole, covariance=whole.covariance + more)
+
+
+def _mean_trace(columns: Array, covariance: Array) -> float:
+    """Mean over rows of tr(L C L^T)."""
+    return float(np.sum((columns @ covariance) * columns)) / len(columns)
+
+
+def _curve(found: Posterior, mixed: Moments, block: Block, first: int, values: Array, model: Model) -> Curve:
+    """The error curve of a joint."""
+    basis = block.basis
+    assert basis is not None
+    part = slice(first, first + WAVES)
+    angles = np.linspace(basis.start, basis.stop, 2 * WAVES + 1)
+    functions = basis.at(angles)
+    error, variance = (
+        functions @ mixed.mean[part],
+        np.sum((functions @ mixed.covariance[part, part]) * functions, axis=1),
+    )
+    geometry = dict(zip(found.library.base.names, mixed.response[:, part] @ mixed.mean[part], strict=True))
+    table = basis.table(np.radians(np.round(np.degrees(error[::2]), TIDY)))
+    table = replace(table, geometry=_tied(model, geometry, values))
+    std = np.sqrt(np.maximum(variance, 0.0))
+    return Curve(basis.joint + 1, table, angles, table.at(angles), std, table.spacing)
 
 
 def _tied(model: Model, geometry: Mapping[str, float], values: Array) -> dict[str, float]:

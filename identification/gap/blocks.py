@@ -7,9 +7,10 @@ shift of a single row. Blocks that are no effect of the library say where someth
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,66 +18,88 @@ from scipy.linalg import block_diag
 from identification.arrays import Array
 from identification.effects.places import OF_FRAME, widths
 from identification.error_curve import ErrorCurve, local_splines
-from identification.gap.evidence import Products
+from identification.gap.evidence import SIZES, Products
 from identification.gap.fits.fit import Fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, untested_joints
 from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.spatial import SpatialChain
+from identification.measurements import Conditions
+from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 ALIKE = 0.3  # relative scatter of one family's parameters over the joints
 RANK = 1e-6  # of the largest eigenvalue of unit columns: combinations that the data do not determine
+FAINT = 1e-3  # expected square of a combination of columns at the block's largest size, below which it is left out
 VISIBLE = 1e-6  # share of a block's square that the base model must leave
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect
-LENGTHS = (0.15, 0.5, 1.5)  # correlation lengths of error curves [rad]
-MOST_NODES = 60  # effort: of one curve
+WAVES = 30  # half periods of an error curve over the angles of its joint
 TIMES = 12  # half periods in a session of the fastest smooth function of time
-WOBBLES = (1, 2, 3, 4)  # periods per turn of an axis that wobbles
-WARPS = {2: 4, 3: 3}  # half periods along the axes of the workspace, in sum
+SLOW = 3  # half periods, of orders of functions of several variables
 REST = "library"  # label of the rest of the library
-CHUNK = 2**20  # numbers worked on at once: eight megabytes
+REST_SIZES = 2  # of `SIZES` that it may have: what is larger shows one effect at a time
+
+
+class Where(NamedTuple):
+    """Postures (m, n) [rad] and conditions at which the columns of blocks are wanted, at a model's parameters (p,)."""
+
+    model: Model
+    values: Array
+    postures: Array
+    conditions: Conditions
+    position: Array
+    levers: Array
+
+    @classmethod
+    def of(cls, model: Model, values: Array, postures: Array, conditions: Conditions) -> Where:
+        """With (m, d) computed positions [mm] and (m, d, n) levers of the joints [mm/rad]."""
+        at = (postures, values, conditions)
+        return cls(model, values, postures, conditions, model.position(*at), model.joint_levers(*at))
+
+    def turned(self, joint: int, functions: Array) -> Array:
+        """(m, d, w) columns of functions (m, w) that are added to the angle of a joint (from 0)."""
+        return self.levers[:, :, joint, None] * functions[:, None, :]
+
+    def moved(self, functions: Array) -> Array:
+        """(m, d, w') columns of functions (m, w) that move all points, or turn them in the plane."""
+        m, d = self.position.shape
+        moves = np.broadcast_to(np.eye(d), (m, d, d))
+        if d == 2:
+            turn = np.stack([-self.position[:, 1], self.position[:, 0]], axis=1) / self.model.reach
+            moves = np.concatenate([moves, turn[:, :, None]], axis=2)
+        return (moves[:, :, :, None] * functions[:, None, None, :]).reshape(m, d, -1)
+
+    def varied(self, functions: Array) -> Array:
+        """(m, d, p w) columns of functions (m, w) that are added to each parameter of the model, in its scale."""
+        jacobian = self.model.jacobian(self.postures, self.values, self.conditions) * self.model.scales
+        return np.asarray(jacobian[:, :, :, None] * functions[:, None, None, :]).reshape(*self.position.shape, -1)
 
 
 @dataclass(frozen=True)
 class Basis:
-    """Cosine transform of a cubic spline basis of one joint (from 0) between the smallest and largest angle [rad].
-
-    count : K, number of nodes and of cosines;  length : correlation length of the prior [rad], a Matern process of
-    smoothness 3/2 (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", 2006, section 4.2)
-    """
+    """Cosine transform of a cubic spline basis of one joint (from 0) between two angles [rad], scaled to the prior of a
+    random walk."""
 
     joint: int
     start: float
     stop: float
-    count: int
-    length: float
-
-    @classmethod
-    def of(cls, angles: Array, joint: int, length: float) -> Basis:
-        """Basis for measured angles (m,), not all equal, with two nodes in a correlation length."""
-        low, high = float(angles.min()), float(angles.max())
-        return cls(joint, low, high, min(max(8, int(np.ceil(2.0 * (high - low) / length)) + 1), MOST_NODES), length)
-
-    @property
-    def _cosines(self) -> Array:
-        """(K, K) coefficients of the splines of each cosine, times the standard deviation of its own coefficient."""
-        k = np.arange(self.count)
-        table = np.cos(np.pi / self.count * np.outer(k + 0.5, k)) * np.sqrt(2.0 / self.count)
-        table[:, 0] /= np.sqrt(2.0)
-        t = 2.0 - 2.0 * np.cos(np.pi * k / self.count)
-        spacing = (self.stop - self.start) / (self.count - 1)
-        return np.asarray(table / (t + 3.0 * (spacing / self.length) ** 2))
 
     def at(self, angles: Array) -> Array:
         """(m, K) values at angles (m,) [rad]."""
-        place, parts = local_splines(angles, self.start, self.stop, self.count)
-        splines = np.zeros((len(place), self.count + 6))
+        count, k = WAVES + 1, np.arange(1, WAVES + 1)
+        cosines = np.cos(np.pi / count * np.outer(np.arange(count) + 0.5, k))
+        place, parts = local_splines(angles, self.start, self.stop, count)
+        splines = np.zeros((len(place), count + 6))
         np.put_along_axis(splines, place + 3, parts, axis=1)
-        return np.asarray(splines[:, 3:-3] @ self._cosines)
+        return np.asarray(splines[:, 3:-3] @ (cosines / np.sin(0.5 * np.pi * k / count)))
+
+    @property
+    def nodes(self) -> Array:
+        """(K + 1,) angles of the nodes [rad]."""
+        return np.linspace(self.start, self.stop, WAVES + 1)
 
     def table(self, values: Array) -> ErrorCurve:
-        """The function with these values (K,) at the nodes."""
+        """The function with these values (K + 1,) at the nodes."""
         return ErrorCurve(self.start, self.stop, values)
 
 
@@ -85,9 +108,10 @@ class Block:
     """One thing that may be missing.
 
     key : `name:joint` of an effect, without settings; else its place;  label : unique
-    place : `joint:j`, `time`, `workspace`, `row:i` (from 0)
+    place : `joint:j`, `time`, `temperature`, `workspace`, `row:i` (from 0)
     member : of an effect its hypothesis;  basis : of an error curve
-    parts : labels of the effects that the rest of the library has in it: many small ones, that cannot be told apart
+    parts : effects that the rest of the library has in it: many small ones, that cannot be told apart
+    columns : outside the library, its (m, d, p) columns at other postures
     """
 
     key: str
@@ -96,7 +120,8 @@ class Block:
     weight: float
     member: Hypothesis | None = None
     basis: Basis | None = None
-    parts: tuple[str, ...] = ()
+    parts: tuple[Block, ...] = ()
+    columns: Callable[[Where], Array] | None = None
 
     @property
     def named(self) -> bool:
@@ -107,6 +132,11 @@ class Block:
     def row(self) -> bool:
         """Whether it is the shift of a single row."""
         return self.place.startswith("row:")
+
+    @property
+    def written(self) -> bool:
+        """Whether an arm file can have it."""
+        return self.member is not None or self.basis is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +162,19 @@ class Linearized:
         """(m, d, p) columns of these blocks' own parameters, not whitened."""
         return np.concatenate([self.columns[b] for b in blocks], axis=2)
 
+    def of(self, blocks: Sequence[int]) -> Linearized:
+        """That of a few blocks alone."""
+        kept = list(blocks)
+        return Linearized(
+            tuple(self.blocks[b] for b in kept),
+            self.products.of(kept),
+            tuple(self.roots[b] for b in kept),
+            self.response[:, self.products.places(kept)],
+            self.base,
+            self.normal,
+            tuple(self.columns[b] for b in kept),
+        )
+
     @property
     def apart(self) -> frozenset[tuple[int, int]]:
         """Pairs of blocks of which one contains the other: a family, and the same effect at one joint."""
@@ -156,66 +199,124 @@ class Linearized:
         return frozenset(needy), frozenset(gives)
 
 
-def outside_blocks(rows: Rows, at: Fit) -> Iterator[tuple[Block, Array]]:
-    """Blocks outside the library, each with its (m, d, w) columns."""
-    m, d = len(rows), rows.dimension
-    n = rows.postures.shape[1]
-    where = (rows.postures, at.values, rows.conditions)
-    position, levers = at.model.position(*where), at.model.joint_levers(*where)
+def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
+    """Blocks outside the library, with constants that suit these rows."""
+    n, d = rows.postures.shape[1], rows.dimension
     unseen = untested_joints(at.model, rows)
+    turning = [j for j in range(n) if np.ptp(rows.postures[:, j]) > 0.0]
     taken = {spec.joint for spec in at.model.arm.effects if spec.curve is not None}
-    for j in range(n):
-        q = rows.postures[:, j]
-        if np.ptp(q) == 0.0 or j + 1 in unseen:
+    low, span = rows.postures.min(axis=0), np.maximum(np.ptp(rows.postures, axis=0), 1e-9)
+    few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
+
+    def waves(x: Array, count: int) -> Array:
+        return np.cos(np.pi * x[:, None] * np.arange(1, count + 1)) / np.arange(1, count + 1)
+
+    def with_other(w: Where, j: int, other: int) -> Array:
+        x, y = ((w.postures[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))
+        return np.stack([np.cos(a * x) * np.cos(b * y) / (a * a + b * b) for a, b in few], axis=1)
+
+    for j in turning:
+        if j + 1 in unseen:
             continue
-        place, lever = f"joint:{j + 1}", levers[:, :, j, None]
-        weight = OUTSIDE / np.sqrt(n)
+        place, weight = f"joint:{j + 1}", OUTSIDE / np.sqrt(n)
         if j + 1 not in taken:
-            for length in LENGTHS:
-                basis = Basis.of(q, j, length)
-                block = Block(place, f"curve:{j + 1}[{length:g}]", place, weight / len(LENGTHS), basis=basis)
-                yield block, lever * basis.at(q)[:, None, :]
-        others = [rows.postures[:, k] for k in range(n) if k != j and np.ptp(rows.postures[:, k]) > 0.0]
-        if others:
-            shared = [f for other in others for f in (np.cos(other), np.sin(other), q * other)]
-            yield Block(place, f"shared:{j + 1}", place, 0.3 * weight), lever * np.column_stack(shared)[:, None, :]
+            basis = Basis(j, float(low[j]), float(low[j] + span[j]))
+            columns = _at_joint(j, lambda w, basis=basis: basis.at(w.postures[:, basis.joint]))
+            yield Block(place, f"curve:{j + 1}", place, weight, basis=basis, columns=columns)
+        for other in turning:
+            if other != j:
+                columns = _at_joint(j, lambda w, j=j, other=other: with_other(w, j, other))
+                yield Block(place, f"shared:{j + 1},{other + 1}", place, 0.3 * weight / (n - 1), columns=columns)
         if rows.conditions.directions is not None:
-            way = rows.conditions.directions[:, j]
-            history = np.column_stack([way * np.cos(q), way * np.sin(q)])
-            yield Block(place, f"history:{j + 1}", place, 0.3 * weight), lever * history[:, None, :]
-        if at.model.arm.chain is not None and at.model.arm.chain.joints[j].type == REVOLUTE:
-            tilts = _across(at.model.arm.chain, j, at.model.place_levers(*where)[0])
-            turns = np.stack([f(k * q) for k in WOBBLES for f in (np.cos, np.sin)], axis=1)
-            columns = (tilts[:, :, :, None] * turns[:, None, None, :]).reshape(m, d, -1)
-            yield Block(place, f"wobble:{j + 1}", place, 0.3 * weight), columns
-    time = rows.conditions.time
-    if time is not None and np.ptp(time) > 0.0:
-        moves = np.broadcast_to(np.eye(d), (m, d, d))
-        if d == 2:
-            scale = np.sqrt(np.mean(np.sum(position**2, axis=1)))
-            turn = np.stack([-position[:, 1], position[:, 0]], axis=1)
-            moves = np.concatenate([moves, turn[:, :, None] / scale], axis=2)
-        waves = np.stack([np.cos(np.pi * k * (time + 0.5)) / k for k in range(1, TIMES + 1)], axis=1)
-        columns = (moves[:, :, :, None] * waves[:, None, None, :]).reshape(m, d, -1)
-        yield Block("time", "time", "time", OUTSIDE), columns
-    if d > 1:
-        low, span = position.min(axis=0), np.maximum(np.ptp(position, axis=0), 1e-9)
-        orders = [k for k in product(range(WARPS.get(d, 3) + 1), repeat=d) if 1 <= sum(k) <= WARPS.get(d, 3)]
-        unit = np.pi * (position - low) / span
-        waves = np.stack(
-            [np.prod(np.cos(np.array(k) * unit), axis=1) / (1.0 + np.sum(np.square(k))) for k in orders], axis=1
+            columns = _at_joint(j, lambda w, j=j: _one_sided(w, j))
+            yield Block(place, f"history:{j + 1}", place, 0.3 * weight, columns=columns)
+        if at.model.arm.gravity is not None:
+            columns = _at_joint(j, lambda w, j=j: _loaded(w, j))
+            yield Block(place, f"load:{j + 1}", place, 0.3 * weight, columns=columns)
+        chain = at.model.arm.chain
+        if chain is not None and chain.joints[j].type == REVOLUTE:
+            yield Block(
+                place, f"wobble:{j + 1}", place, 0.3 * weight, columns=lambda w, j=j, chain=chain: _wobble(w, chain, j)
+            )
+    if rows.conditions.time is not None and np.ptp(rows.conditions.time) > 0.0:
+        yield Block("time", "time", "time", OUTSIDE, columns=lambda w: w.moved(waves(_time(w), TIMES)))
+        yield Block(
+            "time", "time[parameters]", "time", 0.3 * OUTSIDE, columns=lambda w: w.varied(waves(_time(w), SLOW))
         )
-        columns = (np.eye(d)[None, :, :, None] * waves[:, None, None, :]).reshape(m, d, -1)
-        yield Block("workspace", "workspace", "workspace", OUTSIDE / 3.0), columns
-        fast = np.arange(1, TIMES + 1)
-        along = np.cos(unit[:, :, None] * fast) / np.sqrt(fast)  # (m, d, K) of each coordinate by itself
-        columns = (np.eye(d)[None, :, :, None] * along.reshape(m, 1, 1, -1)).reshape(m, d, -1)
-        yield Block("workspace", "workspace[axes]", "workspace", OUTSIDE / 3.0), columns
-        radius = np.linalg.norm(position, axis=1)
-        outward = position / np.maximum(radius, 1e-9 * radius.max())[:, None]
-        turns = np.pi * (radius - radius.min())[:, None] / max(float(np.ptp(radius)), 1e-9) * fast
-        rings = np.cos(turns) / np.sqrt(fast)
-        yield Block("workspace", "workspace[radius]", "workspace", OUTSIDE / 3.0), outward[:, :, None] * rings[:, None]
+    temperature = rows.conditions.temperature
+    if temperature is not None and np.ptp(temperature) > 0.0:
+        unit = float(np.std(temperature))
+
+        def warm(w: Where) -> Array:
+            assert w.conditions.temperature is not None
+            return w.conditions.temperature[:, None] / unit
+
+        yield Block("temperature", "temperature", "temperature", OUTSIDE, columns=lambda w: w.moved(warm(w)))
+        yield Block(
+            "temperature",
+            "temperature[parameters]",
+            "temperature",
+            0.3 * OUTSIDE,
+            columns=lambda w: w.varied(warm(w)),
+        )
+    if d > 1:
+        corner, size = at.position.min(axis=0), np.maximum(np.ptp(at.position, axis=0), 1e-9)
+        orders = [k for k in product(range(SLOW + 1), repeat=d) if 1 <= sum(k) <= SLOW]
+
+        def smooth(w: Where) -> Array:
+            unit = np.pi * (w.position - corner) / size
+            return np.stack(
+                [np.prod(np.cos(np.array(k) * unit), axis=1) / (1.0 + np.dot(k, k)) for k in orders], axis=1
+            )
+
+        def along_axes(w: Where) -> Array:
+            unit, fast = np.pi * (w.position - corner) / size, np.arange(1, TIMES + 1)
+            along = np.cos(unit[:, :, None] * fast) / np.sqrt(fast)  # (m, d, K) of each coordinate by itself
+            return (np.eye(d)[None, :, :, None] * along.reshape(len(unit), 1, 1, -1)).reshape(*unit.shape, -1)
+
+        def outward(w: Where) -> Array:
+            radius, fast = np.linalg.norm(w.position, axis=1), np.arange(1, TIMES + 1)
+            rings = np.cos(np.pi * radius[:, None] / w.model.reach * fast) / np.sqrt(fast)
+            return (w.position / np.maximum(radius, 1e-9 * w.model.reach)[:, None])[:, :, None] * rings[:, None]
+
+        for label, columns in (
+            ("workspace", lambda w: w.moved(smooth(w))),
+            ("workspace[axes]", along_axes),
+            ("workspace[radius]", outward),
+        ):
+            yield Block("workspace", label, "workspace", OUTSIDE / 3.0, columns=columns)
+
+
+def _at_joint(j: int, functions: Callable[[Where], Array]) -> Callable[[Where], Array]:
+    """Columns of functions (m, w) that are added to the angle of a joint."""
+    return lambda w: w.turned(j, functions(w))
+
+
+def _time(w: Where) -> Array:
+    """(m,) from 0 to 1 over the session."""
+    assert w.conditions.time is not None
+    return w.conditions.time + 0.5
+
+
+def _one_sided(w: Where, j: int) -> Array:
+    """(m, 3) functions of a joint's angle that change sign with the direction of approach."""
+    assert w.conditions.directions is not None
+    q = w.postures[:, j]
+    return w.conditions.directions[:, j, None] * np.stack([np.ones(len(q)), np.cos(q), np.sin(q)], axis=1)
+
+
+def _loaded(w: Where, j: int) -> Array:
+    """(m, 4) functions of the moment of gravity about a joint."""
+    moment = w.model.on_chain(lambda chain: chain.torques)(w.postures, w.conditions)[:, j]
+    t = moment / max(float(np.sqrt(np.mean(np.square(moment)))), 1e-300)
+    return np.stack([t, np.abs(t), t * np.abs(t), np.sign(t)], axis=1)
+
+
+def _wobble(w: Where, chain: SpatialChain, j: int) -> Array:
+    """(m, d, 8 SLOW) columns of an axis that tilts and shifts as its joint turns."""
+    levers = w.model.place_levers(w.postures, w.values, w.conditions)[0]
+    turns = np.stack([f(k * w.postures[:, j]) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)], axis=1)
+    return (_across(chain, j, levers)[:, :, :, None] * turns[:, None, None, :]).reshape(*w.position.shape, -1)
 
 
 def _across(chain: SpatialChain, j: int, levers: Array) -> Array:
@@ -250,17 +351,19 @@ def linearized(
     added = np.setdiff1d(np.arange(len(at.values)), base)
     # the data as the base model sees them: what the fit has beyond it is given back
     y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
-    found = library.columns(rows, at.by_name, None, model)
-    listed: list[tuple[Block, Array]] = []
-    for h, columns in zip(library.members, found, strict=True):
-        listed.append((Block(h.key, h.label, place_of(h), h.weight, member=h), columns))
-    listed += [one for one in outside_blocks(rows, at) if outside is None or one[0].label in outside]
+    of_library = library.columns(rows, at.by_name, None, model)
+    blocks = [Block(h.key, h.label, place_of(h), h.weight, member=h) for h in library.members]
+    where = Where.of(model, at.values, rows.postures, rows.conditions)
+    further = [one for one in outside_blocks(rows, where) if outside is None or one.label in outside]
+    columns = [*of_library, *(one.columns(where) for one in further if one.columns is not None)]
+    blocks += further
     for k in wrong:
         shift = np.zeros((len(rows), rows.dimension, rows.dimension))
         shift[k] = np.eye(rows.dimension)
-        listed.append((Block(f"row:{k}", f"row:{k}", f"row:{k}", 0.0), shift))
-    counts = np.array([c.shape[2] for _, c in listed], dtype=np.int64)
-    white = rows.whiten(np.concatenate([c for _, c in listed], axis=2))
+        columns.append(shift)
+        blocks.append(Block(f"row:{k}", f"row:{k}", f"row:{k}", 0.0))
+    starts = np.concatenate([[0], np.cumsum([c.shape[2] for c in columns])])
+    white = rows.whiten(np.concatenate(columns, axis=2))
     own, target = rows.whiten(jacobian[:, :, base]), rows.whiten(y)
     scales = model.scales[base]
     u, s, vt = np.linalg.svd(own / scales, full_matrices=False)
@@ -268,49 +371,44 @@ def linearized(
     u, s, vt = u[:, kept], s[kept], vt[kept]
     inside = u.T @ white
     before = np.einsum("np,np->p", white, white)
-    white = white - u @ inside
-    target_left = target - u @ (u.T @ target)
+    white -= u @ inside
+    left = target - u @ (u.T @ target)
     back = (vt.T / s) / scales[:, None]  # (g, r): from u^T y to the parameters
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    roots = _roots(white, before, starts, [block for block, _ in listed])
-    shown = [k for k, root in enumerate(roots) if root.shape[1]]
-    z = np.concatenate([white[:, starts[k] : starts[k + 1]] @ roots[k] for k in shown], axis=1)
-    turned = np.concatenate([inside[:, starts[k] : starts[k + 1]] @ roots[k] for k in shown], axis=1)
-    blocks = tuple(listed[k][0] for k in shown)
-    shown_columns = [listed[k][1] for k in shown]
-    kept_roots = [roots[k] for k in shown]
-    common = [k for k, b in enumerate(blocks) if b.member is not None and _common(b.member, library)]
-    if (len(common) > 1 and outside is None) or (outside is not None and REST in outside):
-        # the rest of the library as one block: each of its effects with the same expected square
-        ends = np.concatenate([[0], np.cumsum([root.shape[1] for root in kept_roots])])
-        index = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in common])
+    every = _roots(white, before, starts, blocks)
+    shown = [k for k, root in enumerate(every) if root.shape[1]]
+    parts = [slice(starts[k], starts[k + 1]) for k in shown]
+    blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]
+    z = [white[:, part] @ root for part, root in zip(parts, roots, strict=True)]
+    turned = [inside[:, part] @ root for part, root in zip(parts, roots, strict=True)]
+    common = [k for k, b in enumerate(blocks) if _common(b, library)]
+    if len(common) > 1 and (outside is None or REST in outside):
+        # the rest of the library as one block: each of its effects, and each error curve, with the same expected square
         share = 1.0 / np.sqrt(len(common))
-        z, turned = np.hstack([z, share * z[:, index]]), np.hstack([turned, share * turned[:, index]])
-        parts = tuple(blocks[k].label for k in common)
-        blocks = (*blocks, Block(REST, REST, REST, 1.0, parts=parts))
-        kept_roots.append(share * np.asarray(block_diag(*(kept_roots[k] for k in common))))
-        shown_columns.append(np.concatenate([shown_columns[k] for k in common], axis=2))
+        together = share * np.concatenate([z[k] for k in common], axis=1)
+        values, vectors = np.linalg.eigh(together.T @ together)
+        clear = vectors[:, values * SIZES[REST_SIZES - 1] ** 2 > FAINT]
+        z.append(together @ clear)
+        turned.append(share * np.concatenate([turned[k] for k in common], axis=1) @ clear)
+        roots.append(share * np.asarray(block_diag(*(roots[k] for k in common))) @ clear)
+        columns.append(np.concatenate([columns[k] for k in common], axis=2))
+        blocks.append(Block(REST, REST, REST, 1.0, parts=tuple(blocks[k] for k in common)))
     products = Products(
-        z.T @ z,
-        z.T @ target_left,
-        float(target_left @ target_left),
+        np.concatenate(z, axis=1),
+        left,
         len(target) - int(kept.sum()),
-        np.concatenate([[0], np.cumsum([root.shape[1] for root in kept_roots])]),
+        np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])]),
         np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
+        np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64),
     )
-    return Linearized(
-        blocks,
-        products,
-        tuple(kept_roots),
-        -back @ turned,
-        at.values[base] + back @ (u.T @ target),
-        back @ back.T,
-        tuple(shown_columns),
-    )
+    response, place = -back @ np.concatenate(turned, axis=1), at.values[base] + back @ (u.T @ target)
+    return Linearized(tuple(blocks), products, tuple(roots), response, place, back @ back.T, tuple(columns))
 
 
-def _common(member: Hypothesis, library: HypothesisSet) -> bool:
-    """Whether an effect is among the many small ones that an arm may have."""
+def _common(block: Block, library: HypothesisSet) -> bool:
+    """Whether it is among the many small errors that an arm may have: an unscanned effect that is not rare, or a curve."""
+    member = block.member
+    if member is None:
+        return block.basis is not None
     return not member.scanned and member.effect.prior == 1.0 and library.acts(member)
 
 
@@ -320,8 +418,7 @@ def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) 
     white : (N, P) whitened columns, projected off the base model;  before : (P,) their squares before projection
 
     An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
-    of
-    `ALIKE`; what is outside the library has its own columns scaled alone.
+    of `ALIKE`; what is outside the library has its own columns scaled alone.
     """
     roots: list[Array] = [np.zeros((0, 0))] * len(blocks)
     widths = np.diff(starts)
@@ -330,11 +427,8 @@ def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) 
         own = np.flatnonzero(plain & (widths == width))
         index = starts[own][:, None] + np.arange(width)
         x = white[:, index]  # (N, b, w)
-        gram = (
-            np.einsum("nbi,nbj->bij", x, x, optimize=True)
-            if width > 1
-            else np.einsum("nbi,nbi->b", x, x)[:, None, None]
-        )
+        each = x.transpose(1, 0, 2)
+        gram = each.transpose(0, 2, 1) @ each
         lengths = np.sqrt(np.maximum(np.einsum("bii->bi", gram), 1e-300))
         values, vectors = np.linalg.eigh(gram / (lengths[:, :, None] * lengths[:, None, :]))
         clear = np.einsum("bii->b", gram) > VISIBLE * before[index].sum(axis=1)
@@ -348,7 +442,8 @@ def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) 
         if not np.trace(gram) > VISIBLE * before[starts[k] : starts[k + 1]].sum():
             roots[k] = np.zeros((len(gram), 0))
         elif member is None:
-            roots[k] = np.eye(len(gram)) / np.sqrt(np.trace(gram))
+            values, vectors = np.linalg.eigh(gram / np.trace(gram))
+            roots[k] = vectors[:, values * SIZES[-1] ** 2 > FAINT] / np.sqrt(np.trace(gram))
         else:
             alike = 1.0 + ALIKE**2 * np.eye(len(gram))
             roots[k] = np.asarray(np.linalg.cholesky(alike / np.sum(gram * alike)))

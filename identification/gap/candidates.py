@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import fdtrc, logsumexp
 
 from identification.arm import Calibration
 from identification.arrays import Array
@@ -98,15 +98,15 @@ def estimates(model: Model, values: Array, sure: Uncertainty, names: set[str]) -
 
 def trial_list(found: Posterior) -> tuple[Trial, ...]:
     """Every effect alone against the base model, likeliest first; of a scanned setting only the best value."""
-    problem, shares = found.problems[0], block_probabilities(found)
+    problem, shares = found.whole, block_probabilities(found)
     products = problem.products
-    added = products.added(products.given((), ())).averaged
+    added = logsumexp(products.added(products.left((), np.zeros(0))), axis=1) - np.log(products.limits)
     total = sum(b.weight for b in problem.blocks if not b.row)
     best: dict[str, Trial] = {}
     for k, block in enumerate(problem.blocks):
         if block.named:
-            own = products.columns([k])
-            gain = float(products.right[own] @ np.linalg.pinv(products.gram[np.ix_(own, own)]) @ products.right[own])
+            own = products.places([k])
+            gain = float(products.right[own] @ np.linalg.pinv(products.rows([k])[:, own]) @ products.right[own])
             rest = max(products.freedom - len(own), 1)
             f = gain / len(own) / (max(products.squares - gain, 1e-300) / rest)
             odds = float(added[k] + np.log(block.weight / total))

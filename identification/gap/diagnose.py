@@ -142,7 +142,7 @@ def diagnosis_of(
     kept[list(found.best.wrong)] = False
     base = fit(library.base, Rows.of(measurements).pick(kept))
     best = refit(found, found.best)
-    predicting = averaged(found, best, int(kept.sum()) * found.rows.dimension)
+    predicting = averaged(found, int(kept.sum()) * found.rows.dimension)
     scatter = findings(found)
     left = predicting.position_residuals(measurements, measurements.conditions)
     estimated = int(kept.sum()) * found.rows.dimension - predicting.freedom

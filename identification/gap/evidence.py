@@ -15,7 +15,7 @@ likelihood there are multiplied: they would be independent if it were not for si
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -28,34 +28,19 @@ from identification.arrays import Array, eigen_of_pairs
 
 # reasons: identification/README.md, "Constants"
 SIZES: Array = 3.0 * np.exp2(np.arange(14))  # of a block's contribution, in standard deviations of the noise
-WIDE = 6  # effort: columns of a block that is not tried in every exchange
 ROUNDING = 1e-9  # of a log likelihood
 LEAST = 1e-14  # of y^T y: what rounding leaves of a sum of squares
 
 Index = NDArray[np.int64]
 
 
-class Explained(NamedTuple):
-    """What a set of blocks with sizes leaves: (k, P) rows W with W^T W the explained part of G, and (k,) their scores.
-
-    left : R
-    """
+class Left(NamedTuple):
+    """What a set of blocks with sizes leaves: (k, P) rows W with W^T W the explained part of G, (k,) their scores, and
+    R, the squares that are left."""
 
     rows: Array
     scores: Array
-    left: float
-
-
-class Added(NamedTuple):
-    """Each of B blocks beside a set: (B, S) log likelihood ratio against the set, for each of the sizes."""
-
-    blocks: Index
-    ratios: Array
-
-    @property
-    def averaged(self) -> Array:
-        """(B,) averaged over sizes."""
-        return np.asarray(logsumexp(self.ratios, axis=1) - np.log(self.ratios.shape[1]))
+    squares: float
 
 
 class Likeliest(NamedTuple):
@@ -72,90 +57,110 @@ class Likeliest(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Products of the columns of B blocks, projected off the base model.
+    """Products of the columns of B blocks, projected off the base model; of the Gram matrix only the rows that are used.
 
-    gram : (P, P) G;  right : (P,) c;  squares : y^T y;  freedom : f
+    columns : (N, P) Z;  target : (N,) y;  freedom : f
     starts : (B + 1,) first column of each block, and P;  signs : (B,) 1 where the only parameter cannot be negative
+    limits : (B,) how many of `SIZES` a block may have
     """
 
-    gram: Array
-    right: Array
-    squares: float
+    columns: Array
+    target: Array
     freedom: int
     starts: Index
     signs: NDArray[np.bool_]
+    limits: Index
+    _rows: dict[int, Array] = field(default_factory=dict)
 
-    def columns(self, blocks: Sequence[int]) -> Index:
-        """Indices of the columns of these blocks, in their order."""
-        return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(*self.starts[b : b + 2]) for b in blocks)])
+    @cached_property
+    def right(self) -> Array:
+        """(P,) c = Z^T y."""
+        return self.target @ self.columns
+
+    @cached_property
+    def squares(self) -> float:
+        """y^T y."""
+        return float(self.target @ self.target)
 
     @cached_property
     def widths(self) -> Index:
         """(B,) columns of each block."""
         return np.diff(self.starts)
 
+    def places(self, blocks: Sequence[int]) -> Index:
+        """Indices of the columns of these blocks, in their order."""
+        return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(*self.starts[b : b + 2]) for b in blocks)])
+
+    def rows(self, blocks: Sequence[int]) -> Array:
+        """(k, P) rows of G of these blocks."""
+        for b in blocks:
+            if b not in self._rows:
+                self._rows[b] = self.columns[:, slice(*self.starts[b : b + 2])].T @ self.columns
+        return np.concatenate([np.zeros((0, len(self.right))), *(self._rows[b] for b in blocks)])
+
     @cached_property
     def _alike(self) -> list[tuple[Index, Index, Array]]:
         """Blocks of one width: their numbers (b,), columns (b, w) and products (b, w, w)."""
-        found = []
+        alike = []
         for width in np.unique(self.widths).tolist():
             blocks = np.flatnonzero(self.widths == width)
             index = self.starts[blocks][:, None] + np.arange(width)
-            found.append((blocks, index, self.gram[index[:, :, None], index[:, None, :]]))
-        return found
+            each = self.columns[:, index].transpose(1, 0, 2)  # (b, N, w)
+            alike.append((blocks, index, each.transpose(0, 2, 1) @ each))
+        return alike
 
-    def given(self, blocks: Sequence[int], sizes: Sequence[float]) -> Explained:
-        """What a set of blocks with these sizes leaves."""
-        own = self.columns(blocks)
-        if not len(own):
-            return Explained(np.zeros((0, len(self.right))), np.zeros(0), self.squares)
+    def _scaled(self, blocks: Sequence[int], sizes: Array) -> tuple[Index, Array, Array]:
+        """Places and scales (k,) of the columns of a set, and (k, k) I + D G D."""
+        places = self.places(blocks)
         scales = np.repeat(np.asarray(sizes, dtype=float), self.widths[list(blocks)])
-        inner = scales[:, None] * self.gram[np.ix_(own, own)] * scales
+        inner = scales[:, None] * self.rows(blocks)[:, places] * scales
         inner[np.diag_indices_from(inner)] += 1.0
+        return places, scales, inner
+
+    def left(self, blocks: Sequence[int], sizes: Array) -> Left:
+        """What a set of blocks with these sizes leaves."""
+        if not len(blocks):
+            return Left(np.zeros((0, len(self.right))), np.zeros(0), self.squares)
+        places, scales, inner = self._scaled(blocks, sizes)
         lower = np.linalg.cholesky(inner)
-        stacked = np.column_stack([self.gram[own], self.right[own]]) * scales[:, None]
+        stacked = np.column_stack([self.rows(blocks), self.right[places]]) * scales[:, None]
         solved = solve_triangular(lower, stacked, lower=True, check_finite=False)
-        scores = solved[:, -1]
-        left = max(self.squares - float(scores @ scores), LEAST * self.squares, 1e-300)
-        return Explained(solved[:, :-1], scores, left)
+        return Left(solved[:, :-1], solved[:, -1], self._rest(float(np.sum(np.square(solved[:, -1])))))
+
+    def _rest(self, explained: float) -> float:
+        return max(self.squares - explained, LEAST * self.squares, 1e-300)
 
     def of(self, blocks: Sequence[int]) -> Products:
         """Those of a few blocks alone."""
-        own, widths = self.columns(blocks), self.widths[list(blocks)]
-        starts = np.concatenate([[0], np.cumsum(widths)])
-        kept = self.gram[np.ix_(own, own)], self.right[own], self.squares, self.freedom
-        return Products(*kept, starts, self.signs[list(blocks)])
+        kept = list(blocks)
+        starts = np.concatenate([[0], np.cumsum(self.widths[kept])])
+        columns = self.columns[:, self.places(blocks)]
+        return Products(columns, self.target, self.freedom, starts, self.signs[kept], self.limits[kept])
 
-    def added(self, given: Explained, wide: bool = True) -> Added:
-        """Each block added to a set;  wide : False leaves out those of more than `WIDE` columns, which take long"""
-        numbers, ratios = [], []
+    def added(self, left: Left) -> Array:
+        """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf."""
+        ratios = np.full((len(self.widths), len(SIZES)), -np.inf)
         for blocks, index, own in self._alike:
-            if not wide and index.shape[1] > WIDE:
-                numbers.append(blocks)
-                ratios.append(np.full((len(blocks), len(SIZES)), -np.inf))
-                continue
             width = index.shape[1]
-            rows = given.rows[:, index]  # (k, b, w)
-            scores = self.right[index] - np.tensordot(given.scores, rows, (0, 0))
-            left = own - np.einsum("kbi,kbj->bij", rows, rows, optimize=True) if len(rows) else own
+            rows = left.rows[:, index].transpose(1, 0, 2)  # (b, k, w)
+            scores = self.right[index] - np.einsum("k,bkw->bw", left.scores, rows)
+            rest = own - rows.transpose(0, 2, 1) @ rows
             if width == 1:
-                values, parts = left[:, 0], scores
+                values, parts = rest[:, 0], scores
             else:
-                values, vectors = eigen_of_pairs(left) if width == 2 else np.linalg.eigh(left)
-                parts = np.einsum("bwe,bw->be", vectors, scores)
+                values, vectors = eigen_of_pairs(rest) if width == 2 else np.linalg.eigh(rest)
+                parts = (scores[:, None, :] @ vectors)[:, 0]
             values = np.maximum(values, 0.0)
-            squared = np.square(SIZES)[:, None, None]  # (S, 1, 1)
+            squared = np.square(SIZES[: self.limits[blocks].max()])[:, None, None]  # (S, 1, 1)
             spread = 1.0 + squared * values
             gains = np.sum(squared * np.square(parts) / spread, axis=2)  # (S, b)
-            rest = np.maximum(given.left - gains, LEAST * self.squares + 1e-300)
-            ratio = -0.5 * np.sum(np.log(spread), axis=2) - 0.5 * self.freedom * np.log(rest / given.left)
+            squares = np.maximum(left.squares - gains, LEAST * self.squares + 1e-300)
+            ratio = -0.5 * np.sum(np.log(spread), axis=2) - 0.5 * self.freedom * np.log(squares / left.squares)
             if width == 1 and self.signs[blocks].any():
-                deviations = parts.T * np.sqrt(squared[:, :, 0] / spread[:, :, 0] * self.freedom / rest)
+                deviations = parts.T * np.sqrt(squared[:, :, 0] / spread[:, :, 0] * self.freedom / squares)
                 ratio += np.where(self.signs[blocks], np.log(2.0) + log_ndtr(deviations), 0.0)
-            numbers.append(blocks)
-            ratios.append(ratio.T)
-        blocks, order = np.concatenate(numbers), np.argsort(np.concatenate(numbers))
-        return Added(blocks[order], np.concatenate(ratios)[order])
+            ratios[blocks, : len(squared)] = ratio.T
+        return np.where(np.arange(len(SIZES)) < self.limits[:, None], ratios, -np.inf)
 
     def likeliest(self, blocks: Sequence[int], sizes: Sequence[int]) -> Likeliest:
         """A set of blocks at its likeliest sizes;  sizes : numbers of `SIZES` to start from.
@@ -165,40 +170,45 @@ class Products:
         determinant by sum log(1 + h v), and R by sum h m^2 / (1 + h v) (Woodbury's identity); without the block h is
         infinite.
         """
-        own, at = self.of(blocks), np.array(sizes, dtype=np.int64)
-        owner = np.repeat(np.arange(len(at)), own.widths)
-        if not len(at):
+        if not len(blocks):
             return Likeliest((), 0.0, np.zeros(0))
+        gram, right = self.rows(blocks)[:, self.places(blocks)], self.right[self.places(blocks)]
+        widths, limits = self.widths[list(blocks)], self.limits[list(blocks)]
+        owner, ends = np.repeat(np.arange(len(blocks)), widths), np.concatenate([[0], np.cumsum(widths)])
+        at = np.minimum(np.array(sizes, dtype=np.int64), limits - 1)
+        allowed = np.arange(len(SIZES)) < limits[:, None]
         seen: set[tuple[int, ...]] = set()
         while True:
             precision = SIZES[at] ** -2.0
-            covariance = np.linalg.inv(own.gram + np.diag(precision[owner]))
-            mean = covariance @ own.right
-            left = max(own.squares - float(mean @ own.right), LEAST * own.squares, 1e-300)
+            covariance = np.linalg.inv(gram + np.diag(precision[owner]))
+            mean = covariance @ right
+            left = self._rest(float(mean @ right))
             volume = -np.linalg.slogdet(covariance)[1] - np.sum(np.log(precision[owner]))
-            values, parts = np.zeros((2, len(at), int(own.widths.max())))
-            for blocks_alike, index, _ in own._alike:
-                width = index.shape[1]
+            values, parts = np.zeros((2, len(at), int(widths.max())))
+            for width in np.unique(widths).tolist():
+                same = np.flatnonzero(widths == width)
+                index = ends[same][:, None] + np.arange(width)
                 part = covariance[index[:, :, None], index[:, None, :]]
                 value, vectors = eigen_of_pairs(np.asarray(part)) if width == 2 else np.linalg.eigh(part)
-                values[blocks_alike, :width] = np.maximum(value, 1e-300)
-                parts[blocks_alike, :width] = np.square(np.einsum("bwe,bw->be", vectors, mean[index]))
+                values[same, :width] = np.maximum(value, 1e-300)
+                parts[same, :width] = np.square((mean[index][:, None, :] @ vectors)[:, 0])
             change = (SIZES**-2.0 - precision[:, None])[:, :, None]  # (M, S, 1)
             spread = np.maximum(1.0 + change * values[:, None], 1e-300)
-            scaled = own.widths[:, None] * np.log(precision[:, None] * np.square(SIZES))
+            scaled = widths[:, None] * np.log(precision[:, None] * np.square(SIZES))
             volumes = volume + np.sum(np.log(spread), axis=2) + scaled
-            rest = np.maximum(left + np.sum(change / spread * parts[:, None], axis=2), LEAST * own.squares + 1e-300)
-            profiles = -0.5 * volumes - 0.5 * own.freedom * np.log(rest / own.squares)
+            rest = np.maximum(left + np.sum(change / spread * parts[:, None], axis=2), LEAST * self.squares + 1e-300)
+            profiles = -0.5 * volumes - 0.5 * self.freedom * np.log(rest / self.squares)
+            profiles[~allowed] = -np.inf
             there = values > 0.0
             shrunk = np.sum(np.log(np.where(there, values * precision[:, None], 1.0)), axis=1)
             bare = left + np.sum(parts / np.where(there, values, 1.0), axis=1)
-            without = -0.5 * (volume + shrunk) - 0.5 * own.freedom * np.log(bare / own.squares)
+            without = -0.5 * (volume + shrunk) - 0.5 * self.freedom * np.log(bare / self.squares)
             best, now = np.unravel_index(np.argmax(profiles), profiles.shape), profiles[0, at[0]]
             if not profiles[best] > now + ROUNDING or (tried := tuple(at.tolist())) in seen:
                 break  # a rise that rounding made up, where a set explains all but the last digits, returns
             seen.add(tried)
             at[best[0]] = best[1]
-        around = float(np.sum(logsumexp(profiles, axis=1) - now - np.log(len(SIZES))))
+        around = float(np.sum(logsumexp(profiles, axis=1) - now - np.log(limits)))
         return Likeliest(
             tuple(at.tolist()), float(now) + around + self._signed(blocks, at.tolist()), without - now - around
         )
@@ -214,21 +224,14 @@ class Products:
 
     def ratio(self, blocks: Sequence[int], sizes: Array) -> float:
         """Log likelihood ratio of a set with sizes against nothing missing, signs left out."""
-        own = self.columns(blocks)
-        scales = np.repeat(np.asarray(sizes, dtype=float), self.widths[list(blocks)])
-        inner = scales[:, None] * self.gram[np.ix_(own, own)] * scales
-        inner[np.diag_indices_from(inner)] += 1.0
-        scores = scales * self.right[own]
-        left = max(self.squares - float(scores @ np.linalg.solve(inner, scores)), LEAST * self.squares, 1e-300)
-        return float(-0.5 * np.linalg.slogdet(inner)[1] - 0.5 * self.freedom * np.log(left / max(self.squares, 1e-300)))
+        places, scales, inner = self._scaled(blocks, sizes)
+        scores = scales * self.right[places]
+        rest = self._rest(float(scores @ np.linalg.solve(inner, scores)))
+        return float(-0.5 * np.linalg.slogdet(inner)[1] - 0.5 * self.freedom * np.log(rest / max(self.squares, 1e-300)))
 
     def estimates(self, blocks: Sequence[int], sizes: Array) -> tuple[Array, Array]:
         """(k,) posterior mean and (k, k) covariance of the coefficients of a set's columns."""
-        own = self.columns(blocks)
-        scales = np.repeat(np.asarray(sizes, dtype=float), self.widths[list(blocks)])
-        inner = scales[:, None] * self.gram[np.ix_(own, own)] * scales
-        inner[np.diag_indices_from(inner)] += 1.0
+        places, scales, inner = self._scaled(blocks, sizes)
         inverse = scales[:, None] * np.linalg.inv(inner) * scales
-        mean = inverse @ self.right[own]
-        left = max(self.squares - float(mean @ self.right[own]), LEAST * self.squares, 1e-300)
-        return mean, inverse * (left / max(self.freedom, 1))
+        mean = inverse @ self.right[places]
+        return mean, inverse * (self._rest(float(mean @ self.right[places])) / max(self.freedom, 1))

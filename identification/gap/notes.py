@@ -42,18 +42,13 @@ def hidden_orders(found: Posterior) -> tuple[tuple[str, str, float], ...]:
     Returns triples (effect, ripple, likeness). On a grid of angles a ripple of 15 periods per turn can have the same
     column as an eccentric encoder; the diagnosis then names the more probable one.
     """
-    problem, listed = found.problems[found.best.noise], []
-    products, blocks = problem.products, problem.blocks
-    for mine, b in zip(found.best.blocks, found.best.weighed.blocks, strict=True):
+    products, blocks, listed = found.whole.products, found.whole.blocks, []
+    for b, mine in enumerate(blocks):
+        if mine.member is None or mine.member not in found.best.effects:
+            continue
         for k, other in enumerate(blocks):
-            if (
-                mine.named
-                and other.member is not None
-                and other.member.scanned
-                and k != b
-                and other.place == mine.place
-            ):
-                across = products.gram[np.ix_(products.columns([b]), products.columns([k]))]
+            if other.member is not None and other.member.scanned and k != b and other.place == mine.place:
+                across = products.rows([b])[:, products.places([k])]
                 # columns have orthonormal directions, over the root of their number
                 likeness = float(np.sqrt(np.sum(across**2) * across.shape[1]))
                 if likeness >= NEAR:

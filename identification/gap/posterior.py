@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -22,10 +23,9 @@ from identification.progress import Tell, say_nothing
 
 # reasons: identification/README.md, "Constants"
 MOST_ROWS = 1250  # that are searched for any effect
-SEEN = 1e-5  # probability in the sample, of what is weighed with all rows
 PASSES = 4  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
-UNLIKELY = 5.0  # log odds below the best, of a noise model that is not searched
+UNLIKELY = 3.0  # log odds below the best, of a noise model that is not searched
 STRIKING = 3.0  # robust standard deviations of a row that may be outlying
 MOST_WRONG = 30  # effort: rows that may be
 
@@ -56,16 +56,19 @@ class Explanation:
     @property
     def wrong(self) -> tuple[int, ...]:
         """Rows (from 0) that it takes for outlying."""
-        return tuple(int(b.place.partition(":")[2]) for b in self.blocks if b.row)
+        return tuple(_row_of(b) for b in self.blocks if b.row)
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """explanations : likeliest first, with sum 1;  noises, problems : searched;  at : fit where it is linearized"""
+    """explanations : likeliest first, with sum 1;  noises, problems : searched, with the blocks that are not negligible
+    whole : problem of the likeliest noise, with all blocks;  at : fit where it is linearized
+    """
 
     explanations: tuple[Explanation, ...]
     noises: tuple[Noise, ...]
     problems: tuple[Linearized, ...]
+    whole: Linearized
     library: HypothesisSet
     rows: Rows
     at: Fit
@@ -78,65 +81,140 @@ class Posterior:
     @property
     def order(self) -> tuple[str, ...]:
         """Labels of all blocks in the order of the dictionary."""
-        return tuple(block.label for block in self.problems[0].blocks)
+        return tuple(block.label for block in self.whole.blocks)
+
+
+class Climbed(NamedTuple):
+    """A likely set (blocks of `problem`), where the problem is linearized, and what could be in its place.
+
+    noise : number among `every`;  scores : (K,) log posterior odds of each noise, of the set or of none
+    offset : (K,) log prior odds and likelihood ratios of each noise without blocks
+    """
+
+    library: HypothesisSet
+    at: Fit
+    every: list[Noise]
+    noise: int
+    wrong: list[int]
+    problem: Linearized
+    search: Search
+    top: Weighed
+    scores: Array
+    offset: Array
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Of the set's blocks."""
+        return tuple(self.problem.blocks[b].label for b in self.top.blocks)
 
 
 def posterior(
-    library: HypothesisSet, rows: Rows, generator: np.random.Generator | None = None, tell: Tell = say_nothing
+    library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell = say_nothing
 ) -> Posterior:
     """The posterior of these rows.
 
     Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same
-    angle); the blocks that are not unlikely there are then weighed with all rows.
+    angle); the blocks and noises that are not unlikely there are then weighed with all rows.
     """
     if len(rows) <= MOST_ROWS:
-        return _settled(library, rows, None, (), tell)
-    some = np.sort((generator or np.random.default_rng(0)).permutation(len(rows))[:MOST_ROWS])
-    found = _settled(library, rows.pick(some), None, (), tell)
+        return _walked(_climbed(library, rows, tell), rows, generator, None, tell)
+    some = np.sort(generator.permutation(len(rows))[:MOST_ROWS])
+    sample = _climbed(library, rows.pick(some), tell)
     tell("all rows")
-    labels = {b.label for e in found.explanations if e.probability >= SEEN for b in e.blocks if not b.row}
-    narrow = replace(library, members=tuple(h for h in library.members if h.label in labels))
-    chosen = tuple(b.label for b in found.best.blocks if not b.row)
-    return _settled(narrow, rows, frozenset(labels), chosen, tell)
+    near = {sample.problem.blocks[b].label for b in sample.search.near(sample.top)} | {*sample.labels}
+    members = tuple(h for h in sample.library.members if h.label in near)
+    names = {
+        n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > sample.scores.max() - UNLIKELY
+    }
+    labels = frozenset(near)
+    climbed = _climbed(replace(sample.library, members=members), rows, tell, labels, names, sample)
+    return _walked(climbed, rows, generator, labels, tell)
 
 
-def _settled(
-    library: HypothesisSet, rows: Rows, outside: frozenset[str] | None, chosen: tuple[str, ...], tell: Tell
-) -> Posterior:
-    """The posterior, linearized at its best set until that stays;  outside : blocks outside the library, None: all"""
-    at, number = fit(library.base, rows), 0
+def _climbed(
+    library: HypothesisSet,
+    rows: Rows,
+    tell: Tell,
+    outside: frozenset[str] | None = None,
+    names: Set[str] | None = None,
+    before: Climbed | None = None,
+) -> Climbed:
+    """A likely set, linearized at itself and under its likeliest noise.
+
+    outside : blocks outside the library, None: all;  names : of noises, None: all;  before : where to start
+    """
+    chosen: tuple[str, ...] = () if before is None else before.labels
+    noise = "", 0.0
+    at = fit(library.base, rows) if before is None else fit(before.at.model, rows, before.at.by_name)
     for turn in range(PASSES):
         tell(f"pass {turn + 1}")
-        wrong, every = _striking(rows, at), list(noises(rows, at))
+        wrong = _striking(rows, at)
+        every = [n for n in noises(rows, at) if names is None or n.name in names or not n.name]
+        number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)
         problem = linearized(library, at, every[number].rows, wrong, outside)
-        sets = _searched(library, problem, chosen)
-        best = tuple(problem.blocks[b].label for b in sets[0].blocks)
-        first, there = _likelihoods(library, every, at, problem, sets[0])
-        prior = np.array([n.prior for n in every])
+        search = search_of(library, problem)
+        numbers = {b.label: k for k, b in enumerate(problem.blocks)}
+        top = search.climb([tuple(sorted(numbers[label] for label in chosen if label in numbers))])
+        best = tuple(problem.blocks[b].label for b in top.blocks)
+        first, there = _likelihoods(library, every, at, problem, top)
         # with nothing and with the best set, in units of the noise that was searched
-        score = np.maximum(first - first[number], there - there[number] + sets[0].log_odds) + prior
-        likely = int(np.argmax(np.where(np.arange(len(every)) == number, score + ROUNDING, score)))
-        one = Explanation(tuple(problem.blocks[b] for b in sets[0].blocks), 0, sets[0], 1.0)
+        offset = first - first[number] + np.array([n.prior for n in every])
+        scores = np.maximum(offset, there - there[number] + top.log_odds + np.array([n.prior for n in every]))
+        likely = int(np.argmax(np.where(np.arange(len(every)) == number, scores + ROUNDING, scores)))
+        found = Climbed(library, at, every, number, wrong, problem, search, top, scores, offset)
+        if turn == PASSES - 1:
+            break
         settled = best == chosen and likely == number
         if not settled:
-            chosen, number = best, likely
-            at = refit(Posterior((one,), (every[number],), (problem,), library, rows, at), one)
-        wider = library if outside is not None else with_further_orders(library, every[number].rows, at, one.effects)
-        if (settled and wider is library) or turn == PASSES - 1:
+            chosen, noise = best, (every[likely].name, every[likely].size)
+            kept = np.ones(len(rows), dtype=bool)
+            kept[[_row_of(problem.blocks[k]) for k in top.blocks if problem.blocks[k].row]] = False
+            at = fit(library.model(_named(found)), every[likely].rows.pick(kept), at.by_name)
+        wider = library if outside is not None else with_further_orders(library, every[likely].rows, at, _named(found))
+        if settled and wider is library:
             break
         library = wider
-    models = [(every[number], problem, sets, float(prior[number]))]
-    order = [int(k) for k in np.argsort(-score, kind="stable") if k != number and score[k] > score.max() - UNLIKELY]
-    for k in order[: NOISES - 1]:
-        tell(f"other noise: {every[k].name or 'white'}")
-        other = linearized(library, at, every[k].rows, wrong, outside)
-        offset = float(first[k] - first[number]) + every[k].prior
-        models.append((every[k], other, _searched(library, other, chosen), offset))
-    return _mixture(models, library, rows, at)
+    return found
+
+
+def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
+    """Effects of the library in the set."""
+    blocks = (climbed.problem.blocks[b] for b in climbed.top.blocks)
+    return tuple(b.member for b in blocks if b.member is not None)
+
+
+def _walked(
+    climbed: Climbed, rows: Rows, generator: np.random.Generator, outside: frozenset[str] | None, tell: Tell
+) -> Posterior:
+    """The posterior around a likely set, under each noise that is not unlikely."""
+    order = [int(k) for k in np.argsort(-climbed.scores, kind="stable") if k != climbed.noise]
+    order = [k for k in order if climbed.scores[k] > climbed.scores.max() - UNLIKELY][: NOISES - 1]
+    models, whole = [], climbed.problem
+    for k in [climbed.noise, *order]:
+        noise = climbed.every[k]
+        tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
+        problem, top, search = climbed.problem, climbed.top, climbed.search
+        if k != climbed.noise:
+            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong, outside)
+            search, numbers = search_of(climbed.library, problem), {b.label: i for i, b in enumerate(problem.blocks)}
+            top = search.climb([tuple(sorted(numbers[label] for label in climbed.labels if label in numbers))])
+        near = search.near(top)
+        problem = problem.of(near)
+        place = {b: i for i, b in enumerate(near)}
+        inside = top._replace(blocks=tuple(place[b] for b in top.blocks))
+        sets = search_of(climbed.library, problem, float(np.sum(search.weights[search.counted]))).walk(
+            inside, generator
+        )
+        models.append((noise, problem, sets, float(climbed.offset[k])))
+    return _mixture(models, whole, climbed.library, rows, climbed.at)
 
 
 def _mixture(
-    models: Sequence[tuple[Noise, Linearized, list[Weighed], float]], library: HypothesisSet, rows: Rows, at: Fit
+    models: Sequence[tuple[Noise, Linearized, list[Weighed], float]],
+    whole: Linearized,
+    library: HypothesisSet,
+    rows: Rows,
+    at: Fit,
 ) -> Posterior:
     """All explanations of all noise models, with their log prior odds and likelihoods, together."""
     listed = [(number, one) for number, (_, _, sets, _) in enumerate(models) for one in sets]
@@ -148,7 +226,8 @@ def _mixture(
         number, one = listed[k]
         blocks = tuple(models[number][1].blocks[b] for b in one.blocks)
         explanations.append(Explanation(blocks, number, one, float(probabilities[k])))
-    return Posterior(tuple(explanations), tuple(m[0] for m in models), tuple(m[1] for m in models), library, rows, at)
+    noises_, problems = tuple(m[0] for m in models), tuple(m[1] for m in models)
+    return Posterior(tuple(explanations), noises_, problems, whole, library, rows, at)
 
 
 def refit(found: Posterior, one: Explanation) -> Fit:
@@ -159,14 +238,16 @@ def refit(found: Posterior, one: Explanation) -> Fit:
     return fit(found.library.model(one.effects), rows, found.at.by_name)
 
 
-def _searched(library: HypothesisSet, problem: Linearized, chosen: tuple[str, ...]) -> list[Weighed]:
-    numbers = {b.label: k for k, b in enumerate(problem.blocks)}
-    start = tuple(sorted(numbers[label] for label in chosen if label in numbers))
-    weights = np.array([b.weight for b in problem.blocks])
-    rows = np.array([b.row for b in problem.blocks], dtype=bool)
-    late = frozenset(k for k, b in enumerate(problem.blocks) if b.parts)
-    more = problem.apart, *problem.needy_and_givers(library), late
-    return Search(problem.products, weights, rows, *more).posterior([start] if start else [])
+def search_of(library: HypothesisSet, problem: Linearized, total: float | None = None) -> Search:
+    """The search of a linearized problem;  total : weight of all blocks, where the problem has not all of them"""
+    blocks = problem.blocks
+    weights, rows = np.array([b.weight for b in blocks]), np.array([b.row for b in blocks], dtype=bool)
+    rest = frozenset(k for k, b in enumerate(blocks) if b.parts)
+    return Search(problem.products, weights, rows, rest, problem.apart, *problem.needy_and_givers(library), total=total)
+
+
+def _row_of(block: Block) -> int:
+    return int(block.place.partition(":")[2])
 
 
 def _striking(rows: Rows, at: Fit) -> list[int]:

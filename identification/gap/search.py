@@ -1,22 +1,24 @@
-"""Posterior over sets of blocks: a best-first search that adds, drops and exchanges blocks.
+"""Posterior over sets of blocks: a climb to a likely set, and a Gibbs walk from there.
 
 The number K of missing blocks has the prior p(0) = 1 / (1 + `SOME`) and p(K) ~ K^-`TAIL`: one effect is likelier than
 two, but where many are seen further ones are expected (a beta mixture of binomials has such a tail). Which ones they
 are has a probability in proportion to their weights. An outlying row does not count as a block: each is outlying with
-the odds `WRONG`.
+the odds `WRONG`; nor does the rest of the library, which is there with the odds `REST_ODDS`.
 
-Every set that was expanded has all its neighbors weighed: with one block more (in closed form, with the sizes of the
-others kept), with one less, and with one exchanged. The likeliest are weighed exactly and expanded in turn until those
-that are not expanded have little probability left.
+A step of the walk takes a block x, or nothing, out of a set A of k blocks, each with probability 1 / (k + 1), and draws x
+again, size included, with odds in proportion to p(A' + x) / (|A' + x| + 1), A' = A - x. This is a Gibbs step of
+the joint distribution of A and x, so that A is drawn from its posterior; what is counted is not the draw but the
+probabilities it was drawn with (A. E. Gelfand, A. F. M. Smith, 1990, "Rao-Blackwellization").
 """
 
 from __future__ import annotations
 
-from bisect import bisect
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import lgamma
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,21 +28,19 @@ from identification.arrays import Array
 from identification.gap.evidence import ROUNDING, SIZES, Products
 
 # reasons: identification/README.md, "Constants"
-SOME = 4.0  # prior odds of something missing to nothing
-TAIL = 3.0  # p(K) ~ K^-TAIL
+SOME = 3.0  # prior odds of something missing to nothing
+TAIL = 2.0  # p(K) ~ K^-TAIL
 WRONG = 0.0005  # prior odds of a row to be outlying
-WEIGHED = 3.0  # log odds below the best within which a neighbor is weighed exactly
-EXPANDED = 3.0  # and within which a set is expanded
-MOST, EXCHANGED = 20, 4  # effort: sets that are expanded, and those of them with exchanges
-FEW = 3  # effort: blocks of a set up to which exchanges try wide blocks too
-PAIRS = 10  # effort: blocks that are tried in pairs
-NEGLIGIBLE = 9.0  # log odds below the best: not kept
+REST_ODDS = 0.25  # prior odds of the rest of the library
+NEGLIGIBLE = 12.0  # log odds below the best, of blocks that the walk leaves out
+MOVES = 1000  # effort: of the walk
+PAIRS, TRIED = 10, 3  # effort: of the climb, blocks that are tried in pairs, and at each step
+LEAST = 1e-5  # probability of a set that is kept
 
 Set = tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class Weighed:
+class Weighed(NamedTuple):
     """A set of blocks (ascending numbers) with the numbers of its sizes and its log posterior odds against nothing."""
 
     blocks: Set
@@ -53,71 +53,109 @@ class Search:
     """The sets of blocks of one linearized problem.
 
     weights : (B,) prior weights;  rows : (B,) True for shifts of single rows
+    rest : numbers of blocks that explain a part of many others: the climb starts without them
     apart : pairs of blocks of which one contains the other
-    late : blocks that explain a part of many others: the search starts without and with them
     needy : blocks that show only through one of the `givers`, beside which alone they may be
     """
 
     products: Products
     weights: Array
     rows: NDArray[np.bool_]
+    rest: frozenset[int] = frozenset()
     apart: frozenset[tuple[int, int]] = frozenset()
     needy: frozenset[int] = frozenset()
     givers: frozenset[int] = frozenset()
-    late: frozenset[int] = frozenset()
+    total: float | None = None  # weight of all blocks, where these are some of them
     weighed: dict[Set, Weighed] = field(default_factory=dict)
     _fewer: dict[Set, Array] = field(default_factory=dict)
-    _longer: dict[Set, tuple[Array, NDArray[np.int64]]] = field(default_factory=dict)
-    _expanded: set[Set] = field(default_factory=set)
+    _each: dict[tuple[Set, tuple[int, ...]], Array] = field(default_factory=dict)
+
+    @cached_property
+    def counted(self) -> NDArray[np.bool_]:
+        """(B,) blocks that count among the K."""
+        counted = ~self.rows
+        counted[list(self.rest)] = False
+        return counted
 
     @cached_property
     def _log_weights(self) -> Array:
-        total = np.sum(self.weights[~self.rows])
         with np.errstate(divide="ignore"):
-            return np.where(self.rows, np.log(WRONG), np.log(self.weights / total))
+            log_weights = np.log(self.weights / max(self.total or np.sum(self.weights[self.counted]), 1e-300))
+        log_weights[self.rows] = np.log(WRONG)
+        log_weights[list(self.rest)] = np.log(REST_ODDS)
+        return np.asarray(log_weights)
 
     def log_prior(self, blocks: Sequence[int]) -> float:
-        """Log prior odds of a set against nothing missing."""
-        return log_odds_of_count(self._count(blocks)) + float(np.sum(self._log_weights[list(blocks)]))
+        """Log prior odds of a set against nothing missing; -inf where it may not be."""
+        chosen = set(blocks)
+        if any(chosen >= {*pair} for pair in self.apart) or (chosen & self.needy and not chosen & self.givers):
+            return -np.inf
+        count = int(np.sum(self.counted[list(blocks)]))
+        return log_odds_of_count(count) + float(np.sum(self._log_weights[list(blocks)]))
 
-    def _count(self, blocks: Sequence[int]) -> int:
-        return sum(not self.rows[b] for b in blocks)
-
-    def posterior(self, starts: Sequence[Set] = ()) -> list[Weighed]:
-        """All sets that matter, likeliest first;  starts : sets that may be good"""
+    def climb(self, starts: Sequence[Set] = ()) -> Weighed:
+        """The likeliest set that adding and dropping blocks leads to;  starts : sets that may be good"""
         nothing = self._weigh((), ())
-        for start in starts:
-            self._weigh(start, (2,) * len(start))
-        best = min(self.weighed.values(), key=_likeliest_first)
-        self._climb(best, self.late)
-        if self.late:
-            self._climb(nothing)
-        for single in self._neighbors(nothing, PAIRS)[:PAIRS]:  # two that hide each other are seen together
-            for pair in self._neighbors(self._weigh(single.blocks, single.sizes), 1)[:1]:
-                self._weigh(pair.blocks, pair.sizes)
-        self._climb(min(self.weighed.values(), key=_likeliest_first))
-        for number in range(MOST):
-            least = self._best - EXPANDED
-            open_ = [o for o in self.weighed.values() if o.log_odds > least and o.blocks not in self._expanded]
-            if not open_:
-                break
-            self._expand(min(open_, key=_likeliest_first), number < EXCHANGED)
-        least, every = self._best - NEGLIGIBLE, dict(self.weighed)
-        for blocks, (odds, sizes) in self._longer.items():
-            for b in np.flatnonzero(odds > least).tolist():
-                new = self._with(self.weighed[blocks], b, odds, sizes)
-                if new.blocks not in self.weighed:
-                    known = every.get(new.blocks)
-                    every[new.blocks] = new if known is None or known.log_odds < new.log_odds else known
-        for blocks in self._fewer:
-            for new in self._shorter(self.weighed[blocks]):
-                if new.blocks not in every and new.log_odds > least:
-                    every[new.blocks] = new
-        return sorted((one for one in every.values() if one.log_odds > least), key=_likeliest_first)
+        tops = [self._up(self._weigh(start, (2,) * len(start)), self.rest) for start in {(), *starts}]
+        for single in self._longer(nothing, PAIRS):  # two that hide each other are seen together
+            self._weigh(single.blocks, single.sizes)
+            tops += [self._weigh(o.blocks, o.sizes) for o in self._longer(single, 1)]
+        return self._up(self._up(min(tops, key=_likeliest_first), self.rest))
 
-    @property
-    def _best(self) -> float:
-        return max(one.log_odds for one in self.weighed.values())
+    def near(self, top: Weighed) -> list[int]:
+        """Blocks that are not negligible beside a set, in place of one of its blocks, or in any set that was tried."""
+        least, near = top.log_odds - NEGLIGIBLE, set(top.blocks)
+        for one in [self._weigh((), ()), top, *self._shorter(top)]:
+            near |= set(np.flatnonzero(one.log_odds + _over_sizes(self._with_each(one)) > least).tolist())
+        return sorted(near.union(*(one.blocks for one in self.weighed.values() if one.log_odds > least)))
+
+    def walk(self, top: Weighed, generator: np.random.Generator) -> list[Weighed]:
+        """All sets that matter, likeliest first, their odds such that they share the posterior;  top : to start from"""
+        at = dict(zip(top.blocks, top.sizes, strict=True))
+        steps: dict[tuple[Set, tuple[int, ...]], tuple[Array, Array]] = {}
+        visits: Counter[tuple[Set, tuple[int, ...]]] = Counter()
+        for _ in range(MOVES):
+            taken = int(generator.integers(len(at) + 1))
+            if taken < len(at):
+                del at[sorted(at)[taken]]
+            blocks = tuple(sorted(at))
+            there = blocks, tuple(at[b] for b in blocks)
+            visits[there] += 1
+            if there not in steps:
+                odds = self._with_each(Weighed(*there, 0.0)) - np.log(len(at) + 2)
+                stay = -np.log(len(at) + 1) if np.isfinite(self.log_prior(blocks)) else -np.inf
+                every = np.append(odds.ravel(), stay)
+                shares = np.exp(every - logsumexp(every))
+                steps[there] = shares, np.cumsum(shares)
+            drawn = int(np.searchsorted(steps[there][1], generator.random() * steps[there][1][-1], side="right"))
+            if drawn < len(self.weights) * len(SIZES):
+                at[drawn // len(SIZES)] = drawn % len(SIZES)
+        return self._counted_up(visits, {there: shares for there, (shares, _) in steps.items()})
+
+    def _counted_up(
+        self, visits: Counter[tuple[Set, tuple[int, ...]]], steps: dict[tuple[Set, tuple[int, ...]], Array]
+    ) -> list[Weighed]:
+        """The sets, from the probabilities with which each was drawn."""
+        total: Counter[Set] = Counter()
+        most: dict[Set, tuple[float, tuple[int, ...]]] = {}
+
+        def add(blocks: Set, sizes: tuple[int, ...], share: float) -> None:
+            total[blocks] += share
+            if blocks not in most or share > most[blocks][0]:
+                most[blocks] = share, sizes
+
+        for (blocks, sizes), count in visits.items():
+            shares = steps[blocks, sizes] * (count / MOVES)
+            add(blocks, sizes, float(shares[-1]))
+            table = shares[:-1].reshape(-1, len(SIZES))
+            each = table.sum(axis=1)
+            for b in np.flatnonzero(each > 0.1 * LEAST).tolist():
+                new = dict(zip(blocks, sizes, strict=True)) | {b: int(np.argmax(table[b]))}
+                add(tuple(sorted(new)), tuple(new[k] for k in sorted(new)), float(each[b]))
+        sets = sorted((-share, blocks) for blocks, share in total.items() if share > LEAST)
+        best = self._weigh(sets[0][1], most[sets[0][1]][1])
+        evidence = best.log_odds - np.log(-sets[0][0])  # of all sets together
+        return [Weighed(blocks, most[blocks][1], float(np.log(-share)) + evidence) for share, blocks in sets]
 
     def _weigh(self, blocks: Set, sizes: tuple[int, ...]) -> Weighed:
         if blocks not in self.weighed:
@@ -125,66 +163,52 @@ class Search:
             self.weighed[blocks] = Weighed(blocks, at, ratio + self.log_prior(blocks))
         return self.weighed[blocks]
 
-    def _climb(self, current: Weighed, without: frozenset[int] = frozenset()) -> None:
-        """Add or drop the best block as long as the set gets likelier;  without : blocks that are not added"""
+    def _up(self, current: Weighed, barred: frozenset[int] = frozenset()) -> Weighed:
+        """Add or drop the best block as long as the set gets likelier;  barred : blocks that are not added"""
         while True:
-            longer = self._neighbors(current, 1 + len(without))
-            options = [o for o in longer if without.isdisjoint(o.blocks)][:2]
-            options += sorted(self._shorter(current), key=_likeliest_first)[:1]
+            options = [*self._longer(current, TRIED, barred), *self._shorter(current)[:1]]
             best = min((self._weigh(o.blocks, o.sizes) for o in options), key=_likeliest_first, default=current)
-            if best.log_odds <= current.log_odds + ROUNDING:
-                return
+            if not best.log_odds > current.log_odds + ROUNDING:
+                return current
             current = best
 
-    def _expand(self, one: Weighed, exchange: bool) -> None:
-        """Weigh the likely sets with one block more or less, or another."""
-        self._expanded.add(one.blocks)
-        fewer = self._shorter(one)
-        for other in [*self._neighbors(one), *(o for o in fewer if o.log_odds > self._best - WEIGHED)]:
-            self._weigh(other.blocks, other.sizes)
-        for start in fewer if exchange else []:
-            for other in self._neighbors(self._weigh(start.blocks, start.sizes), wide=len(one.blocks) < FEW):
-                self._weigh(other.blocks, other.sizes)
-
     def _shorter(self, one: Weighed) -> list[Weighed]:
-        """The set without each of its blocks, where that may be."""
-        found = []
-        for k, change in enumerate(self._fewer[one.blocks].tolist()):
+        """The set without each of its blocks, where that may be, likeliest first."""
+        fewer = self._fewer[self._weigh(one.blocks, one.sizes).blocks]
+        shorter = []
+        for k, change in enumerate(fewer.tolist()):
             blocks, sizes = one.blocks[:k] + one.blocks[k + 1 :], one.sizes[:k] + one.sizes[k + 1 :]
-            if self.givers.isdisjoint(blocks) and not self.needy.isdisjoint(blocks):
-                continue
             prior = self.log_prior(blocks) - self.log_prior(one.blocks)
-            found.append(Weighed(blocks, sizes, one.log_odds + change + prior))
-        return found
+            shorter.append(Weighed(blocks, sizes, one.log_odds + change + prior))
+        return sorted((o for o in shorter if np.isfinite(o.log_odds)), key=_likeliest_first)
 
-    def _neighbors(self, one: Weighed, least: int = 0, wide: bool = True) -> list[Weighed]:
-        """The set with each further block, likeliest first: those that matter, and `least` in any case."""
-        odds, sizes = self._with_each(one, wide)
-        count = max(least, int(np.sum(odds > self._best - WEIGHED)))
-        likely = np.argsort(-odds, kind="stable")[:count]
-        return [self._with(one, b, odds, sizes) for b in likely.tolist() if np.isfinite(odds[b])]
+    def _longer(self, one: Weighed, count: int, barred: frozenset[int] = frozenset()) -> list[Weighed]:
+        """The set with each of the further blocks that make it likeliest, likeliest first."""
+        table = self._with_each(one)
+        odds = _over_sizes(table)
+        odds[list(barred)] = -np.inf
+        longer = []
+        for b in np.argsort(-np.round(odds, 9), kind="stable")[:count].tolist():
+            if np.isfinite(odds[b]):
+                new = dict(zip(one.blocks, one.sizes, strict=True)) | {b: int(np.argmax(table[b]))}
+                blocks = tuple(sorted(new))
+                longer.append(Weighed(blocks, tuple(new[k] for k in blocks), one.log_odds + float(odds[b])))
+        return longer
 
-    @staticmethod
-    def _with(one: Weighed, b: int, odds: Array, sizes: NDArray[np.int64]) -> Weighed:
-        at = bisect(one.blocks, b)
-        blocks = (*one.blocks[:at], b, *one.blocks[at:])
-        return Weighed(blocks, (*one.sizes[:at], int(sizes[b]), *one.sizes[at:]), float(odds[b]))
-
-    def _with_each(self, one: Weighed, wide: bool) -> tuple[Array, NDArray[np.int64]]:
-        """(B,) log posterior odds of the set with each further block, and the number of the block's likeliest size."""
-        if one.blocks not in self._longer:
-            added = self.products.added(self.products.given(one.blocks, SIZES[list(one.sizes)].tolist()), wide)
-            count = self._count(one.blocks)
-            step = np.where(self.rows, 0.0, log_odds_of_count(count + 1) - log_odds_of_count(count))
-            odds = one.log_odds + added.averaged + step + self._log_weights
-            odds[list(one.blocks)] = -np.inf
-            for a, b in self.apart:
-                if a in one.blocks or b in one.blocks:
-                    odds[[a, b]] = -np.inf
-            if self.givers.isdisjoint(one.blocks):
-                odds[list(self.needy)] = -np.inf
-            self._longer[one.blocks] = odds, np.argmax(added.ratios, axis=1)
-        return self._longer[one.blocks]
+    def _with_each(self, one: Weighed) -> Array:
+        """(B, S) log odds of the set with each further block in each size against the set; -inf where it may not be."""
+        if (key := (one.blocks, one.sizes)) not in self._each:
+            chosen, own = set(one.blocks), list(one.blocks)
+            count = int(np.sum(self.counted[own]))
+            step = np.where(self.counted, log_odds_of_count(count + 1) - log_odds_of_count(count), 0.0)
+            prior = step + self._log_weights - np.log(self.products.limits)
+            prior[own] = -np.inf
+            prior[[b for a, b in self.apart if a in chosen] + [a for a, b in self.apart if b in chosen]] = -np.inf
+            if not chosen & self.givers:
+                others = set(range(len(prior))) - self.givers if chosen & self.needy else self.needy
+                prior[list(others)] = -np.inf
+            self._each[key] = self.products.added(self.products.left(own, SIZES[list(one.sizes)])) + prior[:, None]
+        return self._each[key]
 
 
 def log_odds_of_count(count: int) -> float:
@@ -192,11 +216,16 @@ def log_odds_of_count(count: int) -> float:
     return float(np.log(SOME / zeta(TAIL)) - TAIL * np.log(count)) + lgamma(count + 1) if count else 0.0
 
 
-def _likeliest_first(one: Weighed) -> tuple[float, Set]:
-    return -round(one.log_odds, 9), one.blocks
-
-
 def shares(sets: Sequence[Weighed]) -> Array:
     """Posterior probabilities of sets."""
     odds = np.array([one.log_odds for one in sets])
     return np.asarray(np.exp(odds - logsumexp(odds)))
+
+
+def _over_sizes(table: Array) -> Array:
+    """(B,) log odds of blocks from those of their sizes (B, S)."""
+    return np.asarray(logsumexp(table, axis=1))
+
+
+def _likeliest_first(one: Weighed) -> tuple[float, Set]:
+    return -round(one.log_odds, 9), one.blocks

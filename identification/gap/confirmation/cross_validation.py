@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from identification.arrays import Array
-from identification.gap.average import LIKELY
 from identification.gap.confirmation.confirmation import LEVEL, Confirmation, Groups, HeldOut, Mean, confirm
 from identification.gap.confirmation.holdout import groups_of
 from identification.gap.evidence import SIZES, Products
@@ -46,7 +45,7 @@ def left_out(found: Posterior, kept: NDArray[np.bool_], folds: Groups) -> LeftOu
     added = np.setdiff1d(np.arange(len(at.values)), base)
     y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
     own = jacobian[:, :, base] / at.model.scales[base]
-    sets = [e for e in found.explanations if e.noise == number and e.probability >= LIKELY][:MOST]
+    sets = [e for e in found.explanations if e.noise == number][:MOST]
     blocks = sorted({b for e in sets for b in e.weighed.blocks if not problem.blocks[b].row})
     columns = [problem.columns[b][kept] @ problem.roots[b] for b in blocks]
     x = np.concatenate([np.zeros((*y.shape, 0)), *columns], axis=2)
@@ -61,14 +60,8 @@ def left_out(found: Posterior, kept: NDArray[np.bool_], folds: Groups) -> LeftOu
         u, back = u[:, seen], vt[seen].T / s[seen]
         inside, score = u.T @ z, u.T @ target
         z, rest = z - u @ inside, target - u @ score
-        products = Products(
-            z.T @ z,
-            z.T @ rest,
-            float(rest @ rest),
-            max(len(rest) - int(seen.sum()), 1),
-            starts,
-            np.zeros(len(blocks), bool),
-        )
+        signs, limits = np.zeros(len(blocks), dtype=bool), np.full(len(blocks), len(SIZES))
+        products = Products(z, rest, max(len(rest) - int(seen.sum()), 1), starts, signs, limits)
         before[test] = y[test] - own[test] @ (back @ score)
         odds, means, spreads = [], [], []
         for one in sets:
@@ -79,7 +72,7 @@ def left_out(found: Posterior, kept: NDArray[np.bool_], folds: Groups) -> LeftOu
             ]
             local = [b for b, _ in chosen]
             sizes = SIZES[[size for _, size in chosen]] if chosen else np.zeros(0)
-            own_columns = products.columns(local)
+            own_columns = products.places(local)
             mean, covariance = np.zeros(x.shape[2]), np.zeros((x.shape[2], x.shape[2]))
             variance = products.squares / products.freedom
             if chosen:
