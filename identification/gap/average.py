@@ -17,7 +17,7 @@ from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.gap.blocks import WAVES, Block, Linearized, Where
 from identification.gap.curves.curve import Curve
-from identification.gap.evidence import SIZES
+from identification.gap.evidence import SIZES, Index
 from identification.gap.posterior import Posterior
 from identification.kinematics.base_axes import along, planar_axes
 from identification.kinematics.parameters import JOINT_OFFSET
@@ -35,13 +35,13 @@ TIDY = 7  # decimals of a value in degrees, in files
 class Moments:
     """Mixture over explanations of the base's g parameters, and of those of the blocks behind them.
 
-    first : label of each block -> it and its first parameter
+    places : label of each block -> it and the (k,) places of its parameters
     mean : (P,);  covariance : (P, P);  response : (g, P) by which the base gives way to each parameter of a block
     normal : (g, g) covariance of the base's parameters in noise of unit variance
     sigma : of one coordinate [mm];  effective : number of parameters
     """
 
-    first: Mapping[str, tuple[Block, int]]
+    places: Mapping[str, tuple[Block, Index]]
     mean: Array
     covariance: Array
     response: Array
@@ -70,25 +70,25 @@ def mixture_of(found: Posterior) -> Moments:
     widths = {b.label: c.shape[2] for p in found.problems for b, c in zip(p.blocks, p.columns, strict=True)}
     g = len(found.whole.base)
     ends = g + np.cumsum([0, *(_width(b) or widths[b.label] for b in kept)])
-    first = {b.label: (b, int(end)) for b, end in zip(kept, ends[:-1], strict=True)}
+    places = {b.label: (b, np.arange(low, high)) for b, low, high in zip(kept, ends[:-1], ends[1:], strict=True)}
     count, base = int(ends[-1]), found.whole.base
     mean, second, response = np.zeros(count), np.zeros((count, count)), np.zeros((g, count))
     squares = effective = 0.0
     for number, problem in enumerate(found.problems):
-        turn, products = _to_parameters(problem, first, g, count), problem.products
+        turn, products = _to_parameters(problem, places, g, count), problem.products
         moment, square = np.zeros(len(products.right)), np.zeros((len(products.right), len(products.right)))
         weight = variance = 0.0
         for one in likely:
             if one.noise != number:
                 continue
-            share, places = one.probability / total, products.places(one.weighed.blocks)
+            share, own = one.probability / total, products.places(one.weighed.blocks)
             sizes = SIZES[list(one.weighed.sizes)]
             z, covariance = products.estimates(one.weighed.blocks, sizes)
-            left = max(products.squares - float(z @ products.right[places]), 0.0) / max(products.freedom, 1)
+            left = max(products.squares - float(z @ products.right[own]), 0.0) / max(products.freedom, 1)
             prior = np.repeat(sizes**2, products.widths[list(one.weighed.blocks)]) * max(left, 1e-300)
             effective += share * float(np.sum(1.0 - np.diag(covariance) / prior))
-            moment[places] += share * z
-            square[np.ix_(places, places)] += share * (covariance + np.outer(z, z))
+            moment[own] += share * z
+            square[np.ix_(own, own)] += share * (covariance + np.outer(z, z))
             weight, variance = weight + share, variance + share * left
         there, moved = turn @ moment, np.zeros(count)
         moved[:g] = problem.base - base
@@ -99,14 +99,13 @@ def mixture_of(found: Posterior) -> Moments:
         second[:g, :g] += variance * problem.normal
         squares += variance
         for b, block in enumerate(problem.blocks):
-            if block.label in first:
-                at, places = first[block.label][1], products.places([b])
-                part = slice(at, at + len(problem.roots[b]))
-                response[:, part] = problem.response[:, places] @ np.linalg.pinv(problem.roots[b])
+            if block.label in places:
+                given = problem.response[:, products.places([b])] @ np.linalg.pinv(problem.roots[b])
+                response[:, places[block.label][1]] = given
     covariance = second - np.outer(mean, mean)
     mean[:g] += base
     best = found.problems[found.best.noise].normal
-    return Moments(first, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
+    return Moments(places, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
 
 
 def _width(block: Block) -> int:
@@ -114,19 +113,18 @@ def _width(block: Block) -> int:
     return block.member.size if block.member is not None else WAVES if block.basis is not None else 0
 
 
-def _to_parameters(problem: Linearized, first: Mapping[str, tuple[Block, int]], g: int, count: int) -> Array:
+def _to_parameters(problem: Linearized, places: Mapping[str, tuple[Block, Index]], g: int, count: int) -> Array:
     """(P, C) from the coefficients of a problem's columns to the base's parameters and those of the blocks."""
     turn = np.zeros((count, len(problem.products.right)))
     for b, block in enumerate(problem.blocks):
-        places, row = problem.products.places([b]), 0
+        own, row = problem.products.places([b]), 0
         for part in block.parts or (block,):
-            if part.label in first:
-                at = first[part.label][1]
-                width = _width(part) or len(problem.roots[b])
-                turn[at : at + width, places] = problem.roots[b][row : row + width]
+            if part.label in places:
+                width = len(places[part.label][1])
+                turn[np.ix_(places[part.label][1], own)] = problem.roots[b][row : row + width]
                 row += width
-        if block.row or (block.written and block.label in first) or (block.parts and row):
-            turn[:g, places] = problem.response[:, places]
+        if block.row or (block.written and block.label in places) or (block.parts and row):
+            turn[:g, own] = problem.response[:, own]
     return turn
 
 
@@ -178,7 +176,7 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
     """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
     mixed, library = mixture_of(found), found.library
     g, arm = len(found.whole.base), library.arm
-    members = [(b.member, at) for b, at in mixed.first.values() if b.member is not None]
+    members = [(b.member, at) for b, at in mixed.places.values() if b.member is not None]
     specs = tuple(member.spec for member, _ in members)
     plain = Model(arm.with_effects(*arm.effects, *specs))
     own = [p.name for e in library.base.effects for p in e.parameters]
@@ -186,25 +184,15 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
     renamed = dict(zip(own, longer[: len(own)], strict=True))
     place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
     for (_, at), effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
-        place |= {p.name: at + i for i, p in enumerate(effect.parameters)}
+        place |= {p.name: k for p, k in zip(effect.parameters, at.tolist(), strict=True)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
     values = np.clip(mixed.mean[index], plain.parameters.lower, plain.parameters.upper)
-    curves = tuple(
-        _curve(found, mixed, block, at, values, plain) for block, at in mixed.first.values() if block.basis is not None
-    )
+    curves = tuple(_curve(found, mixed, b, at, values, plain) for b, at in mixed.places.values() if b.basis is not None)
     every = (*specs, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *every))
-    beside = [(b, at) for b, at in mixed.first.values() if b.member is None]
-    ends = {
-        at: end
-        for at, end in zip(
-            sorted(a for _, a in mixed.first.values()),
-            [*sorted(a for _, a in mixed.first.values())[1:], len(mixed.mean)],
-            strict=True,
-        )
-    }
-    extra = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(at, ends[at]) for _, at in beside)])
-    lacking = np.concatenate([np.zeros(0, dtype=bool), *(np.full(ends[at] - at, not b.written) for b, at in beside)])
+    beside = [(b, at) for b, at in mixed.places.values() if b.member is None]
+    extra = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in beside)])
+    lacking = np.concatenate([np.zeros(0, dtype=bool), *(np.full(len(at), not b.written) for b, at in beside)])
     both = np.concatenate([index, extra])
     joint = mixed.covariance[np.ix_(both, both)]
     off = np.concatenate([np.zeros(len(index)), np.where(lacking, mixed.mean[extra], 0.0)])
@@ -233,16 +221,15 @@ def _mean_trace(columns: Array, covariance: Array) -> float:
     return float(np.sum((columns @ covariance) * columns)) / len(columns)
 
 
-def _curve(found: Posterior, mixed: Moments, block: Block, first: int, values: Array, model: Model) -> Curve:
+def _curve(found: Posterior, mixed: Moments, block: Block, part: Index, values: Array, model: Model) -> Curve:
     """The error curve of a joint."""
     basis = block.basis
     assert basis is not None
-    part = slice(first, first + WAVES)
     angles = np.linspace(basis.start, basis.stop, 2 * WAVES + 1)
     functions = basis.at(angles)
     error, variance = (
         functions @ mixed.mean[part],
-        np.sum((functions @ mixed.covariance[part, part]) * functions, axis=1),
+        np.sum((functions @ mixed.covariance[np.ix_(part, part)]) * functions, axis=1),
     )
     geometry = dict(zip(found.library.base.names, mixed.response[:, part] @ mixed.mean[part], strict=True))
     table = basis.table(np.radians(np.round(np.degrees(error[::2]), TIDY)))

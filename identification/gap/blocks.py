@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -221,23 +222,22 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
         place, weight = f"joint:{j + 1}", OUTSIDE / np.sqrt(n)
         if j + 1 not in taken:
             basis = Basis(j, float(low[j]), float(low[j] + span[j]))
-            columns = _at_joint(j, lambda w, basis=basis: basis.at(w.postures[:, basis.joint]))
+            columns = _at_joint(j, partial(_curve, basis=basis))
             yield Block(place, f"curve:{j + 1}", place, weight, basis=basis, columns=columns)
         for other in turning:
             if other != j:
-                columns = _at_joint(j, lambda w, j=j, other=other: with_other(w, j, other))
+                columns = _at_joint(j, partial(with_other, j=j, other=other))
                 yield Block(place, f"shared:{j + 1},{other + 1}", place, 0.3 * weight / (n - 1), columns=columns)
         if rows.conditions.directions is not None:
-            columns = _at_joint(j, lambda w, j=j: _one_sided(w, j))
+            columns = _at_joint(j, partial(_one_sided, j=j))
             yield Block(place, f"history:{j + 1}", place, 0.3 * weight, columns=columns)
         if at.model.arm.gravity is not None:
-            columns = _at_joint(j, lambda w, j=j: _loaded(w, j))
+            columns = _at_joint(j, partial(_loaded, j=j))
             yield Block(place, f"load:{j + 1}", place, 0.3 * weight, columns=columns)
         chain = at.model.arm.chain
         if chain is not None and chain.joints[j].type == REVOLUTE:
-            yield Block(
-                place, f"wobble:{j + 1}", place, 0.3 * weight, columns=lambda w, j=j, chain=chain: _wobble(w, chain, j)
-            )
+            columns = partial(_wobble, chain=chain, j=j)
+            yield Block(place, f"wobble:{j + 1}", place, 0.3 * weight, columns=columns)
     if rows.conditions.time is not None and np.ptp(rows.conditions.time) > 0.0:
         yield Block("time", "time", "time", OUTSIDE, columns=lambda w: w.moved(waves(_time(w), TIMES)))
         yield Block(
@@ -290,6 +290,10 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
 def _at_joint(j: int, functions: Callable[[Where], Array]) -> Callable[[Where], Array]:
     """Columns of functions (m, w) that are added to the angle of a joint."""
     return lambda w: w.turned(j, functions(w))
+
+
+def _curve(w: Where, basis: Basis) -> Array:
+    return basis.at(w.postures[:, basis.joint])
 
 
 def _time(w: Where) -> Array:
@@ -405,7 +409,7 @@ def linearized(
 
 
 def _common(block: Block, library: HypothesisSet) -> bool:
-    """Whether it is among the many small errors that an arm may have: an unscanned effect that is not rare, or a curve."""
+    """Whether it is among the many small errors that an arm may have: an unscanned effect, not rare, or a curve."""
     member = block.member
     if member is None:
         return block.basis is not None

@@ -57,7 +57,7 @@ class Likeliest(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Products of the columns of B blocks, projected off the base model; of the Gram matrix only the rows that are used.
+    """Products of the columns of B blocks, projected off the base model; of G only the rows that are used.
 
     columns : (N, P) Z;  target : (N,) y;  freedom : f
     starts : (B + 1,) first column of each block, and P;  signs : (B,) 1 where the only parameter cannot be negative

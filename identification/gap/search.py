@@ -5,15 +5,15 @@ two, but where many are seen further ones are expected (a beta mixture of binomi
 are has a probability in proportion to their weights. An outlying row does not count as a block: each is outlying with
 the odds `WRONG`; nor does the rest of the library, which is there with the odds `REST_ODDS`.
 
-A step of the walk takes a block x, or nothing, out of a set A of k blocks, each with probability 1 / (k + 1), and draws x
-again, size included, with odds in proportion to p(A' + x) / (|A' + x| + 1), A' = A - x. This is a Gibbs step of
+A step of the walk takes a block x, or nothing, out of a set A of k blocks, each with probability 1 / (k + 1), and draws
+x again, size included, with odds in proportion to p(A' + x) / (|A' + x| + 1), A' = A - x. This is a Gibbs step of
 the joint distribution of A and x, so that A is drawn from its posterior; what is counted is not the draw but the
 probabilities it was drawn with (A. E. Gelfand, A. F. M. Smith, 1990, "Rao-Blackwellization").
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -136,7 +136,7 @@ class Search:
         self, visits: Counter[tuple[Set, tuple[int, ...]]], steps: dict[tuple[Set, tuple[int, ...]], Array]
     ) -> list[Weighed]:
         """The sets, from the probabilities with which each was drawn."""
-        total: Counter[Set] = Counter()
+        total: defaultdict[Set, float] = defaultdict(float)
         most: dict[Set, tuple[float, tuple[int, ...]]] = {}
 
         def add(blocks: Set, sizes: tuple[int, ...], share: float) -> None:
