@@ -208,10 +208,9 @@ class Products:
                 break  # a rise that rounding made up, where a set explains all but the last digits, returns
             seen.add(tried)
             at[best[0]] = best[1]
-        around = float(np.sum(logsumexp(profiles, axis=1) - now - np.log(limits)))
-        return Likeliest(
-            tuple(at.tolist()), float(now) + around + self._signed(blocks, at.tolist()), without - now - around
-        )
+        around = logsumexp(profiles, axis=1) - now - np.log(limits)  # (M,) of each block, the others as they are
+        ratio = float(now + np.sum(around)) + self._signed(blocks, at.tolist())
+        return Likeliest(tuple(at.tolist()), ratio, without - now - around)
 
     def _signed(self, blocks: Sequence[int], at: Sequence[int]) -> float:
         """Log of the factor by which signs that physics allows make the set likelier."""

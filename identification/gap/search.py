@@ -32,7 +32,7 @@ SOME = 3.0  # prior odds of something missing to nothing
 TAIL = 2.0  # p(K) ~ K^-TAIL
 WRONG = 0.0005  # prior odds of a row to be outlying
 REST_ODDS = 0.25  # prior odds of the rest of the library
-NEGLIGIBLE = 12.0  # log odds below the best, of blocks that the walk leaves out
+NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
 MOVES = 1000  # effort: of the walk
 PAIRS, TRIED = 10, 3  # effort: of the climb, blocks that are tried in pairs, and at each step
 LEAST = 1e-5  # probability of a set that is kept
@@ -103,11 +103,11 @@ class Search:
         return self._up(self._up(min(tops, key=_likeliest_first), self.rest))
 
     def near(self, top: Weighed) -> list[int]:
-        """Blocks that are not negligible beside a set, in place of one of its blocks, or in any set that was tried."""
-        least, near = top.log_odds - NEGLIGIBLE, set(top.blocks)
-        for one in [self._weigh((), ()), top, *self._shorter(top)]:
-            near |= set(np.flatnonzero(one.log_odds + _over_sizes(self._with_each(one)) > least).tolist())
-        return sorted(near.union(*(one.blocks for one in self.weighed.values() if one.log_odds > least)))
+        """All blocks but those that are together negligible beside a set and in place of one of its blocks."""
+        odds = [one.log_odds + _over_sizes(self._with_each(one)) for one in [self._weigh((), ()), top, *self._shorter(top)]]
+        shares = np.exp(np.minimum(np.max(odds, axis=0) - top.log_odds, 0.0))
+        order = np.argsort(shares, kind="stable")
+        return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
 
     def walk(self, top: Weighed, generator: np.random.Generator) -> list[Weighed]:
         """All sets that matter, likeliest first, their odds such that they share the posterior;  top : to start from"""
@@ -164,13 +164,21 @@ class Search:
         return self.weighed[blocks]
 
     def _up(self, current: Weighed, barred: frozenset[int] = frozenset()) -> Weighed:
-        """Add or drop the best block as long as the set gets likelier;  barred : blocks that are not added"""
+        """Add, drop or exchange the best block as long as the set gets likelier;  barred : blocks that are not added"""
         while True:
-            options = [*self._longer(current, TRIED, barred), *self._shorter(current)[:1]]
-            best = min((self._weigh(o.blocks, o.sizes) for o in options), key=_likeliest_first, default=current)
-            if not best.log_odds > current.log_odds + ROUNDING:
+            shorter = self._shorter(current)
+            best = self._best([*self._longer(current, TRIED, barred), *shorter[:1]], current)
+            if best is current:
+                exchanged = [new for one in shorter for new in self._longer(one, 1, barred)]
+                best = self._best([one for one in exchanged if one.log_odds > current.log_odds - 1.0], current)
+            if best is current:
                 return current
             current = best
+
+    def _best(self, options: Sequence[Weighed], current: Weighed) -> Weighed:
+        """The likeliest of some sets, weighed exactly, or the current one if none is likelier."""
+        best = min((self._weigh(o.blocks, o.sizes) for o in options), key=_likeliest_first, default=current)
+        return best if best.log_odds > current.log_odds + ROUNDING else current
 
     def _shorter(self, one: Weighed) -> list[Weighed]:
         """The set without each of its blocks, where that may be, likeliest first."""

@@ -84,8 +84,9 @@ class Probabilities:
         """Candidates: sets of names that are not much less likely than the likeliest, this first."""
         if self.verdict not in ("named", "ambiguous"):
             return []
-        least = self.sets[self.best] / RIVAL
-        order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != self.best, n))
+        best = self.best
+        least = self.sets[best] / RIVAL
+        order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != best, n))
         least_many = 2 if self.verdict == "ambiguous" else 1
         return order[: max(least_many, min(MOST, sum(self.sets[names] >= least for names in order)))]
 
