@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 from typing import NamedTuple
 
@@ -71,9 +71,12 @@ class Where(NamedTuple):
         return (moves[:, :, :, None] * functions[:, None, None, :]).reshape(m, d, -1)
 
     def varied(self, functions: Array) -> Array:
-        """(m, d, p w) columns of functions (m, w) that are added to each parameter of the model, in its scale."""
-        jacobian = self.model.jacobian(self.postures, self.values, self.conditions) * self.model.scales
-        return np.asarray(jacobian[:, :, :, None] * functions[:, None, None, :]).reshape(*self.position.shape, -1)
+        """(m, d, p w) columns of functions (m, w) that are added to each of the p parameters of the geometry, in its
+        scale."""
+        of_effects = {p.name for effect in self.model.effects for p in effect.parameters}
+        own = [k for k, name in enumerate(self.model.names) if name not in of_effects]
+        jacobian = (self.model.jacobian(self.postures, self.values, self.conditions) * self.model.scales)[:, :, own]
+        return (jacobian[:, :, :, None] * functions[:, None, None, :]).reshape(*self.position.shape, -1)
 
 
 @dataclass(frozen=True)
@@ -175,6 +178,11 @@ class Linearized:
             self.normal,
             tuple(self.columns[b] for b in kept),
         )
+
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """Label of each block -> its number."""
+        return {block.label: k for k, block in enumerate(self.blocks)}
 
     @property
     def apart(self) -> frozenset[tuple[int, int]]:

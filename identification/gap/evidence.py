@@ -93,9 +93,10 @@ class Products:
 
     def rows(self, blocks: Sequence[int]) -> Array:
         """(k, P) rows of G of these blocks."""
-        for b in blocks:
-            if b not in self._rows:
-                self._rows[b] = self.columns[:, slice(*self.starts[b : b + 2])].T @ self.columns
+        new = [b for b in blocks if b not in self._rows]
+        if new:  # of several at a time, as reading the columns takes longest
+            rows = self.columns[:, self.places(new)].T @ self.columns
+            self._rows.update(zip(new, np.split(rows, np.cumsum(self.widths[new])[:-1]), strict=True))
         return np.concatenate([np.zeros((0, len(self.right))), *(self._rows[b] for b in blocks)])
 
     @cached_property

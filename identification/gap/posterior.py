@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -117,64 +117,79 @@ def posterior(
     angle); the blocks and noises that are not unlikely there are then weighed with all rows.
     """
     if len(rows) <= MOST_ROWS:
-        return _walked(_climbed(library, rows, tell), rows, generator, None, tell)
+        return _walked(_climbed(library, rows, tell), rows, generator, tell)
     some = np.sort(generator.permutation(len(rows))[:MOST_ROWS])
-    sample = _climbed(library, rows.pick(some), tell)
-    tell("all rows")
-    near = {sample.problem.blocks[b].label for b in sample.search.near(sample.top)} | {*sample.labels}
-    members = tuple(h for h in sample.library.members if h.label in near)
-    names = {
-        n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > sample.scores.max() - UNLIKELY
-    }
-    labels = frozenset(near)
-    climbed = _climbed(replace(sample.library, members=members), rows, tell, labels, names, sample)
-    return _walked(climbed, rows, generator, labels, tell)
+    return _walked(_with_all_rows(_climbed(library, rows.pick(some), tell), rows, tell), rows, generator, tell)
 
 
-def _climbed(
-    library: HypothesisSet,
-    rows: Rows,
-    tell: Tell,
-    outside: frozenset[str] | None = None,
-    names: Set[str] | None = None,
-    before: Climbed | None = None,
-) -> Climbed:
-    """A likely set, linearized at itself and under its likeliest noise.
-
-    outside : blocks outside the library, None: all;  names : of noises, None: all;  before : where to start
-    """
-    chosen: tuple[str, ...] = () if before is None else before.labels
-    noise = "", 0.0
-    at = fit(library.base, rows) if before is None else fit(before.at.model, rows, before.at.by_name)
+def _climbed(library: HypothesisSet, rows: Rows, tell: Tell) -> Climbed:
+    """A likely set, linearized at itself and under its likeliest noise."""
+    chosen: tuple[str, ...] = ()
+    at, number = fit(library.base, rows), 0
     for turn in range(PASSES):
         tell(f"pass {turn + 1}")
-        wrong = _striking(rows, at)
-        every = [n for n in noises(rows, at) if names is None or n.name in names or not n.name]
-        number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)
-        problem = linearized(library, at, every[number].rows, wrong, outside)
-        search = search_of(library, problem)
-        numbers = {b.label: k for k, b in enumerate(problem.blocks)}
-        top = search.climb([tuple(sorted(numbers[label] for label in chosen if label in numbers))])
-        best = tuple(problem.blocks[b].label for b in top.blocks)
-        first, there = _likelihoods(library, every, at, problem, top)
-        # with nothing and with the best set, in units of the noise that was searched
-        offset = first - first[number] + np.array([n.prior for n in every])
-        scores = np.maximum(offset, there - there[number] + top.log_odds + np.array([n.prior for n in every]))
-        likely = int(np.argmax(np.where(np.arange(len(every)) == number, scores + ROUNDING, scores)))
-        found = Climbed(library, at, every, number, wrong, problem, search, top, scores, offset)
+        wrong, every = _striking(rows, at), list(noises(rows, at))
+        problem = linearized(library, at, every[number].rows, wrong)
+        search, numbers = search_of(library, problem), problem.numbers
+        top = search.climb(tuple(sorted(numbers[label] for label in chosen if label in numbers)))
+        found = _with_noises(library, at, every, number, wrong, problem, search, top)
+        likely = int(np.argmax(np.where(np.arange(len(every)) == number, found.scores + ROUNDING, found.scores)))
+        settled = found.labels == chosen and likely == number
         if turn == PASSES - 1:
             break
-        settled = best == chosen and likely == number
         if not settled:
-            chosen, noise = best, (every[likely].name, every[likely].size)
+            chosen, number = found.labels, likely
             kept = np.ones(len(rows), dtype=bool)
             kept[[_row_of(problem.blocks[k]) for k in top.blocks if problem.blocks[k].row]] = False
             at = fit(library.model(_named(found)), every[likely].rows.pick(kept), at.by_name)
-        wider = library if outside is not None else with_further_orders(library, every[likely].rows, at, _named(found))
+        wider = with_further_orders(library, every[likely].rows, at, _named(found))
         if settled and wider is library:
             break
         library = wider
     return found
+
+
+def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
+    """The set of a sample, with the blocks and noises that are not unlikely there, in the problem of all rows."""
+    tell("all rows")
+    labels = frozenset(sample.problem.blocks[b].label for b in sample.search.near(sample.top))
+    least = sample.scores.max() - UNLIKELY
+    names = {n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least}
+    library = replace(sample.library, members=tuple(h for h in sample.library.members if h.label in labels))
+    at = fit(sample.at.model, rows, sample.at.by_name)
+    every = [n for n in noises(rows, at) if n.name in names]
+    chosen = sample.every[sample.noise]
+    number = next(k for k, n in enumerate(every) if (n.name, n.size) == (chosen.name, chosen.size))
+    wrong = _striking(rows, at)
+    problem = linearized(library, at, every[number].rows, wrong, labels)
+    search = search_of(library, problem)
+    top = _same_set(sample, problem, search)
+    return _with_noises(library, at, every, number, wrong, problem, search, top)
+
+
+def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> Weighed:
+    """A set, as far as another problem has its blocks."""
+    sizes = zip(climbed.labels, climbed.top.sizes, strict=True)
+    inside = {problem.numbers[label]: size for label, size in sizes if label in problem.numbers}
+    return search.weigh(tuple(sorted(inside)), tuple(inside[b] for b in sorted(inside)))
+
+
+def _with_noises(
+    library: HypothesisSet,
+    at: Fit,
+    every: list[Noise],
+    number: int,
+    wrong: list[int],
+    problem: Linearized,
+    search: Search,
+    top: Weighed,
+) -> Climbed:
+    """A set with the odds of each noise, with nothing and with the set, in units of the noise that was searched."""
+    first, there = _likelihoods(library, every, at, problem, top)
+    prior = np.array([n.prior for n in every])
+    offset = first - first[number] + prior
+    scores = np.maximum(offset, there - there[number] + top.log_odds + prior)
+    return Climbed(library, at, every, number, wrong, problem, search, top, scores, offset)
 
 
 def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
@@ -183,30 +198,28 @@ def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
     return tuple(b.member for b in blocks if b.member is not None)
 
 
-def _walked(
-    climbed: Climbed, rows: Rows, generator: np.random.Generator, outside: frozenset[str] | None, tell: Tell
-) -> Posterior:
+def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: Tell) -> Posterior:
     """The posterior around a likely set, under each noise that is not unlikely."""
     order = [int(k) for k in np.argsort(-climbed.scores, kind="stable") if k != climbed.noise]
     order = [k for k in order if climbed.scores[k] > climbed.scores.max() - UNLIKELY][: NOISES - 1]
-    models, whole = [], climbed.problem
+    labels = frozenset(climbed.problem.numbers)
+    models = []
     for k in [climbed.noise, *order]:
         noise = climbed.every[k]
         tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
         problem, top, search = climbed.problem, climbed.top, climbed.search
         if k != climbed.noise:
-            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong, outside)
-            search, numbers = search_of(climbed.library, problem), {b.label: i for i, b in enumerate(problem.blocks)}
-            top = search.climb([tuple(sorted(numbers[label] for label in climbed.labels if label in numbers))])
+            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong, labels)
+            search = search_of(climbed.library, problem)
+            top = _same_set(climbed, problem, search)
         near = search.near(top)
         problem = problem.of(near)
         place = {b: i for i, b in enumerate(near)}
-        inside = top._replace(blocks=tuple(place[b] for b in top.blocks))
-        sets = search_of(climbed.library, problem, float(np.sum(search.weights[search.counted]))).walk(
-            inside, generator
-        )
+        inside_near = top._replace(blocks=tuple(place[b] for b in top.blocks))
+        total = float(np.sum(search.weights[search.counted]))
+        sets = search_of(climbed.library, problem, total).walk(inside_near, generator)
         models.append((noise, problem, sets, float(climbed.offset[k])))
-    return _mixture(models, whole, climbed.library, rows, climbed.at)
+    return _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
 
 
 def _mixture(

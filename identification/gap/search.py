@@ -33,8 +33,8 @@ TAIL = 2.0  # p(K) ~ K^-TAIL
 WRONG = 0.0005  # prior odds of a row to be outlying
 REST_ODDS = 0.25  # prior odds of the rest of the library
 NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
-MOVES = 1000  # effort: of the walk
-PAIRS, TRIED = 10, 3  # effort: of the climb, blocks that are tried in pairs, and at each step
+MOVES = 500  # effort: of the walk
+PAIRS, TRIED = 10, 3  # effort: of the climb, blocks that are tried in pairs, and exchanges at each step
 LEAST = 1e-5  # probability of a set that is kept
 
 Set = tuple[int, ...]
@@ -93,18 +93,20 @@ class Search:
         count = int(np.sum(self.counted[list(blocks)]))
         return log_odds_of_count(count) + float(np.sum(self._log_weights[list(blocks)]))
 
-    def climb(self, starts: Sequence[Set] = ()) -> Weighed:
-        """The likeliest set that adding and dropping blocks leads to;  starts : sets that may be good"""
-        nothing = self._weigh((), ())
-        tops = [self._up(self._weigh(start, (2,) * len(start)), self.rest) for start in {(), *starts}]
+    def climb(self, start: Set = ()) -> Weighed:
+        """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
+        nothing = self.weigh((), ())
+        tops = [nothing, self._up(self.weigh(start, (2,) * len(start)), self.rest)]
         for single in self._longer(nothing, PAIRS):  # two that hide each other are seen together
-            self._weigh(single.blocks, single.sizes)
-            tops += [self._weigh(o.blocks, o.sizes) for o in self._longer(single, 1)]
-        return self._up(self._up(min(tops, key=_likeliest_first), self.rest))
+            self.weigh(single.blocks, single.sizes)
+            tops += [self.weigh(o.blocks, o.sizes) for o in self._longer(single, 1)]
+        return self._up(self._up(min(tops, key=_likeliest_first), self.rest), exchange=True)
 
     def near(self, top: Weighed) -> list[int]:
         """All blocks but those that are together negligible beside a set and in place of one of its blocks."""
-        odds = [one.log_odds + _over_sizes(self._with_each(one)) for one in [self._weigh((), ()), top, *self._shorter(top)]]
+        odds = [
+            one.log_odds + _over_sizes(self._with_each(one)) for one in [self.weigh((), ()), top, *self._shorter(top)]
+        ]
         shares = np.exp(np.minimum(np.max(odds, axis=0) - top.log_odds, 0.0))
         order = np.argsort(shares, kind="stable")
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
@@ -153,36 +155,37 @@ class Search:
                 new = dict(zip(blocks, sizes, strict=True)) | {b: int(np.argmax(table[b]))}
                 add(tuple(sorted(new)), tuple(new[k] for k in sorted(new)), float(each[b]))
         sets = sorted((-share, blocks) for blocks, share in total.items() if share > LEAST)
-        best = self._weigh(sets[0][1], most[sets[0][1]][1])
+        best = self.weigh(sets[0][1], most[sets[0][1]][1])
         evidence = best.log_odds - np.log(-sets[0][0])  # of all sets together
         return [Weighed(blocks, most[blocks][1], float(np.log(-share)) + evidence) for share, blocks in sets]
 
-    def _weigh(self, blocks: Set, sizes: tuple[int, ...]) -> Weighed:
+    def weigh(self, blocks: Set, sizes: tuple[int, ...]) -> Weighed:
+        """A set with its likeliest sizes and its odds;  sizes : to start from"""
         if blocks not in self.weighed:
             at, ratio, self._fewer[blocks] = self.products.likeliest(blocks, sizes)
             self.weighed[blocks] = Weighed(blocks, at, ratio + self.log_prior(blocks))
         return self.weighed[blocks]
 
-    def _up(self, current: Weighed, barred: frozenset[int] = frozenset()) -> Weighed:
+    def _up(self, current: Weighed, barred: frozenset[int] = frozenset(), exchange: bool = False) -> Weighed:
         """Add, drop or exchange the best block as long as the set gets likelier;  barred : blocks that are not added"""
         while True:
             shorter = self._shorter(current)
-            best = self._best([*self._longer(current, TRIED, barred), *shorter[:1]], current)
-            if best is current:
+            best = self._best([*self._longer(current, 1, barred), *shorter[:1]], current)
+            if best is current and exchange:
                 exchanged = [new for one in shorter for new in self._longer(one, 1, barred)]
-                best = self._best([one for one in exchanged if one.log_odds > current.log_odds - 1.0], current)
+                best = self._best(sorted(exchanged, key=_likeliest_first)[:TRIED], current)
             if best is current:
                 return current
             current = best
 
     def _best(self, options: Sequence[Weighed], current: Weighed) -> Weighed:
         """The likeliest of some sets, weighed exactly, or the current one if none is likelier."""
-        best = min((self._weigh(o.blocks, o.sizes) for o in options), key=_likeliest_first, default=current)
+        best = min((self.weigh(o.blocks, o.sizes) for o in options), key=_likeliest_first, default=current)
         return best if best.log_odds > current.log_odds + ROUNDING else current
 
     def _shorter(self, one: Weighed) -> list[Weighed]:
         """The set without each of its blocks, where that may be, likeliest first."""
-        fewer = self._fewer[self._weigh(one.blocks, one.sizes).blocks]
+        fewer = self._fewer[self.weigh(one.blocks, one.sizes).blocks]
         shorter = []
         for k, change in enumerate(fewer.tolist()):
             blocks, sizes = one.blocks[:k] + one.blocks[k + 1 :], one.sizes[:k] + one.sizes[k + 1 :]

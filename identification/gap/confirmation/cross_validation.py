@@ -23,7 +23,7 @@ from identification.measurements import POINT, Measurements
 # reasons: identification/README.md, "Constants"
 FOLDS = 8
 QUESTIONS = 2  # transfers that are tested, over which the level is divided
-MOST = 30  # effort: explanations that are averaged
+MOST = 10  # effort: explanations that are averaged
 
 
 class LeftOut(NamedTuple):
