@@ -108,7 +108,8 @@ def test_three_sessions_converge(moved: dict[tuple[int, str], np.ndarray]) -> No
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_point_that_nothing_holds_stays_near_the_arm(seed: int) -> None:
-    """Two places of a reflector fitted as one: the sum of squares of a SCARA falls with its height, without an end."""
+    """Two places of a reflector fitted as one: the sum of squares of a SCARA falls with its height, without an end. How
+    far they are apart is told across that height alone."""
     away = np.random.default_rng(seed).uniform(-15.0, 15.0, 3)
     data, arm = cell(2, {(1, "A"): away}, seed, marked=False, chain=SCARA), Arm.of_chain(SCARA)
 
@@ -117,7 +118,9 @@ def test_a_point_that_nothing_holds_stays_near_the_arm(seed: int) -> None:
 
     found = fit(data)
     assert found.status is Status.converged
-    assert "mounted elsewhere" in with_mounting_doubted(found, data, fit).doubts[0]
+    away_from, _, size = with_mounting_doubted(found, data, fit).doubts[0].partition(" at least ")
+    assert away_from == "reflectors are mounted elsewhere than in the session before (1 in session day 2:"
+    assert float(size.split()[0]) == pytest.approx(np.linalg.norm(away[:2]), rel=0.1)
 
 
 def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
