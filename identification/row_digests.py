@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 
-ROW_DIGESTS = "row_digests"  # key of a calibration's provenance
+ROW_DIGESTS = "digests_of_rows"  # key of a calibration's provenance
 KEPT = 2000  # digests: of 12,000 rows one in six, so that 30 of them are missed once in 240 times; 16 kB of text
 BYTES = 6  # of a digest: two of a million rows share one with a probability of 0.002 for each of a thousand others
-ANGLE, LENGTH = 1e-7, 1e-5  # [rad], [mm] far above rounding and below the digits of a file
-BETWEEN = 0.382  # of these steps, so that round numbers are not at the edge of one
+STEP = 1e-3  # [rad, mm] numbers to the nearest: those written with three digits are still the same
+BETWEEN = 0.5 + 1e-6  # of a step is added: what lies half way goes up, whatever its last bits are
 
 
 class Shared(NamedTuple):
@@ -53,8 +53,7 @@ def rows_shared(text: str, postures: Array, positions: Array) -> Shared:
 
 def _numbers(postures: Array, positions: Array) -> NDArray[np.uint64]:
     """(m,) digests."""
-    steps = np.column_stack([postures / ANGLE, positions / LENGTH])
-    whole = np.floor(steps + BETWEEN).astype("<i8")
+    whole = np.floor(np.column_stack([postures, positions]) / STEP + BETWEEN).astype("<i8")
     found = [int.from_bytes(blake2b(row.tobytes(), digest_size=BYTES).digest(), "big") for row in whole]
     return np.array(found, dtype=np.uint64)
 

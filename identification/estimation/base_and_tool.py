@@ -69,7 +69,7 @@ def base_and_tool(found: Identification, tip: Callable[[Array], float] | None) -
     how = "by 45 deg and more, or give [tool]"
     if turns[1] <= HARDLY:  # mean squares of small turns a about x, y, z: y^2 + z^2, x^2 + z^2, x^2 + y^2
         angle = np.degrees(np.sqrt(np.sum(turns**2) / 2.0))
-        kept = f"the flange kept one orientation, turned by {angle:.2g} deg (RMS)"
+        kept = f"the flange kept one orientation, turned by {round(float(angle), 4):.2g} deg (RMS)"
         return [f"{TOGETHER}: {kept}. Measure postures that turn it about two axes {how}"]
     kept = f"the flange turned about one axis only, about others by {np.degrees(turns[0]):.2g} deg (RMS)"
     return [f"{TOGETHER}: {kept}. Measure postures that turn it about another axis, too, {how}"]

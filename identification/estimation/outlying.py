@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtrc, chdtrc, chdtri, pdtrc
+from scipy.special import betaln, chdtrc, chdtri, pdtrc
 
 from identification.arrays import Array
 from identification.information import column_space
@@ -54,10 +54,11 @@ def outlying(
 def together(outlier: NDArray[np.bool_], postures: Array, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(m,) those of the outliers that come together, as rows that are wrong by accident do not.
 
-    If as many outliers fall on rows independently of each other, their number in a group of rows is about binomial, and
-    the number of groups with x or more of them about Poisson (both a little wider than they are, since groups compete
-    for the outliers). Groups are the rows of one posture (reflectors, repeats), and the postures in a stretch of a
-    joint's angles, with an outlier or without; x is 2, 3, 5, 9 .., and p-values get Bonferroni's correction.
+    If as many outliers fall on rows independently of each other, their number in a group of rows is hypergeometric, and
+    the number of groups with x or more of them about Poisson (a little wider than it is, since groups compete for the
+    outliers). Groups are the rows of one posture (reflectors, repeats), and the postures in a stretch of a joint's
+    angles, with an outlier or without; x is 2, 3, 5, 9 .. Postures and stretches have half of `CHANCE` each, and their
+    p-values Bonferroni's correction.
 
     outlier : (m,) rows that a fit does not explain;  postures : (m, n);  numbers : (m,) posture of each row
     """
@@ -66,19 +67,35 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: NDArray[np.in
     of_posture = np.bincount(posture, outlier) > 0.0
     parts = max(min(STRETCHES, count // SHORTEST), 1)
     stretches = [np.argsort(np.argsort(angles, kind="stable")) * parts // count for angles in postures[first].T]
-    p_values, chosen = [], []
-    for wrong, groups in [(outlier, posture), *((of_posture, stretch) for stretch in stretches)]:
+    alike = _crowded(outlier, [posture]) & outlier
+    return alike | _crowded(of_posture, stretches)[posture] & outlier
+
+
+def _crowded(wrong: NDArray[np.bool_], groupings: list[NDArray[np.int64]]) -> NDArray[np.bool_]:
+    """(m,) items in groups that have more wrong ones than half of `CHANCE` allows;  groupings : (m,) groups of each."""
+    p_values, chosen = [], [np.zeros(len(wrong), dtype=bool)]
+    for groups in groupings:
         sizes, found = np.bincount(groups), np.bincount(groups, wrong)
         x = 2
         while x <= found.max():
-            p_values.append(pdtrc(np.sum(found >= x) - 1, np.sum(bdtrc(x - 1, sizes, np.mean(wrong)))))
-            rows = (found >= x)[groups]
-            chosen.append(rows if wrong is outlier else rows[posture])
+            p_values.append(pdtrc(np.sum(found >= x) - 1, np.sum(_tail(x, sizes, int(wrong.sum()), len(wrong)))))
+            chosen.append((found >= x)[groups])
             x = 2 * x - 1
-    structure = np.zeros(len(outlier), dtype=bool)
-    for p, rows in zip(p_values, chosen, strict=True):
-        structure |= rows & outlier & (p <= CHANCE / len(p_values))
-    return structure
+    limit = 0.5 * CHANCE / max(len(p_values), 1)
+    return np.any([rows for rows, p in zip(chosen, [0.0, *p_values], strict=True) if p <= limit], axis=0)
+
+
+def _tail(x: int, sizes: NDArray[np.int64], wrong: int, count: int) -> Array:
+    """(g,) probability of x or more of the wrong ones of a number of items in a group of each size."""
+    k = np.arange(x, wrong + 1)[:, None]
+    logs = _log_ways(sizes, k) + _log_ways(count - sizes, wrong - k) - _log_ways(np.array(count), np.array(wrong))
+    return np.asarray(np.sum(np.exp(logs), axis=0))
+
+
+def _log_ways(n: NDArray[np.int64], k: NDArray[np.int64]) -> Array:
+    """Logarithm of the number of ways to choose k of n."""
+    there = k <= n
+    return np.where(there, -np.log1p(n) - betaln(np.where(there, n - k, 0) + 1.0, k + 1.0), -np.inf)
 
 
 def studentised(

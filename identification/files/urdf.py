@@ -122,7 +122,11 @@ class Urdf:
     def _origin(self, element: ElementTree.Element) -> Array:
         """(4, 4) [mm]."""
         place = self._numbers(element, "origin", "xyz", (0.0, 0.0, 0.0)) * METER
-        return pose(place, from_roll_pitch_yaw(*self._numbers(element, "origin", "rpy", (0.0, 0.0, 0.0))))
+        return pose(place, from_roll_pitch_yaw(*self._turn(element)))
+
+    def _turn(self, element: ElementTree.Element) -> Array:
+        """(3,) roll, pitch and yaw [rad]."""
+        return self._numbers(element, "origin", "rpy", (0.0, 0.0, 0.0))
 
     def _numbers(self, element: ElementTree.Element, tag: str, key: str, default: Sequence[float]) -> Array:
         """(3,) numbers of an attribute."""
@@ -199,21 +203,22 @@ def _check_once(path: PathLike, what: str, names: Sequence[str]) -> None:
 
 
 def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> str:
-    """The file's text with the moving joints of the chain at other origins.
+    """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its own.
 
     origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `SpatialChain`
     """
-    corrected: dict[str, Array] = {}
+    corrected, drawn = dict[str, Array](), dict[str, Array]()
     remaining, fixed = list(origins), np.eye(4)
     for element in urdf.elements(base, tip):
         if element.get("type") == FIXED:
             fixed = fixed @ urdf._origin(element)
         else:
             corrected[str(element.get("name"))] = np.linalg.inv(fixed) @ remaining.pop(0)
+            drawn[str(element.get("name"))] = urdf._turn(element)
             fixed = np.eye(4)
     text = urdf.text.encode()
     for start, end, name, closed in sorted(_origin_places(text, corrected), reverse=True):
-        text = text[:start] + _origin_element(corrected[name], closed).encode() + text[end:]
+        text = text[:start] + _origin_element(corrected[name], closed, drawn[name]).encode() + text[end:]
     return text.decode()
 
 
@@ -244,9 +249,9 @@ def _link(name: str, joint: str, kind: str, parent: str, inner: str) -> list[str
     return [f'  <link name="{name}"/>', f'  <joint name="{joint}" type="{kind}">{ends}{inner}</joint>']
 
 
-def _origin_element(matrix: Array, closed: bool) -> str:
+def _origin_element(matrix: Array, closed: bool, near: Array | None = None) -> str:
     place = " ".join(f"{float(x):.17g}" for x in matrix[:3, 3] / METER)
-    turn = " ".join(f"{float(x):.17g}" for x in roll_pitch_yaw(matrix[:3, :3]))
+    turn = " ".join(f"{float(x):.17g}" for x in roll_pitch_yaw(matrix[:3, :3], near))
     return f'<origin xyz="{place}" rpy="{turn}"{"/>" if closed else ">"}'
 
 

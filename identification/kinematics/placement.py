@@ -16,6 +16,7 @@ from identification.arrays import Array
 from identification.kinematics.frames import pose
 
 ROUNDS = 200  # effort: of each start
+STILL = 0.01  # motion of a point 1 mm from the flange's center [mm] (RMS): less is lost in the errors of a drawing
 ENOUGH = 1e-6  # relative fall of the sum of squares in a round, below which a least-squares fit goes on from here
 
 
@@ -75,13 +76,14 @@ class _Moments(NamedTuple):
     """Means over the rows that the sum of squares needs, so that a round costs the same for any number of them.
 
     With positions p and rotations R of the tip and measured points y, each less its mean: of y p^T (3, 3), of y_k R
-    (3, 3, 3), of R^T p (3,), of R^T R (3, 3), of |p|^2 + |y|^2.
+    (3, 3, 3), of R^T p (3,), of R^T R (3, 3) and the inverse of that without what is still, of |p|^2 + |y|^2.
     """
 
     points: Array
     turns: Array
     along: Array
     gram: Array
+    inverse: Array
     squared: float
 
     @classmethod
@@ -91,7 +93,9 @@ class _Moments(NamedTuple):
         m = len(p)
         points, turns = y.T @ p / m, np.einsum("mk,mij->kij", y, turn) / m
         along, gram = np.einsum("mji,mj->i", turn, p) / m, np.einsum("mji,mjk->ik", turn, turn) / m
-        return cls(points, turns, along, gram, float(np.sum(p**2 + y**2)) / m)
+        values, axes = np.linalg.eigh(gram)
+        inverse = (axes * np.divide(1.0, values, out=np.zeros(3), where=values > STILL**2)) @ axes.T
+        return cls(points, turns, along, gram, inverse, float(np.sum(p**2 + y**2)) / m)
 
     def rotations(self, tools: Array) -> Array:
         """(s, 3, 3) best rotations of the base for tools (s, 3) (Kabsch)."""
@@ -102,7 +106,7 @@ class _Moments(NamedTuple):
     def tools(self, rotations: Array) -> Array:
         """(s, 3) best tools for rotations (s, 3, 3) of the base."""
         target = np.einsum("ski,kij->sj", rotations, self.turns) - self.along
-        return np.asarray(np.linalg.lstsq(self.gram, target.T, rcond=1e-9)[0].T)
+        return np.asarray(target @ self.inverse)
 
     def squares(self, rotations: Array, tools: Array) -> Array:
         """(s,) mean squared distances left [mm^2]."""

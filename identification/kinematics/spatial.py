@@ -30,6 +30,7 @@ from identification.vectorize import vectorize
 DIMENSION = 3  # coordinates of a point
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 ALIGNED = 1.0 - 1e-12  # cosine from which an axis is one of the frame's own
+FARTHEST = 3.0  # times reach and tool: no measured point is farther from where it is drawn or found first
 Values = Mapping[str, ca.SX | float]  # parameter name -> value
 
 
@@ -153,8 +154,9 @@ class SpatialChain(ByValue):
         """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
         and six errors, and last the radius of a sphere that is touched, where nobody knows it."""
         found = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
-        for name in self.tools:
-            of_tool = _six(f"tool[{name}].", f"tool[{name}].r", "", self.angle_scale or 1.0, (TOOL, TOOL), None)
+        for name, place in self.tools.items():
+            far = FARTHEST * (self.reach + float(np.linalg.norm(place)))
+            of_tool = _six(f"tool[{name}].", f"tool[{name}].r", "", self.angle_scale or 1.0, (TOOL, TOOL), None, far)
             found += of_tool[: DIMENSION if self.angle_scale is None else 2 * DIMENSION]
         kinds = TRANSLATION_ERROR, ROTATION_ERROR
         for j, (joint, lever) in enumerate(zip(self.joints, self.levers.tolist(), strict=True), start=1):
@@ -266,9 +268,16 @@ def _of_marker(found: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
 
 
 def _six(
-    translation: str, rotation: str, suffix: str, lever: float, kinds: Sequence[str], joint: int | None
+    translation: str,
+    rotation: str,
+    suffix: str,
+    lever: float,
+    kinds: Sequence[str],
+    joint: int | None,
+    farthest: float = np.inf,
 ) -> list[Parameter]:
-    found = [Parameter(f"{translation}{axis}{suffix}", "mm", kind=kinds[0], joint=joint) for axis in AXES]
+    moves = (f"{translation}{axis}{suffix}" for axis in AXES)
+    found = [Parameter(name, "mm", -farthest, farthest, kind=kinds[0], joint=joint) for name in moves]
     turns = (f"{rotation}{axis}{suffix}" for axis in AXES)
     return found + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in turns]
 

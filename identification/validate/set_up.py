@@ -17,6 +17,7 @@ from identification.kinematics.corrected import composed_tools
 from identification.kinematics.spatial import TOOL
 from identification.measurements import Measurements
 
+HARDLY = 0.1  # of how far a point is moved: a standard deviation that adds hardly anything to it
 GAIN = 1.25  # of the sum of squares: a tenth of the RMS error; less is not worth another set of parameters
 
 
@@ -61,22 +62,22 @@ def with_mounting_doubted(
         return found
     if fdtrc(more, apart.dof, (held - free) / more / max(free / apart.dof, np.finfo(float).tiny)) > LEVEL:
         return found
-    moved = {new: size for new, size in _moved(apart, old).items() if size is not None}
-    if not moved:
+    if not (moved := _moved(apart, old)):
         return found
-    which = "; ".join(f"{new.replace(' of ', ' in session ', 1)}: {size:.3g} mm away" for new, size in moved.items())
+    which = "; ".join(f"{new.replace(' of ', ' in session ', 1)}: {size} mm away" for new, size in moved.items())
     fall = f"the RMS falls from {found.rms_after:.4g} to {apart.rms_after:.4g} mm where each has a name of its own"
     said = f"reflectors are mounted elsewhere than in the session before ({which}): {fall}"
     return replace(found, doubts=(f"{said}; name them otherwise there, in the column marker", *found.doubts))
 
 
-def _moved(apart: Identification, old: dict[str, str]) -> dict[str, float | None]:
-    """How far each point is from where the session before has it [mm]; None: not significantly."""
+def _moved(apart: Identification, old: dict[str, str]) -> dict[str, str]:
+    """How far each point that is moved significantly is from where the session before has it [mm], along the directions
+    in which it is: the heights of a SCARA's reflectors, say, are hardly known."""
     chain = apart.model.arm.chain
     assert chain is not None
     places: dict[str, Array] = composed_tools(chain, apart.model.parameters.mapping(apart.parameters))
     index = {name: k for k, name in enumerate(apart.names)}
-    found: dict[str, float | None] = {}
+    found: dict[str, str] = {}
     for new, name in old.items():
         names = [f"{TOOL}[{each}].{axis}" for each in (new, name) for axis in "xyz"]
         if not {*names} <= {*index}:  # of a minimal set of parameters
@@ -84,8 +85,11 @@ def _moved(apart: Identification, old: dict[str, str]) -> dict[str, float | None
         columns = np.array([index[each] for each in names])
         difference = np.kron([[1.0, -1.0]], np.eye(3))
         covariance = difference @ apart.covariance[np.ix_(columns, columns)] @ difference.T
-        by = places[new] - places[name]
-        statistic = float(by @ np.linalg.lstsq(covariance, by, rcond=None)[0]) / 3.0
-        significant = fdtrc(3, apart.dof, statistic) <= LEVEL / len(old)
-        found[new] = float(np.linalg.norm(by)) if significant else None
+        variances, axes = np.linalg.eigh(covariance)
+        along = axes.T @ (places[new] - places[name])
+        statistics = along**2 / np.maximum(variances, np.finfo(float).tiny)
+        told = fdtrc(1, apart.dof, statistics) <= LEVEL / (3 * len(old))
+        if told.any():
+            told |= variances < HARDLY**2 * np.sum(along[told] ** 2)
+            found[new] = f"{'' if told.all() else 'at least '}{np.linalg.norm(along[told]):.3g}"
     return found

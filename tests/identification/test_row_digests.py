@@ -30,6 +30,16 @@ def test_shares_of_few_rows_are_exact(seed: int, both: int, first: int, second: 
     assert found.calibration == pytest.approx(both / (both + first))
 
 
+@pytest.mark.parametrize("decimals", [3, 4, 5])
+def test_rows_written_with_fewer_digits_are_known(decimals: int) -> None:
+    """Angles in degrees; of what is at half a step, rounding decides by itself."""
+    q, x = (np.random.default_rng(2).normal(0.0, size, (1000, 3)) for size in (60.0, 600.0))
+    found = rows_shared(digests(np.radians(q), x.round(5)), np.radians(q.round(decimals)), x.round(decimals))
+    assert min(found) > 0.8
+    again = x + np.random.default_rng(3).normal(0.0, 0.01, x.shape)
+    assert max(rows_shared(digests(np.radians(q), x), np.radians(q), again)) < 0.01
+
+
 def test_many_rows_take_bounded_space_and_show_a_part_of_them() -> None:
     text = digests(*of(slice(0, 9000)))
     assert len(text) == 4 * KEPT * BYTES // 3

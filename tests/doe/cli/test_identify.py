@@ -221,8 +221,8 @@ def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
 
 
 def test_rows_that_the_prior_comes_from_do_not_count_twice(folder: Folder) -> None:
-    """The same file, its rows in another order, some of them, with as many others, in other columns' units, and by way
-    of a second calibration; a calibration of an earlier version knows only its file."""
+    """The same file, its rows in another order, some of them, with as many others, in other columns' units, with three
+    digits, and by way of a second calibration; a calibration of an earlier version knows only its file."""
     folder.simulated()
     folder.simulated("again.csv", seed=1)
     folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
@@ -238,7 +238,9 @@ def test_rows_that_the_prior_comes_from_do_not_count_twice(folder: Folder) -> No
         "some.csv": [head, *mixed[:5]],
         "more.csv": [head, *others, *mixed],
         "radians.csv": radians.drop(names).write_csv().splitlines(),
+        "rounded.csv": table.with_columns(pl.selectors.float().round(3)).write_csv().splitlines(),
     }
+    assert files["rounded.csv"] != files["data.csv"]
     for name, lines in files.items():
         folder.write(name, "\n".join(lines) + "\n")
         done = folder.armcal("identify", "arm.toml", name, "--prior-from", "calibrated.toml", "--out", "twice.toml")
@@ -252,7 +254,7 @@ def test_rows_that_the_prior_comes_from_do_not_count_twice(folder: Folder) -> No
     folder.write("few.csv", "\n".join([head, *others, *mixed[:2]]) + "\n")
     few = folder.armcal("identify", "arm.toml", "few.csv", "--prior-from", "calibrated.toml")
     assert (few.code, "about 14 % of these rows (17 % of the calibration's own)" in few.err) == (0, True)
-    old = re.sub(r"row_digests = .*\n", "", folder.read("calibrated.toml"))
+    old = re.sub(r"digests_of_rows = .*\n", "", folder.read("calibrated.toml"))
     folder.write("old.toml", old)
     words = ["identify", "arm.toml", "data.csv", "--prior-from", "old.toml"]
     assert folder.armcal(*words).code == 2

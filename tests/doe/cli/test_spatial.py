@@ -384,3 +384,19 @@ def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Fo
     flat = spatial.armcal("design", "planar.toml", "--runs", "20")
     assert "Collisions" not in flat.out
     assert "collisions_checked" not in spatial.armcal("design", "planar.toml", "--runs", "20", "--json").data
+
+
+def test_the_prior_of_the_library_is_not_offered_where_the_geometry_predicts_better(folder: Folder) -> None:
+    """15 rows of a UR10, each predicted by fits to the others."""
+    head, *rows = (DATA / "ur10/series_A.csv").read_text().splitlines()
+    some = np.sort(np.random.default_rng(4).choice(len(rows), 15, replace=False))
+    folder.write("few.csv", "\n".join([head, *(rows[k] for k in some)]) + "\n")
+    words = ["identify", str(DATA / "ur10/ur10.toml"), "few.csv"]
+    done = folder.armcal(*words, "--library-prior", "--json")
+    offered, alone = done.data["offered"], folder.armcal(*words, "--json").data["cross_validated_mm"]
+    assert (offered["better"], offered["rows"]) == (False, 15)
+    assert offered["rms_mm"] > offered["rms_geometry_mm"] == pytest.approx(alone, rel=1e-9)
+    assert offered["rms_mm"] == pytest.approx(done.data["cross_validated_mm"], rel=1e-9)
+    said = f"no better than the geometry alone: {offered['rms_mm']:.3g} mm RMS"
+    assert said in done.err
+    assert f"against {alone:.3g} mm RMS" in done.err

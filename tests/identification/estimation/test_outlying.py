@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, hypergeom
 
 from identification.arm import Arm
 from identification.estimation import estimate, without_outliers
-from identification.estimation.outlying import OUTLIER, limit_of, outlying, studentised, together
+from identification.estimation.outlying import OUTLIER, _tail, limit_of, outlying, studentised, together
 from identification.information import column_space
 from identification.model import Model
 from identification.simulate import simulate
@@ -124,6 +124,22 @@ def test_whole_postures_and_a_stretch_of_one_joint_are_structure() -> None:
     largest = np.argsort(q[:, 1])[-12:]
     outlier = np.isin(np.arange(300), [*largest, *rng.choice(300, 3, replace=False)])
     assert set(largest) <= set(np.flatnonzero(together(outlier, q, np.arange(300))))
+
+
+def test_one_whole_posture_beside_lost_beams_is_structure() -> None:
+    """Of 150 postures with three reflectors: that any three of six wrong rows are one posture has a probability of
+    150 / C(450, 3) C(6, 3) = 2e-4."""
+    rng, outlier = np.random.default_rng(7), np.zeros((150, 3), dtype=bool)
+    outlier[40], outlier[[3, 90, 120], [0, 2, 1]] = True, True
+    q = np.repeat(rng.uniform(-3.0, 3.0, (150, 6)), 3, axis=0)
+    found = together(outlier.ravel(), q, np.repeat(np.arange(150), 3)).reshape(150, 3)
+    assert np.argwhere(found).tolist() == [[40, 0], [40, 1], [40, 2]]
+
+
+@pytest.mark.parametrize(("x", "wrong", "count"), [(2, 6, 100), (3, 20, 120), (9, 60, 300), (2, 3, 4)])
+def test_chance_of_a_group_is_hypergeometric(x: int, wrong: int, count: int) -> None:
+    sizes = np.array([1, 3, 4])
+    np.testing.assert_allclose(_tail(x, sizes, wrong, count), hypergeom.sf(x - 1, count, wrong, sizes), atol=1e-12)
 
 
 def test_postures_that_gravity_explains_are_no_outliers() -> None:

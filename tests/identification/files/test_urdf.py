@@ -15,6 +15,7 @@ from identification.kinematics.frames import from_roll_pitch_yaw, pose
 
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
 ENDS = ("world", "tool0")
+HALF = np.pi / 2.0
 
 
 def corrected(seed: int) -> list[Array]:
@@ -43,6 +44,20 @@ def test_corrected_origins_come_back_and_nothing_else_changes(tmp_path: Path) ->
     assert removed.sub("", text) == removed.sub("", URDF.read_text())
     assert '<origin xyz="9 9 9"/>' in text  # of a transmission, not of a joint
     assert '<origin rpy="0.1 -0.2 0.3" xyz="0.01 0.02 0.03"/>' in text  # of a fixed joint
+
+
+@pytest.mark.parametrize("drawn", [(-HALF, HALF, 0.7), (0.1, 2.0, -0.4), (-HALF, 0.0, 4.0)])
+def test_angles_are_the_nearest_to_those_drawn(tmp_path: Path, drawn: tuple[float, float, float]) -> None:
+    """In gimbal lock, too, where those of an origin that stays are its own, and of angles beyond the common ones."""
+    path, number = tmp_path / "robot.urdf", r'(<joint name="pan".*?rpy=")([^"]*)'
+    path.write_text(re.sub(number, rf"\g<1>{drawn[0]!r} {drawn[1]!r} {drawn[2]!r}", URDF.read_text(), flags=re.DOTALL))
+    urdf = read_urdf(path)
+    origins = [joint.origin for joint in urdf.chain(*ENDS).joints]
+    for more in (0.0, 1e-3):
+        origins[1] = origins[1] @ pose(rotation=from_roll_pitch_yaw(more, 0.0, 0.0))
+        (found,) = re.findall(number, with_origins(urdf, *ENDS, origins), flags=re.DOTALL)
+        written = np.array(found[1].split(), dtype=float)
+        np.testing.assert_allclose(written, drawn, rtol=0, atol=more + 1e-9)
 
 
 def test_a_joint_without_an_origin_gets_one(tmp_path: Path) -> None:

@@ -12,6 +12,9 @@ from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.inspection.data_checks import certainly_wrong_units
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
@@ -25,20 +28,29 @@ NOISE = 0.02  # [mm]
 POINTS = {"A": REFLECTOR, "B": np.array([-90.0, 70.0, 120.0])}
 ARM = Arm.of_chain(replace(CHAIN, tools={"1": np.zeros(3)}), name="six-axis")
 MOVED = np.array([1.0, -0.5, 2.0])
+SLIDE = DHRow(275.0, np.pi, 0.0, type="prismatic", limits=(0.0, 200.0))
+SCARA = chain_of([DHRow(0.0, 0.0, 300.0), DHRow(325.0, 0.0, 0.0), SLIDE, DHRow(0.0, 0.0, 50.0)], "modified")
 
 
-def cell(sessions: int, moved: dict[tuple[int, str], np.ndarray], seed: int, marked: bool = True) -> Measurements:
+def cell(
+    sessions: int,
+    moved: dict[tuple[int, str], np.ndarray],
+    seed: int,
+    marked: bool = True,
+    chain: SpatialChain = CHAIN,
+) -> Measurements:
     """Sessions of 30 postures with one or both of the points, of an arm that is off by some tenths, set up anew each
     time; points moved by (session, name)."""
     generator = np.random.default_rng(seed)
-    errors = {f"translation_{axis}:{j}": generator.normal(0.0, 0.2) for j in range(2, 7) for axis in "xz"}
+    errors = {f"translation_{axis}:{j}": generator.normal(0.0, 0.2) for j in range(2, len(chain) + 1) for axis in "xz"}
+    limits = np.transpose([(-2.0, 2.0) if j.type == REVOLUTE else (j.lower, j.upper) for j in chain.joints])
     tables = {}
     for k in range(sessions):
         turn, shift = Rotation.random(random_state=generator).as_matrix(), generator.uniform(-2e3, 2e3, 3)
-        q = np.repeat(generator.uniform(-2.0, 2.0, (30, 6)), 2 if marked else 1, axis=0)
+        q = np.repeat(generator.uniform(*limits, (30, len(chain))), 2 if marked else 1, axis=0)
         names = np.tile(["A", "B"] if marked else ["A"], 30)
         tools = [POINTS[name] + moved.get((k, name), 0.0) for name in names]
-        tips = np.array([tip_by_exponentials(CHAIN, row, errors, tool) for row, tool in zip(q, tools, strict=True)])
+        tips = np.array([tip_by_exponentials(chain, row, errors, tool) for row, tool in zip(q, tools, strict=True)])
         positions = tips @ turn.T + shift + NOISE * generator.standard_normal(tips.shape)
         tables[f"day {k + 1}"] = Measurements(q, positions, marker=names if marked else None)
     return pooled_sessions(tables)
@@ -92,6 +104,23 @@ def test_three_sessions_converge(moved: dict[tuple[int, str], np.ndarray]) -> No
         assert "A in session day 2" in said[0]
         assert "B in session day 3" in said[0]
         assert "B in session day 2" not in said[0]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_point_that_nothing_holds_stays_near_the_arm(seed: int) -> None:
+    """Two places of a reflector fitted as one: the sum of squares of a SCARA falls with its height, without an end. How
+    far they are apart is told across that height alone."""
+    away = np.random.default_rng(seed).uniform(-15.0, 15.0, 3)
+    data, arm = cell(2, {(1, "A"): away}, seed, marked=False, chain=SCARA), Arm.of_chain(SCARA)
+
+    def fit(data: Measurements) -> Identification:
+        return estimate(Model(with_sessions(arm, data)), data)
+
+    found = fit(data)
+    assert found.status is Status.converged
+    away_from, _, size = with_mounting_doubted(found, data, fit).doubts[0].partition(" at least ")
+    assert away_from == "reflectors are mounted elsewhere than in the session before (1 in session day 2:"
+    assert float(size.split()[0]) == pytest.approx(np.linalg.norm(away[:2]), rel=0.1)
 
 
 def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
