@@ -35,9 +35,7 @@ def headline(found: Diagnosis) -> str:
         beside=f", beside {named(found)}" if found.effects else "",
     )
     if found.verdict == "unknown" and described(found):
-        verdict = (
-            f"cause unknown ({place(found)} first): no effect in the library fits; {named(found)} describe the errors"
-        )
+        verdict = f"cause unknown ({place(found)} first): no effect in the library fits; {describing(found)} describe the errors"
     if found.offered is not None and not found.offered.better:
         verdict = f"{found.offered.sentence}; {verdict}"
     return f"not confirmed: {verdict}" if found.confirmed is False else verdict
@@ -64,13 +62,15 @@ def place(found: Diagnosis) -> str:
 
 
 def named(found: Diagnosis) -> str:
-    """The effects of the best set, or their number if the list is long; error curves by their joints."""
-    curves = {curve.key for curve in found.curves}
-    others = [name for name in found.effects if name not in curves]
-    said = [f"error curves of {of_joints([curve.joint for curve in found.curves])}"] if found.curves else []
-    title = " + ".join([*said, *others])
-    short = " + ".join([*said, f"{len(others)} effects"])
-    return title if len(title) <= SHORT or len(others) <= 1 else short
+    """The effects of the best set, or their number if the list is long."""
+    title = " + ".join(found.effects)
+    return title if len(title) <= SHORT or len(found.effects) <= 1 else f"{len(found.effects)} effects"
+
+
+def describing(found: Diagnosis) -> str:
+    """Error curves by their joints, and the effects beside them."""
+    curves = f"error curves of {of_joints([curve.joint for curve in found.curves])}"
+    return " + ".join([curves, *([named(found)] if found.effects else [])])
 
 
 def of_joints(joints: Sequence[int]) -> str:
