@@ -134,6 +134,7 @@ class PredictingModel:
 
     specs : entries of the arm file beyond the base's;  curves : among them
     sigma : of one coordinate [mm];  freedom : residual degrees of freedom
+    spread : (p, p) covariance as of noise, with a mean square distance of 1 mm^2 at the postures measured
     beside : what its parameters do not hold, and may be there: the error curves' own uncertainty, blocks that an arm
         file cannot have;  response : (p, c) by which the parameters would give way to the latter's c coefficients
     joint : (p + c, p + c) expected products of all errors
@@ -146,6 +147,7 @@ class PredictingModel:
     curves: tuple[Curve, ...]
     sigma: float
     freedom: int
+    spread: Array
     beside: tuple[Block, ...] = ()
     response: Array | None = None
     joint: Array | None = None
@@ -159,6 +161,10 @@ class PredictingModel:
         """(m, d) measured less computed positions [mm]."""
         position, _ = self.model.linearize(measurements.postures, self.values, conditions)
         return measurements.positions - position
+
+    def allowing(self, square: float) -> PredictingModel:
+        """With a further mean square distance [mm^2] in the covariance, as if there were so much more noise."""
+        return replace(self, covariance=self.covariance + max(square, 0.0) * self.spread)
 
     def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
         """(m, d, q) derivative of the positions with respect to all that is uncertain, and (q, q) the expected products
@@ -201,19 +207,16 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
     of_base = np.flatnonzero(index < g)
     response[np.ix_(of_base, np.flatnonzero(lacking))] = mixed.response[np.ix_(index[of_base], extra[lacking])]
     freedom = max(rows - round(mixed.effective), 1)
-    blocks = tuple(b for b, _ in beside)
-    p = len(index)
-    whole = PredictingModel(model, values, joint[:p, :p], every, curves, mixed.sigma, freedom, blocks, response, joint)
-    if not blocks:
-        return whole
+    p, blocks = len(index), tuple(b for b, _ in beside)
+    spread = np.zeros((p, p))
+    spread[np.ix_(of_base, of_base)] = mixed.normal[np.ix_(index[of_base], index[of_base])]
+    jacobian = model.jacobian(found.rows.postures, values, found.rows.conditions)
+    spread /= max(_mean_trace(jacobian, spread), 1e-300)
+    held = joint[:p, :p], every, curves, mixed.sigma, freedom
+    whole = PredictingModel(model, values, *held, spread, blocks, response, joint)
     # the file's covariance, which knows parameters only, gives as much at the postures measured as there is
     columns, products = whole.uncertain(found.rows.postures, found.rows.conditions)
-    missing = _mean_trace(columns, products) - _mean_trace(columns[:, :, :p], joint[:p, :p])
-    normal = np.zeros((p, p))
-    normal[np.ix_(of_base, of_base)] = mixed.normal[np.ix_(index[of_base], index[of_base])]
-    unit = _mean_trace(columns[:, :, :p], normal)
-    more = max(missing, 0.0) / max(unit, 1e-300) * normal
-    return replace(whole, covariance=whole.covariance + more)
+    return whole.allowing(_mean_trace(columns, products) - _mean_trace(columns[:, :, :p], joint[:p, :p]))
 
 
 def _mean_trace(columns: Array, covariance: Array) -> float:

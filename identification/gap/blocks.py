@@ -251,6 +251,10 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
         yield Block(
             "time", "time[parameters]", "time", 0.3 * OUTSIDE, columns=lambda w: w.varied(waves(_time(w), SLOW))
         )
+        if at.model.arm.gravity is not None:
+            yield Block(
+                "time", "time[load]", "time", 0.3 * OUTSIDE, columns=lambda w: _sagging(w, waves(_time(w), SLOW))
+            )
     temperature = rows.conditions.temperature
     if temperature is not None and np.ptp(temperature) > 0.0:
         unit = float(np.std(temperature))
@@ -289,10 +293,11 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
 
         for label, columns in (
             ("workspace", lambda w: w.moved(smooth(w))),
+            ("workspace[squares]", _bent),
             ("workspace[axes]", along_axes),
             ("workspace[radius]", outward),
         ):
-            yield Block("workspace", label, "workspace", OUTSIDE / 3.0, columns=columns)
+            yield Block("workspace", label, "workspace", OUTSIDE / 4.0, columns=columns)
 
 
 def _at_joint(j: int, functions: Callable[[Where], Array]) -> Callable[[Where], Array]:
@@ -311,10 +316,13 @@ def _time(w: Where) -> Array:
 
 
 def _one_sided(w: Where, j: int) -> Array:
-    """(m, 3) functions of a joint's angle that change sign with the direction of approach."""
+    """(m, 4) functions of a joint's angle and of its last move that change sign with the direction of approach."""
     assert w.conditions.directions is not None
     q = w.postures[:, j]
-    return w.conditions.directions[:, j, None] * np.stack([np.ones(len(q)), np.cos(q), np.sin(q)], axis=1)
+    moved = np.zeros(len(q)) if w.conditions.past is None else np.abs(q - np.asarray(w.conditions.past)[:, j, -1])
+    return w.conditions.directions[:, j, None] * np.stack(
+        [np.ones(len(q)), np.cos(q), np.sin(q), np.exp(-moved)], axis=1
+    )
 
 
 def _loaded(w: Where, j: int) -> Array:
@@ -322,6 +330,21 @@ def _loaded(w: Where, j: int) -> Array:
     moment = w.model.on_chain(lambda chain: chain.torques)(w.postures, w.conditions)[:, j]
     t = moment / max(float(np.sqrt(np.mean(np.square(moment)))), 1e-300)
     return np.stack([t, np.abs(t), t * np.abs(t), np.sign(t)], axis=1)
+
+
+def _sagging(w: Where, functions: Array) -> Array:
+    """(m, d, n w) columns of joints that yield to gravity by their moment times functions (m, w)."""
+    moments = w.model.on_chain(lambda chain: chain.torques)(w.postures, w.conditions)
+    sag = w.levers * (moments / max(float(np.sqrt(np.mean(np.square(moments)))), 1e-300))[:, None, :]
+    return (sag[:, :, :, None] * functions[:, None, None, :]).reshape(*w.position.shape, -1)
+
+
+def _bent(w: Where) -> Array:
+    """(m, d, w) columns of squares and products of the coordinates, in each direction."""
+    d = w.position.shape[1]
+    x = w.position / w.model.reach
+    squares = np.stack([x[:, a] * x[:, b] for a in range(d) for b in range(a, d)], axis=1)
+    return (np.eye(d)[None, :, :, None] * squares[:, None, None, :]).reshape(len(x), d, -1)
 
 
 def _wobble(w: Where, chain: SpatialChain, j: int) -> Array:

@@ -15,6 +15,7 @@ from identification.estimation.checks import check_measurements
 from identification.estimation.outlying import outlying, together
 from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.gap.average import PredictingModel, averaged
+from identification.gap.blocks import REST
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate_of, certainty, predicting_candidate, trial_list
 from identification.gap.confirmation.cross_validation import cross_validation
@@ -54,7 +55,7 @@ KINDS = {
     "wobble": "tilt or shift across the axis",
     "shared": "depends on other joints too",
     "history": "depends on the direction of approach",
-    "library": "many small effects",
+    REST: "many small effects",
 }
 
 
@@ -149,6 +150,9 @@ def diagnosis_of(
     repeats = repeat_finding(left, estimated, measurements, kept)
     over_sigma = misfit(left, estimated, measurements, library.arm.sigma, kept)
     likely = guarded(probabilities(found), repeats, over_sigma, measurements)
+    if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
+        scale = len(left.T) * predicting.sigma**2
+        predicting = predicting.allowing(scale * (1.0 - over_sigma.ratio**-2))
     verdict = likely.verdict
     named, *candidates = models(found, base, likely)
     something = verdict != "none"
@@ -172,7 +176,7 @@ def diagnosis_of(
     at_base = library.base.jacobian(base.rows.postures, base.values, base.rows.conditions)
     detectable = assess(library, base.rows, at_base, base.by_name, predicting.sigma)
     hidden = hidden_orders(found) if named.effects else ()
-    place = likely.place if verdict == "unknown" else None
+    place = likely.place if verdict == "unknown" and likely.place != REST else None
     return Diagnosis(
         arm=library.arm,
         verdict=verdict,
@@ -271,14 +275,20 @@ def unexplained_rows(found: Fit, rows: Rows) -> NDArray[np.bool_]:
 
 def geometry(base: Fit) -> PredictingModel:
     """The base model as a predicting model."""
-    return PredictingModel(base.model, base.values, base.covariance(), (), (), base.sigma, max(base.freedom, 1))
+    covariance = base.covariance()
+    columns = base.model.jacobian(base.rows.postures, base.values, base.rows.conditions)
+    unit = float(np.sum((columns @ covariance) * columns)) / len(columns)
+    spread = covariance / max(unit, 1e-300)
+    return PredictingModel(base.model, base.values, covariance, (), (), base.sigma, max(base.freedom, 1), spread)
 
 
 def shape_of(place: str | None, predicting: PredictingModel, one: Explanation) -> str | None:
     """Of what is outside the library, in words;  one : the likeliest explanation with something outside"""
     curves = (c.shape for c in predicting.curves if place == f"joint:{c.joint}")
     kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
-    return None if place is None else next(curves, None) or next(kinds, None)
+    if place is None:
+        return KINDS[REST] if any(b.parts for b in one.outside) else None
+    return next(curves, None) or next(kinds, None)
 
 
 def show_residuals(arm: Arm, measurements: Measurements, base: Fit, left: Array) -> Residuals:

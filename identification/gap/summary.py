@@ -35,7 +35,8 @@ def headline(found: Diagnosis) -> str:
         beside=f", beside {named(found)}" if found.effects else "",
     )
     if found.verdict == "unknown" and described(found):
-        verdict = f"cause unknown ({place(found)} first): no effect in the library fits; {describing(found)} describe the errors"
+        fits = f"no effect in the library fits; {describing(found)} describe the errors"
+        verdict = f"cause unknown ({place(found)} first): {fits}"
     if found.offered is not None and not found.offered.better:
         verdict = f"{found.offered.sentence}; {verdict}"
     return f"not confirmed: {verdict}" if found.confirmed is False else verdict
