@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -41,7 +40,8 @@ REST = "library"  # label of the rest of the library
 REST_SIZES = 2  # of `SIZES` that it may have: what is larger shows one effect at a time
 
 
-class Where(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Where:
     """Postures (m, n) [rad] and conditions at which the columns of blocks are wanted, at a model's parameters (p,)."""
 
     model: Model
@@ -56,6 +56,12 @@ class Where(NamedTuple):
         """With (m, d) computed positions [mm] and (m, d, n) levers of the joints [mm/rad]."""
         at = (postures, values, conditions)
         return cls(model, values, postures, conditions, model.position(*at), model.joint_levers(*at))
+
+    @cached_property
+    def moments(self) -> Array:
+        """(m, n) of gravity about the joints, their mean square 1."""
+        found = self.model.on_chain(lambda chain: chain.torques)(self.postures, self.conditions)
+        return np.asarray(found / max(float(np.sqrt(np.mean(np.square(found)))), 1e-300))
 
     def turned(self, joint: int, functions: Array) -> Array:
         """(m, d, w) columns of functions (m, w) that are added to the angle of a joint (from 0)."""
@@ -327,15 +333,13 @@ def _one_sided(w: Where, j: int) -> Array:
 
 def _loaded(w: Where, j: int) -> Array:
     """(m, 4) functions of the moment of gravity about a joint."""
-    moment = w.model.on_chain(lambda chain: chain.torques)(w.postures, w.conditions)[:, j]
-    t = moment / max(float(np.sqrt(np.mean(np.square(moment)))), 1e-300)
+    t = w.moments[:, j]
     return np.stack([t, np.abs(t), t * np.abs(t), np.sign(t)], axis=1)
 
 
 def _sagging(w: Where, functions: Array) -> Array:
     """(m, d, n w) columns of joints that yield to gravity by their moment times functions (m, w)."""
-    moments = w.model.on_chain(lambda chain: chain.torques)(w.postures, w.conditions)
-    sag = w.levers * (moments / max(float(np.sqrt(np.mean(np.square(moments)))), 1e-300))[:, None, :]
+    sag = w.levers * w.moments[:, None, :]
     return (sag[:, :, :, None] * functions[:, None, None, :]).reshape(*w.position.shape, -1)
 
 

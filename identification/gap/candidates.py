@@ -106,7 +106,8 @@ def trial_list(found: Posterior) -> tuple[Trial, ...]:
     for k, block in enumerate(problem.blocks):
         if block.named:
             own = products.places([k])
-            gain = float(products.right[own] @ np.linalg.pinv(products.rows([k])[:, own]) @ products.right[own])
+            gram = products.columns[:, own].T @ products.columns[:, own]
+            gain = float(products.right[own] @ np.linalg.pinv(gram) @ products.right[own])
             rest = max(products.freedom - len(own), 1)
             f = gain / len(own) / (max(products.squares - gain, 1e-300) / rest)
             odds = float(added[k] + np.log(block.weight / total))
