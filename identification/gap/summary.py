@@ -44,7 +44,7 @@ def headline(found: Diagnosis) -> str:
 
 def described(found: Diagnosis) -> bool:
     """Whether an error curve describes the unknown effect: its size and shape are known, its cause is not."""
-    return found.where in {f"joint:{curve.joint}" for curve in found.curves}
+    return (found.where, found.shape) in {(f"joint:{curve.joint}", curve.shape) for curve in found.curves}
 
 
 def among(found: Diagnosis) -> str:
@@ -85,7 +85,7 @@ def of_joints(joints: Sequence[int]) -> str:
 
 def findings(found: Diagnosis, *, orders: bool = True) -> list[str]:
     """Findings that belong to the verdict, one clause each;  orders : those about waves of undetermined order too"""
-    shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else []
+    shape = [f"its shape: {found.shape}"] if found.shape and not described(found) else []
     return [
         *shape,
         *unexplained(found),
