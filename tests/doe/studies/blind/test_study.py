@@ -327,7 +327,10 @@ CALM = {"other_sets": [], "verdict": "named", "effects": ["a:1"]}
         ({"probabilities": {"none": 0.6, "a:1": 0.4, "unknown": 0.0}}, "names less likely than none"),
         ({"effects": [], "probabilities": {"none": 0.3, "unknown": 0.7}}, "named nothing"),
         (
-            {"probabilities": {"none": 0.0, "a:1": 0.2, "unknown": 0.1, "other sets": 0.7}, "other_sets": [("b:1", 0.7)]},
+            {
+                "probabilities": {"none": 0.0, "a:1": 0.2, "unknown": 0.1, "other sets": 0.7},
+                "other_sets": [("b:1", 0.7)],
+            },
             "named less likely than others",
         ),
         ({"probabilities": {"none": 0.0, "a:1": 0.4, "b:1": 0.35, "unknown": 0.25}}, "named at less than a half"),
