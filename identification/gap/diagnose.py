@@ -248,7 +248,7 @@ def models(found: Posterior, base: Fit, likely: Probabilities) -> list[Candidate
         keys = [h.key for h in one.effects]
         p = likely.of(keys) if likely.verdict != "unknown" else None
         best = max(likely.of(likely.best), 1e-300)
-        delta = 0.0 if p is None else -2.0 * float(np.log(max(p, 1e-300) / best))
+        delta = -2.0 * float(np.log(max(p, 1e-300) / best)) if rivals and p is not None else 0.0
         candidates.append(candidate_of(fitted, len(one.effects), sure, max(float(gain), 0.0), p, delta))
     listed = candidates if rivals or (likely.verdict == "unknown" and candidates[0].effects) else []
     return [candidates[0], *listed]
@@ -288,7 +288,7 @@ def shape_of(place: str | None, predicting: PredictingModel, one: Explanation) -
     kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
     if place is None:
         return KINDS[REST] if any(b.parts for b in one.outside) else None
-    return next(curves, None) or next(kinds, None)
+    return next(filter(None, kinds), None) or next(curves, None)
 
 
 def show_residuals(arm: Arm, measurements: Measurements, base: Fit, left: Array) -> Residuals:

@@ -25,7 +25,7 @@ def judged(found: Diagnosis, arm: Arm, measurements: Measurements, holdout: Meas
 
     arm : as it was diagnosed;  measurements, holdout : as for `diagnose`
     """
-    if not found.predicting.specs:
+    if found.verdict == "none" or not found.predicting.specs:
         return found
     if holdout is None:
         tests = [test for test in found.cross_validation if test.transfer == "other postures"]
