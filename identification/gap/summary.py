@@ -49,9 +49,7 @@ def described(found: Diagnosis) -> bool:
 
 def among(found: Diagnosis) -> str:
     """What the probabilities leave open: names that are shapes rather than causes, and rows too few for a test."""
-    shapes = (
-        ["among the library's shapes, whatever makes them"] if found.effects and (found.shapes or found.curves) else []
-    )
+    shapes = ["among the library's shapes, whatever makes them"] if found.effects and found.shapes else []
     few = found.effects and found.tests and all(test.confirmed is None for test in found.tests)
     said = [*shapes, *(["too few rows to confirm it on others"] if few else [])]
     return f" ({'; '.join(said)})" if said else ""
@@ -85,7 +83,7 @@ def of_joints(joints: Sequence[int]) -> str:
 
 def findings(found: Diagnosis, *, orders: bool = True) -> list[str]:
     """Findings that belong to the verdict, one clause each;  orders : those about waves of undetermined order too"""
-    shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else []
+    shape = [f"its shape: {found.shape}"] if found.shape and not described(found) else []
     return [
         *shape,
         *unexplained(found),

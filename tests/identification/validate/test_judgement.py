@@ -55,16 +55,16 @@ def test_the_figures_are_those_of_validate_on_the_same_rows(
     assert found.to_json()["offered"]["rms_mm"] == found.offered.rms
     assert found.gap.held_out_after is not None
     assert found.offered.rms > 1.5 * found.gap.held_out_after  # which had the drift of each row's time
-    said = "base_drift: of this session only", "base_drift: of the session of the identification only"
-    assert any(said[0] in note for note in found.notes)
-    assert any(said[1] in note for note in extended.notes)
+    assert any("base_drift: of this session only" in note for note in found.notes)
+    assert any("base_drift" in note and "of the session of the identification only" in note for note in extended.notes)
 
 
 def worse(found: Diagnosis) -> Diagnosis:
     """The diagnosis with an effect ten times as large as it is."""
-    values = {k: 10.0 * v if k.startswith("backlash") else v for k, v in found.named.calibration.values.items()}
-    calibration = Calibration(values, found.named.calibration.parameter_names, found.named.calibration.covariance)
-    return replace(found, named=replace(found.named, calibration=calibration))
+    kept = found.predicting.calibration
+    values = {k: 10.0 * v if k.startswith("backlash") else v for k, v in kept.values.items()}
+    calibration = Calibration(values, kept.parameter_names, kept.covariance)
+    return replace(found, predicting=replace(found.predicting, calibration=calibration))
 
 
 def test_a_model_that_is_worse_says_so_first(drifting: tuple[Diagnosis, Measurements, Measurements]) -> None:
