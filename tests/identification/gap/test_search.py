@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
-from scipy.special import logsumexp
+from scipy.special import logsumexp, zeta
 
-from identification.gap.evidence import Products
-from identification.gap.search import SOME, TAIL, WRONG, Search, log_odds_of_count, shares
+from identification.gap import search as search_module
+from identification.gap.evidence import SIZES, Products
+from identification.gap.search import REST_ODDS, SOME, TAIL, WRONG, Search, Weighed, log_odds_of_count, shares
 
-WIDTHS = (1, 2, 1, 1, 2, 1, 1)
+WIDTHS = (1, 2, 1, 1, 2, 1, 1, 3)
+COUNT = len(WIDTHS)
 STARTS = np.concatenate([[0], np.cumsum(WIDTHS)])
-WEIGHTS = np.array([1.0, 0.5, 1.0, 0.2, 0.5, 1.0, 0.0])
-ROWS = np.array([False] * 6 + [True])
+WEIGHTS = np.array([1.0, 0.5, 1.0, 0.2, 0.5, 1.0, 0.0, 1.0])
+ROWS = np.arange(COUNT) == 6
+REST = frozenset({7})
+SIZES_OF_EACH = 3
+
+
+@pytest.fixture(autouse=True)
+def _long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Walks so long that what they find is where they lead to."""
+    monkeypatch.setattr(search_module, "MOVES", 10000)
 
 
 def products(seed: int, sizes: dict[int, float]) -> Products:
@@ -23,47 +33,77 @@ def products(seed: int, sizes: dict[int, float]) -> Products:
     z = rng.normal(size=(40, STARTS[-1])) / np.sqrt(40.0)
     z[:, 3] = 0.9 * z[:, 0] + 0.44 * z[:, 3]
     y = rng.normal(size=40) + sum((size * z[:, k] for k, size in sizes.items()), np.zeros(40))
-    return Products(z.T @ z, z.T @ y, float(y @ y), 36, STARTS, np.zeros(7, dtype=bool))
+    return Products(z, y, 36, STARTS, np.zeros(COUNT, dtype=bool), np.full(COUNT, SIZES_OF_EACH))
+
+
+def exact(search: Search) -> dict[tuple[int, ...], float]:
+    """Probability of every set, of all combinations of sizes."""
+    odds = {}
+    for blocks in (b for k in range(COUNT + 1) for b in combinations(range(COUNT), k)):
+        if np.isfinite(prior := search.log_prior(blocks)):
+            each = product(SIZES[:SIZES_OF_EACH], repeat=len(blocks))
+            ratios = [search.products.ratio(blocks, np.array(s)) for s in each]
+            odds[blocks] = prior + logsumexp(ratios) - len(blocks) * np.log(SIZES_OF_EACH)
+    total = logsumexp(list(odds.values()))
+    return {blocks: float(np.exp(o - total)) for blocks, o in odds.items()}
+
+
+def variation(search: Search, sets: list[Weighed]) -> float:
+    """Total variation between what a walk found and all sets."""
+    found = {one.blocks: p for one, p in zip(sets, shares(sets).tolist(), strict=True)}
+    assert sum(found.values()) == pytest.approx(1.0)
+    return 0.5 * sum(abs(p - found.get(blocks, 0.0)) for blocks, p in exact(search).items())
 
 
 @pytest.mark.parametrize(
-    ("seed", "sizes"), [(1, {}), (2, {0: 8.0}), (3, {0: 10.0, 5: -9.0}), (4, {1: 6.0, 3: 7.0, 6: 9.0})]
+    ("seed", "sizes"), [(1, {}), (2, {0: 8.0}), (3, {0: 10.0, 6: -9.0}), (4, {1: 6.0, 3: 7.0, 8: 9.0})]
 )
-def test_probabilities_are_those_of_all_sets(seed: int, sizes: dict[int, float]) -> None:
-    given = products(seed, sizes)
-    search = Search(given, WEIGHTS, ROWS)
-    sets = search.posterior()
-    found = {one.blocks: p for one, p in zip(sets, shares(sets), strict=True)}
-    exact = {}
-    for count in range(8):
-        for blocks in combinations(range(7), count):
-            start = (2,) * count
-            exact[blocks] = given.likeliest(blocks, start).ratio + Search(given, WEIGHTS, ROWS).log_prior(blocks)
-    total = logsumexp(list(exact.values()))
-    assert sum(found.values()) == pytest.approx(1.0)
-    for blocks, odds in exact.items():  # neighbors of what was expanded are weighed at the sizes of the others
-        assert found.get(blocks, 0.0) == pytest.approx(np.exp(odds - total), abs=0.01)
+def test_a_walk_finds_the_probabilities_of_all_sets(seed: int, sizes: dict[int, float]) -> None:
+    search = Search(products(seed, sizes), WEIGHTS, ROWS, REST)
+    sets = search.walk(search.climb(), np.random.default_rng(seed))
+    assert variation(search, sets) < 0.05
+
+
+def test_a_walk_keeps_to_what_may_be_together() -> None:
+    """Blocks 0 and 2 are one, 5 shows through 1 only."""
+    given = products(5, {0: 10.0, 1: 12.0, 7: 12.0})
+    limits = {"apart": frozenset({(0, 2)}), "needy": frozenset({5}), "givers": frozenset({1})}
+    search = Search(given, WEIGHTS, ROWS, REST, **limits)
+    sets = search.walk(search.climb(), np.random.default_rng(1))
+    assert not any({0, 2} <= set(one.blocks) for one in sets)
+    assert any(5 in one.blocks for one in sets)
+    assert all(1 in one.blocks for one in sets if 5 in one.blocks)
+    assert variation(search, sets) < 0.05
+
+
+def test_a_walk_among_the_near_blocks_has_the_same_odds() -> None:
+    """Blocks that are left out take their weight along, and all sets with them are unlikely together."""
+    search = Search(products(3, {0: 25.0, 6: -25.0}), WEIGHTS, ROWS, REST)
+    near = search.near(search.climb())
+    absent = [p for blocks, p in exact(search).items() if not set(blocks) <= set(near)]
+    assert sum(absent) < 0.05
+    few = Search(search.products.of(near), WEIGHTS[near], ROWS[near], total=float(WEIGHTS[~ROWS].sum() - WEIGHTS[7]))
+    single = near.index(0)
+    assert few.log_prior((single,)) == pytest.approx(search.log_prior((0,)))
 
 
 def test_the_prior_is_that_of_drawing_blocks() -> None:
-    """p(K) is normalized, and the probabilities of all sets of K blocks drawn in any order sum to it, nearly."""
+    """p(K) is normalized, and of K blocks drawn one after the other each set has the probability of all its orders."""
     counts = np.array([0.0, *(np.exp(log_odds_of_count(k)) / np.prod(np.arange(1.0, k + 1.0)) for k in range(1, 150))])
-    assert counts.sum() == pytest.approx(SOME, rel=1e-4)
+    beyond = SOME / zeta(TAIL) * zeta(TAIL, 150)
+    assert counts.sum() + beyond == pytest.approx(SOME, rel=1e-10)
     assert counts[2] / counts[1] == pytest.approx(2.0**-TAIL)
-    search = Search(products(1, {}), WEIGHTS, ROWS)
+    search = Search(products(1, {}), WEIGHTS, ROWS, REST)
+    chances = WEIGHTS[:6] / WEIGHTS[:6].sum()
     one = [search.log_prior((b,)) for b in range(6)]
-    np.testing.assert_allclose(np.exp(one), counts[1] * WEIGHTS[:6] / WEIGHTS.sum())
+    np.testing.assert_allclose(np.exp(one), counts[1] * chances)
+    for k in (1, 2, 3):
+        drawn = [np.prod(chances[list(d)]) for d in product(range(6), repeat=k) if len(set(d)) == k]
+        every = [np.exp(search.log_prior(blocks)) for blocks in combinations(range(6), k)]
+        assert sum(every) == pytest.approx(counts[k] * sum(drawn))
     assert search.log_prior((6,)) == pytest.approx(np.log(WRONG))
-    assert search.log_prior((2, 6)) == pytest.approx(one[2] + np.log(WRONG))
-
-
-def test_what_contains_another_or_needs_one_is_not_beside_or_without_it() -> None:
-    given = products(5, {0: 10.0, 1: 12.0, 7: 12.0})
-    apart = Search(given, WEIGHTS, ROWS, frozenset({(0, 2)})).posterior()
-    assert not any({0, 2} <= set(one.blocks) for one in apart)
-    needy = Search(given, WEIGHTS, ROWS, frozenset(), frozenset({5}), frozenset({1})).posterior()
-    assert any(5 in one.blocks for one in needy)
-    assert all(1 in one.blocks for one in needy if 5 in one.blocks)
+    assert search.log_prior((7,)) == pytest.approx(np.log(REST_ODDS))
+    assert search.log_prior((2, 6, 7)) == pytest.approx(one[2] + np.log(WRONG) + np.log(REST_ODDS))
 
 
 def test_two_blocks_that_hide_each_other_are_found() -> None:
@@ -71,6 +111,7 @@ def test_two_blocks_that_hide_each_other_are_found() -> None:
     z = rng.normal(size=(60, 12)) / np.sqrt(60.0)
     z[:, 1] = -0.97 * z[:, 0] + 0.24 * z[:, 1]
     y = rng.normal(size=60) + 40.0 * (z[:, 0] + z[:, 1])
-    given = Products(z.T @ z, z.T @ y, float(y @ y), 56, np.arange(13), np.zeros(12, dtype=bool))
-    best = Search(given, np.ones(12), np.zeros(12, dtype=bool)).posterior()[0]
-    assert best.blocks == (0, 1)
+    given = Products(z, y, 56, np.arange(13), np.zeros(12, dtype=bool), np.full(12, len(SIZES)))
+    search = Search(given, np.ones(12), np.zeros(12, dtype=bool))
+    assert search.climb().blocks == (0, 1)
+    assert search.walk(search.climb(), np.random.default_rng(1))[0].blocks == (0, 1)
