@@ -89,7 +89,7 @@ def predicting_candidate(model: PredictingModel, named: Candidate, postures: Arr
 
 def estimates(model: Model, values: Array, sure: Uncertainty, names: set[str]) -> tuple[Estimate, ...]:
     """Estimates and 95 % intervals of the parameters with these names."""
-    parameters, deviations = model.parameters, np.sqrt(np.diag(sure.covariance))
+    parameters, deviations = model.parameters, np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
     limits = limits_95(parameters, values, deviations, sure.freedom)
     figures = np.column_stack([values, deviations, limits])
     rows = zip(parameters, figures, strict=True)

@@ -292,7 +292,7 @@ def shape_of(place: str | None, curves: Sequence[Curve], one: Explanation) -> st
     kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
     if place is None:
         return KINDS[REST] if any(b.parts for b in one.outside) else None
-    return next(there, None) or next(kinds, None)
+    return next(filter(None, kinds), None) or next(there, None)
 
 
 def show_residuals(arm: Arm, measurements: Measurements, base: Fit, left: Array) -> Residuals:

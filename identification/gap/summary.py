@@ -44,7 +44,7 @@ def headline(found: Diagnosis) -> str:
 
 def described(found: Diagnosis) -> bool:
     """Whether an error curve describes the unknown effect: its size and shape are known, its cause is not."""
-    return found.where in {f"joint:{curve.joint}" for curve in found.curves}
+    return (found.where, found.shape) in {(f"joint:{curve.joint}", curve.shape) for curve in found.curves}
 
 
 def among(found: Diagnosis) -> str:

@@ -111,7 +111,11 @@ def test_rivals_and_their_probabilities_are_kept_in_the_file(sessions: Folder) -
     assert {"none", "unknown", *(" + ".join(c["effects"]) for c in said["candidates"])} == set(chances) - {"other sets"}
     assert kept.provenance["delta_bic"] == {" + ".join(c["effects"]): c["delta_bic"] for c in said["candidates"]}
     json.dumps(dict(kept.provenance))
-    assert kept.provenance["scatter_mm"] == pytest.approx(said["sigma_mm"], rel=0.02)  # all that `advise` needs
+    # of the posterior, within the standard error of a fit by least squares: all that `advise` needs
+    rows = len(sessions.read("data.csv").splitlines()) - 1
+    free = 2 * rows - len(kept.parameter_names)
+    scatter = said["gap"]["rms_after_mm"] * np.sqrt(rows / free)
+    assert kept.provenance["scatter_mm"] == pytest.approx(scatter, rel=1.0 / np.sqrt(2.0 * free))
     assert sessions.armcal("advise", "extended.toml", "--only", "base", "--runs", "3").code == 0
 
 

@@ -125,11 +125,12 @@ def test_same_seed_same_postures_and_payload_is_a_choice() -> None:
 
 
 def test_postures_come_from_a_list_that_is_given() -> None:
+    """Of a list with the best of all postures, this one is taken first."""
     found, data = ambiguous()
-    chosen = discriminate(ARM, found, data, 4, pool=data.postures).plan.postures
-    assert all(any(np.array_equal(q, listed) for listed in data.postures) for q in chosen)
-    only = data.postures[:1]
-    assert np.all(discriminate(ARM, found, data, 2, pool=only).plan.postures == only)
+    best = discriminate(ARM, found, data, 1, seed=1).plan.postures[0]
+    pool = np.vstack([data.postures, best])
+    assert np.all(discriminate(ARM, found, data, 1, pool=pool).plan.postures == best)
+    assert all(np.any(np.all(pool == q, axis=1)) for q in discriminate(ARM, found, data, 3, pool=pool).plan.postures)
 
 
 def test_bad_input() -> None:

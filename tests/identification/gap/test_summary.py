@@ -33,10 +33,9 @@ def test_joints(joints: list[int], words: str) -> None:
     ],
 )
 def test_curves_describe_what_has_no_name(joints: tuple[int, ...], others: tuple[str, ...], words: str) -> None:
-    curves = [SimpleNamespace(joint=j, key=f"joint_error_curve:{j}") for j in joints]
-    labels = (*(curve.key for curve in curves), *others)
-    given = {"verdict": "unknown", "where": "joint:1", "candidates": (), "confirmed": False, "offered": None}
-    found = cast(Diagnosis, SimpleNamespace(effects=labels, curves=curves, **given))
+    curves = [SimpleNamespace(joint=j, shape=f"waves of joint {j}") for j in joints]
+    given = {"verdict": "unknown", "where": "joint:1", "shape": "waves of joint 1", "candidates": ()}
+    found = cast(Diagnosis, SimpleNamespace(effects=others, curves=curves, confirmed=False, offered=None, **given))
     assert headline(found) == f"not confirmed: cause unknown (joint 1 first): no effect in the library fits; {words}"
 
 

@@ -56,14 +56,14 @@ def test_the_figures_are_those_of_validate_on_the_same_rows(
     assert found.gap.held_out_after is not None
     assert found.offered.rms > 1.5 * found.gap.held_out_after  # which had the drift of each row's time
     assert any("base_drift: of this session only" in note for note in found.notes)
-    assert any("base_drift" in note and "of the session of the identification only" in note for note in extended.notes)
+    assert any("base_drift" in n and "of the session of the identification only" in n for n in extended.notes)
 
 
 def worse(found: Diagnosis) -> Diagnosis:
     """The diagnosis with an effect ten times as large as it is."""
-    kept = found.predicting.calibration
-    values = {k: 10.0 * v if k.startswith("backlash") else v for k, v in kept.values.items()}
-    calibration = Calibration(values, kept.parameter_names, kept.covariance)
+    own = found.predicting.calibration
+    values = {k: 10.0 * v if k.startswith("backlash") else v for k, v in own.values.items()}
+    calibration = Calibration(values, own.parameter_names, own.covariance)
     return replace(found, predicting=replace(found.predicting, calibration=calibration))
 
 
