@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -27,6 +28,7 @@ from identification.gap.confirmation.holdout import (
     held_out,
     other_set_up,
 )
+from identification.gap.curves.curve import Curve
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.detectability import assess, require_spare
@@ -171,12 +173,14 @@ def diagnosis_of(
     confirmation = None
     if holdout is not None and there is not None:
         confirmation = confirmation_of(measurements, holdout, there, something)
-    effects = library.model(likeliest_of(found, likely).effects)
-    fitted = fit(effects, found.noises[found.best.noise].rows.pick(kept), best.by_name)
+    shown = likeliest_of(found, likely)
+    fitted = fit(library.model(shown.effects), found.noises[found.best.noise].rows.pick(kept), best.by_name)
     at_base = library.base.jacobian(base.rows.postures, base.values, base.rows.conditions)
     detectable = assess(library, base.rows, at_base, base.by_name, predicting.sigma)
     hidden = hidden_orders(found) if named.effects else ()
     place = likely.place if verdict == "unknown" and likely.place != REST else None
+    joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
+    curves = tuple(curve for curve in predicting.curves if curve.joint in joints)
     return Diagnosis(
         arm=library.arm,
         verdict=verdict,
@@ -185,7 +189,7 @@ def diagnosis_of(
         predicting=predicting_candidate(predicting, named, base.rows.postures),
         aliases=(*hidden, *alias_list(detectable, tuple(candidates))),
         where=place,
-        shape=shape_of(place, predicting, likeliest_of(found, likely)),
+        shape=shape_of(place, curves, shown),
         scatter=(*scatter, *(repeats if not any(f.name == "repeats" for f in scatter) else ())),
         outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(~kept)),
         gap=gap,
@@ -201,7 +205,7 @@ def diagnosis_of(
         warnings=(*fit_doubts(library.arm, measurements, best, after), *other_set_up(there)),
         notes=(
             *order_notes(hidden),
-            *curve_notes(predicting.curves),
+            *curve_notes(curves),
             *worse,
             *notes(found, measurements, best, holdout, gap, over_sigma),
             *unexplained_note(left, unexplained),
@@ -209,7 +213,7 @@ def diagnosis_of(
         unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
         shapes=order_ranges(fitted, fitted.rows, named.effects),
         replication=replications(fitted, measurements, kept, named.effects),
-        curves=predicting.curves,
+        curves=curves,
     )
 
 
@@ -282,13 +286,13 @@ def geometry(base: Fit) -> PredictingModel:
     return PredictingModel(base.model, base.values, covariance, (), (), base.sigma, max(base.freedom, 1), spread)
 
 
-def shape_of(place: str | None, predicting: PredictingModel, one: Explanation) -> str | None:
+def shape_of(place: str | None, curves: Sequence[Curve], one: Explanation) -> str | None:
     """Of what is outside the library, in words;  one : the likeliest explanation with something outside"""
-    curves = (c.shape for c in predicting.curves if place == f"joint:{c.joint}")
+    there = (c.shape for c in curves if place == f"joint:{c.joint}")
     kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
     if place is None:
         return KINDS[REST] if any(b.parts for b in one.outside) else None
-    return next(filter(None, kinds), None) or next(curves, None)
+    return next(filter(None, kinds), None) or next(there, None)
 
 
 def show_residuals(arm: Arm, measurements: Measurements, base: Fit, left: Array) -> Residuals:
