@@ -42,7 +42,8 @@ def missing_section(data: Data) -> Section:
     """What is named, with its values."""
     if not data["effects"]:
         return Section("What is missing", f"{data['sentence'][:1].upper()}{data['sentence'][1:]}.")
-    several = "Every explanation within 6 BIC units of the best one." if len(data["candidates"]) > 1 else ""
+    least = "Every explanation with at least a twentieth of the best one's probability."
+    several = least if len(data["candidates"]) > 1 else ""
     text = f"{data['sentence'][:1].upper()}{data['sentence'][1:]}. {several}"
     return Section("What is missing", text, [candidate_sheet(data), *(sheet for _, sheet in estimate_sheets(data))])
 
@@ -64,8 +65,8 @@ def gap_text(data: Data) -> list[str]:
     source = "" if floor is None else f", from {known[data['gap']['noise_floor_from']]}"
     text = [
         "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: "
-        f"{noise}{source}; on rows that no fit has seen: what the named model predicts. A smaller gap alone does not "
-        "prove a name.",
+        f"{noise}{source}; on rows that no fit has seen: what the model predicts. A smaller gap alone does not prove a "
+        "name.",
         " ".join(said(test) for test in tests_of(data) if test["confirmed"] is not None),
         " ".join(f"Scatter: {Finding(f['finding'], f['p'], f['size'])}." for f in data["scatter"]),
     ]
@@ -98,8 +99,7 @@ def further_sections(data: Data, figures: Sequence[Figure] = ()) -> list[Section
     return [
         Section(
             "Everything that was tried",
-            "How likely each explanation is, the strongest effects one at a time against the base model, and in which "
-            "rounds the search came to its result.",
+            "How likely each explanation is, and the strongest effects one at a time against the base model.",
             [probability_sheet(data), trial_sheet(data)],
             folded=True,
         ),
@@ -141,14 +141,15 @@ def signed_section(diagnosis: Diagnosis) -> Section:
     from doe.report.gap_figures import rows_kept
     from doe.report.signed_residuals import READ, Compared, caption, signed_figures
 
-    shown, kept, named = diagnosis.residuals, rows_kept(diagnosis), diagnosis.effects
+    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
+    named = (*diagnosis.effects, *(curve.key for curve in diagnosis.curves))
     postures = np.column_stack([values for name, values in shown.against.items() if name.startswith("joint ")])
     postures, before, after = (values[kept] for values in (postures, shown.before, shown.after))
     model = Model(diagnosis.extended_arm())
     conditions = shown.conditions.rows(kept)
     figures = signed_figures(Compared(diagnosis.arm, postures, before, after, conditions, model, named))
     lead = caption("the model without what is named", "the model with what is named", named)
-    lead = lead if named else f"{READ} Nothing is named: before and after are one model."
+    lead = lead if named else f"{READ} Nothing is named: before and after are nearly one model."
     return Section("Signed error against each joint", lead, figures=figures)
 
 
@@ -188,7 +189,7 @@ def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence
     # deferred: tables need no pictures, and matplotlib takes longer to load than a small diagnosis
     from doe.report.gap_figures import against_figures, alias_figure, curve_figures, workspace_figure
 
-    data, arm = diagnosis.to_json(), diagnosis.extended_arm()
+    data, arm = diagnosis.to_json(), diagnosis.extended_arm(diagnosis.named)
     corrected = corrected_section(corrected_values(arm, diagnosis.named.calibration), arm.chain is not None)
     distances = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
     return [

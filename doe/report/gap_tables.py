@@ -60,7 +60,7 @@ def estimate_sheets(data: Data) -> list[tuple[str, Sheet]]:
 
 def is_described(data: Data) -> bool:
     """Whether error curves stand for what is unknown: the fitted set is no name for it, and has no probability."""
-    return data["where"] in {f"joint:{curve['joint']}" for curve in data.get("curves", ())}
+    return (data["where"], data["shape"]) in {(f"joint:{c['joint']}", c["shape"]) for c in data.get("curves", ())}
 
 
 def share(p: float | None) -> str:
@@ -77,12 +77,7 @@ def probability_sheet(data: Data) -> Sheet:
     """Every explanation that is not unlikely, with those that are no candidates."""
     other = {" + ".join(found["effects"]): found["probability"] for found in data["other_sets"]}
     credible = set(data["credible_set"])
-    fitted = {" + ".join(c["effects"]) for c in data["candidates"]} if is_described(data) else set()
-    rows = [
-        [name, share(p), "yes" if name in credible else ""]
-        for name, p in (data["probabilities"] | other).items()
-        if name not in fitted
-    ]
+    rows = [[name, share(p), "yes" if name in credible else ""] for name, p in (data["probabilities"] | other).items()]
     return Sheet(["explanation", "probability", "in the 90 % set"], rows)
 
 
@@ -193,6 +188,9 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     shown.append(Text(f"expected: {diagnosis.gap.floor} on the data; elsewhere what the model predicts"))
     shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is not None and not test.as_predicted]
     shown += effect_tables(diagnosis, data) if diagnosis.effects else excluded_tables(data)
+    if diagnosis.curves:
+        shown.append(as_table(curve_shape_sheet(data), "Error curves"))
+        shown.append(Text("waves: per turn, strongest first, and their share of the curve; --json has their sizes"))
     shown.append(Text(diagnosis.likely))
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
@@ -212,15 +210,12 @@ def excluded_tables(data: Data) -> list[Any]:
 
 
 def effect_tables(diagnosis: Diagnosis, data: Data) -> list[Any]:
-    """What is named: the tests, the estimates, the curves."""
+    """What is named: the tests, the estimates."""
     shown: list[Any] = [as_table(candidate_sheet(data))]
     shown += [as_table(sheet, title) for title, sheet in estimate_sheets(data)]
     shown.append(Text(f"95 % intervals: {diagnosis.named.reliance}"))
     if data["shapes"]:
         shown.append(as_table(order_sheet(data), "Shapes, not causes: waves of other orders fit as well"))
-    if diagnosis.curves:
-        shown.append(as_table(curve_shape_sheet(data), "Error curves"))
-        shown.append(Text("waves: per turn, strongest first, and their share of the curve; --json has their sizes"))
     return shown
 
 

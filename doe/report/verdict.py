@@ -17,7 +17,6 @@ from identification.gap.summary import of_joints
 from identification.validate import DRAWN
 
 Data = Mapping[str, Any]
-CURVE = "joint_error_curve"
 MOST = 4  # kinds of effects that a verdict spells out
 
 
@@ -86,13 +85,12 @@ def details(data: Data) -> list[str]:
         return [f"{sentence_of('; or '.join(sets[:MOST]))}."]
     if data["verdict"] == "named" and not one_kind(effects):
         return [f"{sentence_of(effects_in_words(effects))}."]
-    if data["verdict"] != "unknown" or not effects:
+    if data["verdict"] != "unknown":
         return []
-    curves = [int(label.partition(":")[2]) for label in effects if is_described(data) and label.startswith(f"{CURVE}:")]
-    others = [label for label in effects if not curves or not label.startswith(f"{CURVE}:")]
+    curves = sorted(curve["joint"] for curve in data["curves"])
     words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
-    described = [f"{words.format(of_joints(sorted(curves)))} it; its cause is open."] if curves else []
-    return [*described, *([f"Beside it: {effects_in_words(others)}."] if others else [])]
+    described = [f"{words.format(of_joints(curves))} it; its cause is open."] if is_described(data) else []
+    return [*described, *([f"Beside it: {effects_in_words(effects)}."] if effects else [])]
 
 
 def one_kind(labels: Sequence[str]) -> bool:
@@ -118,7 +116,7 @@ def place_in_words(data: Data) -> str:
 def gap_in_words(data: Data) -> str:
     """The error before and after, where it was held out if it was."""
     gap, test = data["gap"], data["confirmation"]
-    if not data["effects"] and test is None:
+    if data["verdict"] == "none" and test is None:
         return f"The model leaves {in_a_sentence(gap['rms_after_mm'])} mm RMS of the data; no rows were held out."
     if test is None:
         figures = f"from {in_a_sentence(gap['rms_before_mm'])} to {in_a_sentence(gap['rms_after_mm'])} mm"
@@ -155,7 +153,7 @@ def diagnosis_actions(
         return [use, correct("calibrated.toml"), confirm]
     keep = [] if written else [Action("Keep the extended model:", f"{called} --out extended.toml")]
     part = "the error curves, within the angles measured," if is_described(data) else "the named part"
-    meanwhile = f"; {part} may be used meanwhile" if data["effects"] else ""
+    meanwhile = f"; {part} may be used meanwhile" if data["effects"] or is_described(data) else ""
     look = Action(f"Look for a cause at {place_in_words(data)}{meanwhile}.")
     unknown = [look] if data["verdict"] == "unknown" else []
     return [*unknown, *([] if data["confirmed"] else [confirm]), *keep, correct(str(written or "extended.toml"))]
@@ -295,7 +293,7 @@ def identification_actions(
             alone = Action(why, f"armcal identify {arm} {rows} --out calibrated.toml")
             keep, use = [alone], [correct("calibrated.toml")]
         why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
-        return [*keep, *use, Action(why, f"armcal diagnose {arm} {rows} --prior --report gap.html")]
+        return [*keep, *use, Action(why, f"armcal diagnose {arm} {rows} --report gap.html")]
     return [*keep, *([] if diagnosed else [look]), *use]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -27,6 +28,7 @@ from identification.gap.confirmation.holdout import (
     held_out,
     other_set_up,
 )
+from identification.gap.curves.curve import Curve
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.detectability import assess, require_spare
@@ -39,7 +41,7 @@ from identification.gap.posterior import Explanation, Posterior, posterior, refi
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.scatter import Finding
 from identification.gap.sessions.replicate import replications
-from identification.gap.verdict import Names, Probabilities, likeliest, probabilities
+from identification.gap.verdict import Names, Probabilities, likeliest_with, probabilities
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import practical
@@ -144,7 +146,7 @@ def diagnosis_of(
     base = fit(library.base, Rows.of(measurements).pick(kept))
     best = refit(found, found.best)
     predicting = averaged(found, int(kept.sum()) * found.rows.dimension)
-    scatter = findings(found)
+    scatter = noise_findings(found)
     left = predicting.position_residuals(measurements, measurements.conditions)
     estimated = int(kept.sum()) * found.rows.dimension - predicting.freedom
     repeats = repeat_finding(left, estimated, measurements, kept)
@@ -171,12 +173,14 @@ def diagnosis_of(
     confirmation = None
     if holdout is not None and there is not None:
         confirmation = confirmation_of(measurements, holdout, there, something)
-    effects = library.model(likeliest_of(found, likely).effects)
-    fitted = fit(effects, found.noises[found.best.noise].rows.pick(kept), best.by_name)
+    shown = likeliest_of(found, likely)
+    fitted = fit(library.model(shown.effects), found.noises[found.best.noise].rows.pick(kept), best.by_name)
     at_base = library.base.jacobian(base.rows.postures, base.values, base.rows.conditions)
     detectable = assess(library, base.rows, at_base, base.by_name, predicting.sigma)
     hidden = hidden_orders(found) if named.effects else ()
     place = likely.place if verdict == "unknown" and likely.place != REST else None
+    joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
+    curves = tuple(curve for curve in predicting.curves if curve.joint in joints)
     return Diagnosis(
         arm=library.arm,
         verdict=verdict,
@@ -185,7 +189,7 @@ def diagnosis_of(
         predicting=predicting_candidate(predicting, named, base.rows.postures),
         aliases=(*hidden, *alias_list(detectable, tuple(candidates))),
         where=place,
-        shape=shape_of(place, predicting, likeliest_of(found, likely)),
+        shape=shape_of(place, curves, shown),
         scatter=(*scatter, *(repeats if not any(f.name == "repeats" for f in scatter) else ())),
         outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(~kept)),
         gap=gap,
@@ -201,7 +205,7 @@ def diagnosis_of(
         warnings=(*fit_doubts(library.arm, measurements, best, after), *other_set_up(there)),
         notes=(
             *order_notes(hidden),
-            *curve_notes(predicting.curves),
+            *curve_notes(curves),
             *worse,
             *notes(found, measurements, best, holdout, gap, over_sigma),
             *unexplained_note(left, unexplained),
@@ -209,7 +213,7 @@ def diagnosis_of(
         unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
         shapes=order_ranges(fitted, fitted.rows, named.effects),
         replication=replications(fitted, measurements, kept, named.effects),
-        curves=predicting.curves,
+        curves=curves,
     )
 
 
@@ -227,16 +231,16 @@ def guarded(
 def likeliest_of(found: Posterior, likely: Probabilities) -> Explanation:
     """The likeliest explanation with what is named."""
     if likely.verdict == "unknown" and likely.place is not None:
-        return likeliest(found, (), outside=True)
+        return likeliest_with(found, (), outside=True)
     if likely.verdict in ("unknown", "none"):
         return next((e for e in found.explanations if not e.effects and not e.outside), found.best)
-    return likeliest(found, likely.best)
+    return likeliest_with(found, likely.best)
 
 
 def models(found: Posterior, base: Fit, likely: Probabilities) -> list[Candidate]:
     """What is named, and the candidates."""
     rivals: list[Names] = likely.rivals
-    explanations = [likeliest(found, names) for names in rivals] or [likeliest_of(found, likely)]
+    explanations = [likeliest_with(found, names) for names in rivals] or [likeliest_of(found, likely)]
     candidates = []
     for one in explanations:
         fitted = refit(found, one)
@@ -254,7 +258,7 @@ def models(found: Posterior, base: Fit, likely: Probabilities) -> list[Candidate
     return [candidates[0], *listed]
 
 
-def findings(found: Posterior) -> tuple[Finding, ...]:
+def noise_findings(found: Posterior) -> tuple[Finding, ...]:
     """Properties of the noise that are likelier than not."""
     shares: dict[str, float] = {}
     sizes: dict[str, tuple[float, float]] = {}
@@ -282,13 +286,13 @@ def geometry(base: Fit) -> PredictingModel:
     return PredictingModel(base.model, base.values, covariance, (), (), base.sigma, max(base.freedom, 1), spread)
 
 
-def shape_of(place: str | None, predicting: PredictingModel, one: Explanation) -> str | None:
+def shape_of(place: str | None, curves: Sequence[Curve], one: Explanation) -> str | None:
     """Of what is outside the library, in words;  one : the likeliest explanation with something outside"""
-    curves = (c.shape for c in predicting.curves if place == f"joint:{c.joint}")
+    there = (c.shape for c in curves if place == f"joint:{c.joint}")
     kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
     if place is None:
         return KINDS[REST] if any(b.parts for b in one.outside) else None
-    return next(filter(None, kinds), None) or next(curves, None)
+    return next(filter(None, kinds), None) or next(there, None)
 
 
 def show_residuals(arm: Arm, measurements: Measurements, base: Fit, left: Array) -> Residuals:

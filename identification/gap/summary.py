@@ -51,9 +51,7 @@ def described(found: Diagnosis) -> bool:
 
 def among(found: Diagnosis) -> str:
     """What the probabilities leave open: names that are shapes rather than causes, and rows too few for a test."""
-    shapes = (
-        ["among the library's shapes, whatever makes them"] if found.effects and (found.shapes or found.curves) else []
-    )
+    shapes = ["among the library's shapes, whatever makes them"] if found.effects and found.shapes else []
     few = found.effects and found.tests and all(test.confirmed is None for test in found.tests)
     said = [*shapes, *(["too few rows to confirm it on others"] if few else [])]
     return f" ({'; '.join(said)})" if said else ""

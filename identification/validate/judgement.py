@@ -20,8 +20,9 @@ from identification.validate.validation import validate
 def judged(found: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:
     """The diagnosis with what its extended model is worth beside the geometry (`Diagnosis.offered`).
 
-    On a hold-out both are placed as `validate` places them, so that the figures are those that it gives of the files
-    of `diagnose --out` and of `identify --out`; without one, the cross-validation over postures says it.
+    Where nothing is missing nothing is offered. On a hold-out both are placed as `validate` places them, so that the
+    figures are those that it gives of the files of `diagnose --out` and of `identify --out`; without one, the
+    cross-validation over postures says it.
 
     arm : as it was diagnosed;  measurements, holdout : as for `diagnose`
     """
