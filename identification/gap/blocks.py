@@ -391,7 +391,7 @@ def linearized(
     # the data as the base model sees them: what the fit has beyond it is given back
     y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
     of_library = library.columns(rows, at.by_name, None, model)
-    blocks = [Block(h.key, h.label, place_of(h), h.weight, member=h) for h in library.members]
+    blocks = [Block(h.key, h.label, acting_at(h), h.weight, member=h) for h in library.members]
     where = Where.of(model, at.values, rows.postures, rows.conditions)
     further = [one for one in outside_blocks(rows, where) if outside is None or one.label in outside]
     columns = [*of_library, *(one.columns(where) for one in further if one.columns is not None)]
@@ -492,6 +492,6 @@ def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) 
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 
 
-def place_of(h: Hypothesis) -> str:
+def acting_at(h: Hypothesis) -> str:
     """Place at which an effect acts."""
     return f"joint:{h.spec.joint}" if h.spec.joint is not None else PLACES.get(h.effect.name, h.effect.name)

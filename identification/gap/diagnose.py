@@ -41,7 +41,7 @@ from identification.gap.posterior import Explanation, Posterior, posterior, refi
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.scatter import Finding
 from identification.gap.sessions.replicate import replications
-from identification.gap.verdict import Names, Probabilities, likeliest, probabilities
+from identification.gap.verdict import Names, Probabilities, likeliest_with, probabilities
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import practical
@@ -146,7 +146,7 @@ def diagnosis_of(
     base = fit(library.base, Rows.of(measurements).pick(kept))
     best = refit(found, found.best)
     predicting = averaged(found, int(kept.sum()) * found.rows.dimension)
-    scatter = findings(found)
+    scatter = noise_findings(found)
     left = predicting.position_residuals(measurements, measurements.conditions)
     estimated = int(kept.sum()) * found.rows.dimension - predicting.freedom
     repeats = repeat_finding(left, estimated, measurements, kept)
@@ -231,16 +231,16 @@ def guarded(
 def likeliest_of(found: Posterior, likely: Probabilities) -> Explanation:
     """The likeliest explanation with what is named."""
     if likely.verdict == "unknown" and likely.place is not None:
-        return likeliest(found, (), outside=True)
+        return likeliest_with(found, (), outside=True)
     if likely.verdict in ("unknown", "none"):
         return next((e for e in found.explanations if not e.effects and not e.outside), found.best)
-    return likeliest(found, likely.best)
+    return likeliest_with(found, likely.best)
 
 
 def models(found: Posterior, base: Fit, likely: Probabilities) -> list[Candidate]:
     """What is named, and the candidates."""
     rivals: list[Names] = likely.rivals
-    explanations = [likeliest(found, names) for names in rivals] or [likeliest_of(found, likely)]
+    explanations = [likeliest_with(found, names) for names in rivals] or [likeliest_of(found, likely)]
     candidates = []
     for one in explanations:
         fitted = refit(found, one)
@@ -252,13 +252,13 @@ def models(found: Posterior, base: Fit, likely: Probabilities) -> list[Candidate
         keys = [h.key for h in one.effects]
         p = likely.of(keys) if likely.verdict != "unknown" else None
         best = max(likely.of(likely.best), 1e-300)
-        delta = 0.0 if p is None else -2.0 * float(np.log(max(p, 1e-300) / best))
+        delta = -2.0 * float(np.log(max(p, 1e-300) / best)) if rivals and p is not None else 0.0
         candidates.append(candidate_of(fitted, len(one.effects), sure, max(float(gain), 0.0), p, delta))
     listed = candidates if rivals or (likely.verdict == "unknown" and candidates[0].effects) else []
     return [candidates[0], *listed]
 
 
-def findings(found: Posterior) -> tuple[Finding, ...]:
+def noise_findings(found: Posterior) -> tuple[Finding, ...]:
     """Properties of the noise that are likelier than not."""
     shares: dict[str, float] = {}
     sizes: dict[str, tuple[float, float]] = {}

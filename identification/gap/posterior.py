@@ -16,7 +16,7 @@ from identification.gap.evidence import ROUNDING
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet
-from identification.gap.scatter import Noise, log_likelihood, noises
+from identification.gap.scatter import NoiseModel, log_likelihood, noises
 from identification.gap.search import Search, Weighed
 from identification.gap.waves import with_further_orders
 from identification.progress import Tell, say_nothing
@@ -66,7 +66,7 @@ class Posterior:
     """
 
     explanations: tuple[Explanation, ...]
-    noises: tuple[Noise, ...]
+    noises: tuple[NoiseModel, ...]
     problems: tuple[Linearized, ...]
     whole: Linearized
     library: HypothesisSet
@@ -93,7 +93,7 @@ class Climbed(NamedTuple):
 
     library: HypothesisSet
     at: Fit
-    every: list[Noise]
+    every: list[NoiseModel]
     noise: int
     wrong: list[int]
     problem: Linearized
@@ -177,7 +177,7 @@ def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> Weighed:
 def _with_noises(
     library: HypothesisSet,
     at: Fit,
-    every: list[Noise],
+    every: list[NoiseModel],
     number: int,
     wrong: list[int],
     problem: Linearized,
@@ -223,7 +223,7 @@ def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: 
 
 
 def _mixture(
-    models: Sequence[tuple[Noise, Linearized, list[Weighed], float]],
+    models: Sequence[tuple[NoiseModel, Linearized, list[Weighed], float]],
     whole: Linearized,
     library: HypothesisSet,
     rows: Rows,
@@ -275,7 +275,7 @@ def _striking(rows: Rows, at: Fit) -> list[int]:
 
 
 def _likelihoods(
-    library: HypothesisSet, every: list[Noise], at: Fit, problem: Linearized, best: Weighed
+    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, best: Weighed
 ) -> tuple[Array, Array]:
     """(K,) log likelihood of each noise, with nothing missing, and with the best set."""
     rows = every[0].rows

@@ -52,7 +52,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseModel:
     """A covariance of the rows;  name : as of `Finding`, empty: white;  prior : log probability"""
 
     name: str
@@ -61,12 +61,12 @@ class Noise:
     prior: float
 
 
-def noises(rows: Rows, at: Fit) -> Iterator[Noise]:
+def noises(rows: Rows, at: Fit) -> Iterator[NoiseModel]:
     """White noise, and every other that these rows can have, at a fitted model."""
     where = (rows.postures, at.values, rows.conditions)
     forms = variance_forms(rows, at.model.position(*where), at.model.joint_levers(*where))
     joints = sum(name.startswith("joint") for name in forms)
-    yield Noise("", 0.0, rows, 0.0)
+    yield NoiseModel("", 0.0, rows, 0.0)
     for name, form in forms.items():
         signs = (1.0, -1.0) if name == "time_noise" else (1.0,)
         kinds = (joints if name.startswith("joint") else 1) * len(RATIOS) * len(signs)
@@ -77,13 +77,13 @@ def noises(rows: Rows, at: Fit) -> Iterator[Noise]:
                 deviations = np.sqrt(1.0 + ratio * np.maximum(values, 0.0))
                 spread = vectors * deviations[:, None, :] @ vectors.transpose(0, 2, 1)
                 more = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
-                yield Noise(name, sign * ratio, more, float(np.log(UNEVEN / kinds)))
+                yield NoiseModel(name, sign * ratio, more, float(np.log(UNEVEN / kinds)))
     for rho in CORRELATIONS:
         prior = float(np.log(UNEVEN / len(CORRELATIONS)))
-        yield Noise("serial_correlation", rho, replace(rows, correlation=rho), prior)
+        yield NoiseModel("serial_correlation", rho, replace(rows, correlation=rho), prior)
     if len(np.unique(rows.posture_numbers)) < len(rows):
         for ratio in RATIOS:
-            yield Noise("repeats", ratio, replace(rows, shared=ratio), float(np.log(0.5 / len(RATIOS))))
+            yield NoiseModel("repeats", ratio, replace(rows, shared=ratio), float(np.log(0.5 / len(RATIOS))))
 
 
 def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Array]:

@@ -17,6 +17,7 @@ VERDICTS = {
     "none": "none: no missing effect is detectable; effects larger than the sizes listed are excluded",
     "named": "named: {effects} missing from the model",
     "ambiguous": "ambiguous: {count} explanations fit about equally well{options}; measure more postures",
+    "likeliest": "ambiguous: {effects} likeliest, but less likely than not; measure more postures",
     "unknown": "unknown: something outside the library, {where}{beside}",
 }
 
@@ -27,7 +28,8 @@ def headline(found: Diagnosis) -> str:
     likeliest = sorted(found.candidates, key=lambda c: -(c.probability or 0.0))
     options = " | ".join(f"{c.title} {c.probability or 0.0:.2f}" for c in likeliest)
     options = options if len(options) <= SHORT else " | ".join(c.title for c in likeliest)
-    verdict = VERDICTS[found.verdict].format(
+    alone = found.verdict == "ambiguous" and len(found.candidates) == 1
+    verdict = VERDICTS["likeliest" if alone else found.verdict].format(
         effects=f"{named(found)} {'is' if len(found.effects) == 1 else 'are'}",
         count=len(found.candidates),
         options=f" ({options})" if len(options) <= SHORT else "",

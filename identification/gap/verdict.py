@@ -126,7 +126,7 @@ def probabilities(found: Posterior) -> Probabilities:
     return Probabilities(none, sets, places, titles, outside)
 
 
-def likeliest(found: Posterior, names: Names, outside: bool = False) -> Explanation:
+def likeliest_with(found: Posterior, names: Names, outside: bool = False) -> Explanation:
     """The likeliest explanation with exactly these effects;  outside : or, with something outside beside any effects"""
     if outside:
         return next((one for one in found.explanations if one.outside), found.best)

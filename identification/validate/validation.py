@@ -60,7 +60,7 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class Block:
+class RowBlock:
     """Some of the rows: a session, a quarter of the time, a quadrant of the workspace, or the postures inside or
     outside the range of angles that the model was identified on.
 
@@ -119,13 +119,13 @@ class Validation:
         return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
 
     @property
-    def blocks(self) -> tuple[Block, ...]:
+    def blocks(self) -> tuple[RowBlock, ...]:
         """The rows by session, time, workspace, and range of the identification."""
         return tuple(self._block(*group) for group in row_groups(self.arm, self.measurements))
 
-    def _block(self, kind: str, name: str, rows: NDArray[np.int64]) -> Block:
+    def _block(self, kind: str, name: str, rows: NDArray[np.int64]) -> RowBlock:
         figures = (Figures.of(distances(r[rows])) for r in (self.residuals, self.nominal_residuals))
-        return Block(kind, name, len(rows), *figures)
+        return RowBlock(kind, name, len(rows), *figures)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `validate` (identification/files/README.md, "JSON keys")."""

@@ -269,7 +269,7 @@ def contradictions(said: Mapping[str, Any]) -> list[str]:
         "named at less than a half": verdict == "named" and own < 0.5,
         "named less likely than others": verdict in ("named", "ambiguous") and own < max(rivals, default=0.0),
         "named beside its equals": verdict == "named" and len(chance) > 1 and own < 0.5,
-        "ambiguous alone": verdict == "ambiguous" and len(chance) < 2,
+        "ambiguous alone": verdict == "ambiguous" and len(chance) < 2 and own >= 0.5,
         "unknown less likely than names or none": verdict == "unknown" and unknown < max(none, of_library) - 1e-9,
     }
     return [doubt for doubt, there in wrong.items() if there]

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from doe.studies.blind.score import contradictions
+from identification.arm import EffectSpec
+from identification.gap.candidate import Candidate
+from identification.gap.result import Diagnosis
+from identification.gap.summary import SHORT
 from identification.gap.verdict import CREDIBLE, MOST, RIVAL, Probabilities
+from tests.identification.gap.test_diagnose import diagnosed
 
 
 def drawn(rng: np.random.Generator) -> Probabilities:
@@ -60,3 +68,41 @@ def test_where_the_noise_cannot_be_all_nothing_missing_is_not_said(p: float) -> 
         assert guarded.none == pytest.approx(p * found.none)
         assert guarded.none + guarded.outside + sum(guarded.sets.values()) == pytest.approx(1.0)
         assert guarded.verdict != "none" or found.none == 0.0
+
+
+def diagnosis_with(found: Diagnosis, likely: Probabilities) -> Diagnosis:
+    """A diagnosis with other probabilities, and the candidates that follow from them."""
+
+    def candidate(names: tuple[str, ...]) -> Candidate:
+        specs = tuple(EffectSpec(key.partition(":")[0], int(key.partition(":")[2])) for key in names)
+        p = likely.of(names) if likely.verdict != "unknown" else None
+        return replace(found.named, effects=names, specs=specs, probability=p, parameters=())
+
+    candidates = tuple(candidate(names) for names in likely.rivals)
+    named = candidates[0] if candidates else candidate(())
+    place = likely.place if likely.verdict == "unknown" else None
+    said = {"verdict": likely.verdict, "candidates": candidates, "named": named, "where": place}
+    return replace(found, probabilities=likely, predicting=named, shapes=(), curves=(), **said)
+
+
+def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
+    """The JSON keys by the rules of the blind study; the sentences by the words of the verdicts."""
+    rng, plain = np.random.default_rng(3), diagnosed(None)
+    opening = {"none": "none: ", "named": "named: ", "ambiguous": "ambiguous", "unknown": "unknown: something outside"}
+    for _ in range(5000):
+        likely = drawn(rng)
+        likely = likely.not_none(1e-6) if rng.random() < 0.2 else likely
+        found = diagnosis_with(plain, likely)
+        said = found.to_json()
+        assert contradictions(said) == []
+        assert found.sentence.removeprefix("not confirmed: ").startswith(opening[found.verdict])
+        assert set(found.credible_set) <= {"none", "unknown", *likely.titles, *(" + ".join(n) for n in likely.sets)}
+        assert next(iter(found.credible_set.values())) == max(found.credible_set.values())
+        shown = [c for c in found.candidates if c.probability is not None]
+        assert all(said["probabilities"][c.title] == c.probability for c in shown)
+        if found.verdict == "ambiguous":
+            count = len(found.candidates)
+            assert count >= 2 or "less likely than not" in found.sentence
+            assert count == 1 or f"{count} explanations" in found.sentence
+        for title, p in found.probability.items():
+            assert p < 0.005 or f"{title} {p:.2f}" in found.likely or len(title) > SHORT

@@ -1,0 +1,100 @@
+"""The averaged model against draws from the posterior, in which every explanation is a dense regression of all rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, EffectSpec
+from identification.arrays import Array
+from identification.gap.average import averaged
+from identification.gap.blocks import Where
+from identification.gap.evidence import SIZES
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.posterior import Explanation, Posterior, posterior
+from identification.gap.search import Weighed
+from identification.measurements import Measurements
+from identification.model import Model
+
+ARM = Arm([300.0, 200.0], sigma=0.05)
+SETS = (("encoder_eccentricity:2",), ("gear_ratio:2", "curve:1"), ("encoder_eccentricity:2", "workspace[squares]"))
+SHARES = (0.6, 0.25, 0.15)
+
+
+def found() -> Posterior:
+    """Three sets of blocks, two of which have one that an arm file cannot have or that is a curve; white noise."""
+    rng, spec = np.random.default_rng(3), EffectSpec("encoder_eccentricity", 2)
+    model, q = Model(ARM.with_effects(spec)), rng.uniform(-2.0, 2.0, (50, 2))
+    values = {f"encoder_eccentricity:2.{name}": 8e-4 for name in "ab"}
+    exact = model.position(q, model.parameters.vector(values))
+    rows = Rows.of(Measurements(q, exact + 0.05 * rng.normal(size=(50, 2))))
+    walked = posterior(hypotheses(ARM, frozenset(), rows), rows, rng)
+    problem, numbers = walked.whole, walked.whole.numbers
+    explanations = []
+    for labels, share in zip(SETS, SHARES, strict=True):
+        blocks = tuple(sorted(numbers[label] for label in labels))
+        weighed = Weighed(blocks, tuple(2 + k for k in range(len(blocks))), float(np.log(share)))
+        explanations.append(Explanation(tuple(problem.blocks[b] for b in blocks), 0, weighed, share))
+    return replace(walked, explanations=tuple(explanations), problems=(problem,), noises=walked.noises[:1])
+
+
+def regressed(given: Posterior, one: Explanation, base: Array, target: Array) -> tuple[Array, Array, list[Array]]:
+    """Mean and covariance of base parameters and blocks' parameters under one explanation, by dense algebra."""
+    problem, b = given.whole, one.weighed.blocks
+    roots = [problem.roots[k] for k in b]
+    columns = [given.rows.whiten(problem.columns[k]) @ root for k, root in zip(b, roots, strict=True)]
+    sizes = np.repeat(SIZES[list(one.weighed.sizes)], [root.shape[1] for root in roots])
+    wide, g = np.concatenate([base, *columns], axis=1), base.shape[1]
+    precision = wide.T @ wide + np.diag(np.concatenate([np.zeros(g), sizes**-2.0]))
+    inverse = np.linalg.inv(precision)
+    mean = inverse @ (wide.T @ target)
+    penalty = float(np.sum((mean[g:] / sizes) ** 2))
+    variance = (float(np.sum((target - wide @ mean) ** 2)) + penalty) / (len(target) - g)
+    return mean, inverse * variance, roots
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_expected_square_errors_elsewhere_are_those_of_draws(seed: int) -> None:
+    """Errors of the written model at other postures: mean squares of 20,000 draws, and their expectation.
+
+    A mean square of n draws of nearly normal errors is off by less than five times sqrt(2 / n), 5 %.
+    """
+    given = found()
+    rng, problem, at = np.random.default_rng(seed), given.whole, given.at
+    own = given.library.own_places(at.model)
+    added = np.setdiff1d(np.arange(len(at.values)), own)
+    position, jacobian = at.model.linearize(given.rows.postures, at.values, given.rows.conditions)
+    left = given.rows.positions - position + jacobian[:, :, added] @ at.values[added]
+    base, target = given.rows.whiten(jacobian[:, :, own]), given.rows.whiten(left)
+    postures = rng.uniform(-2.0, 2.0, (30, 2))
+    conditions = Measurements(postures, np.zeros((30, 2))).conditions
+    where = Where.of(at.model, at.values, postures, conditions)
+    there = at.model.jacobian(postures, at.values, conditions)
+    of_base = there[:, :, own]
+
+    def of_block(k: int) -> Array:
+        block = problem.blocks[k]
+        if block.columns is not None:
+            return block.columns(where)
+        rows = Rows.of(Measurements(postures, np.zeros((30, 2))))
+        label = next(i for i, h in enumerate(given.library.members) if h.label == block.label)
+        return cast(Array, given.library.columns(rows, at.by_name, None, at.model)[label])
+
+    errors, count = [], 20000
+    for one in given.explanations:
+        mean, covariance, roots = regressed(given, one, base, target)
+        drawn = rng.multivariate_normal(mean, covariance, round(count * one.probability))
+        columns = [of_block(k) @ root for k, root in zip(one.weighed.blocks, roots, strict=True)]
+        errors.append(drawn @ np.concatenate([of_base, *columns], axis=2).reshape(60, -1).T)
+    true = np.concatenate(errors)  # of the tips, beside the base where it was linearized
+
+    written = averaged(given, given.rows.positions.size)
+    drawing = at.model.position(postures, at.values, conditions) - there[:, :, added] @ at.values[added]
+    off = (written.model.position(postures, written.values, conditions) - drawing).ravel()
+    columns, products = written.uncertain(postures, conditions)
+    expected = np.sum((columns @ products) * columns, axis=2).ravel()
+    np.testing.assert_allclose(np.mean((true - off) ** 2, axis=0), expected, rtol=0.05)
