@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 LONG = 24  # characters, from which a cell is text that may be broken
-SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", r"\bDelta BIC\b": "ΔBIC", "->": "→", r"\+-": "±"}
+SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
 PHONE = 38  # characters of a row, a space on both sides of each cell, that a phone shows
 
 

@@ -8,7 +8,7 @@ new data together, its residual sum of squares, in units of the noise variance, 
 
 with C_j the covariance of rival j's parameters from the data at hand, J_j its Jacobian at the new postures. Postures
 are added one at a time and then exchanged; C_j and what j has already given way to i are updated like a Kalman filter.
-Delta BIC between i and j grows by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives an upper
+-2 log odds of j to i grow by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives an upper
 bound on the probability that the right candidate is the only one left within the window of the ambiguity set. All
 candidates may be wrong: the bound is multiplied by their probability together.
 """
@@ -38,7 +38,7 @@ from identification.status import Status
 # reasons: doe/README.md, "T-optimality"
 POOL = 1500  # random postures to choose from
 SWEEPS = 2  # exchange passes after the greedy choice
-WINDOW = 6.0  # Delta BIC, or -2 log odds, within which a rival is left: odds of 20
+WINDOW = 6.0  # -2 log odds, within which a rival is left: odds of 20
 NUDGE = 1e-2  # weight of the smooth part of the merit, which leads where the probability is still flat
 
 
@@ -107,8 +107,7 @@ def discriminate(
     payloads : [kg] that can be hung on the arm, default its own only;  pool : (N, n) [rad] to choose from, default
         random postures that are allowed;  stop : asked before every choice, see `t_optimal`
 
-    Raises `InputError` for a diagnosis that is not ambiguous, or `runs` < 1, or if no posture
-    is allowed.
+    Raises `InputError` for a diagnosis that is not ambiguous, or `runs` < 1, or if no posture is allowed.
     """
     if runs < 1:
         raise InputError(f"runs: {runs}, allowed: at least 1")
@@ -219,7 +218,7 @@ def _merit(rivals: RivalPredictions, squares: Array) -> Array:
 
 
 def _pair_chance(rivals: RivalPredictions, squares: Array) -> Array:
-    """(K, K, N) probability that Delta BIC of rival j over truth i exceeds the window."""
+    """(K, K, N) probability that -2 log odds of rival j to truth i exceed the window."""
     length = np.sqrt(np.maximum(squares, 1e-12))
     return np.asarray(ndtr((squares + rivals.bic_lead[:, :, None] - WINDOW) / (2.0 * length)))
 

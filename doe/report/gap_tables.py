@@ -60,7 +60,7 @@ def estimate_sheets(data: Data) -> list[tuple[str, Sheet]]:
 
 def is_described(data: Data) -> bool:
     """Whether error curves stand for what is unknown: the fitted set is no name for it, and has no probability."""
-    return (data["where"], data["shape"]) in {(f"joint:{c['joint']}", c["shape"]) for c in data.get("curves", ())}
+    return (data["where"], data["shape"]) in {(f"joint:{c['joint']}", c["shape"]) for c in data["curves"]}
 
 
 def share(p: float | None) -> str:

@@ -110,7 +110,7 @@ def helps(data: Data) -> bool:
 
 def place_in_words(data: Data) -> str:
     """`joint 3`, `time`."""
-    return str(data["where"]).replace(":", " ")
+    return str(data["where"] or "a place that is not known").replace(":", " ")
 
 
 def gap_in_words(data: Data) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 
 from identification.arrays import Array
 
-SIZES = (0.0, *(2.0 ** (-k / 2.0) for k in range(16, -1, -1)))  # of all effects; the likelihood is flat over a step
 GRID = 33  # values of the noise at once, on a logarithmic scale: each pass finds it 16 times as closely
 FINE = 1e-4  # of its logarithm, where the likelihood is a parabola
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
@@ -76,13 +75,6 @@ class Restricted:
         vertex = ends[1] + 0.25 * (high - low) * share
         noise = np.exp(np.clip(vertex, low, high))
         return np.stack([self.minus_log(noise, size), noise])
-
-    def likeliest_size(self) -> tuple[float, float]:
-        """Factor from 0 to 1 on the deviations of all effects, and the noise beside them, both likeliest together."""
-        whole = max(float(np.sqrt((self.rest + self.squares.sum()) / (self.count + len(self.values)))), 1e-12)
-        values, noises = self.likeliest(whole / LARGEST, whole, np.array(SIZES))
-        best = int(np.argmin(values))
-        return SIZES[best], float(noises[best])
 
 
 def _largest(normal: Array, most: int) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ less likely than the best.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from identification.gap.posterior import Explanation, Posterior
@@ -140,8 +140,3 @@ def block_probabilities(found: Posterior) -> dict[str, float]:
         for key in {h.key for h in one.effects}:
             shares[key] = shares.get(key, 0.0) + one.probability
     return shares
-
-
-def sentence_of_rest(sets: Sequence[float]) -> str:
-    """How much of the probability is in sets that are not listed."""
-    return f"{max(0.0, 1.0 - sum(sets)):.2f} in sets less likely than {LISTED:g} each"

@@ -22,12 +22,12 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from identification.gap.probability.probabilities import FIRST, NEXT
 
 from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells, hidden_effects, simulator
 from identification.effects.rare import RARE
+from identification.gap.search import log_odds_of_count
 from identification.model import Model
 
 COUNT = 400
@@ -192,8 +192,9 @@ def of_any_number(
     found: dict[tuple[Possible, ...], float] = {(): 0.0}
     for one in possible:
         of_sizes = np.array([log_mean(x * (residual @ one.columns)) - x**2 / 2.0 for x in SIZES])
-        found[(one,)] = log_mean(of_sizes) + one.prior + float(np.log(FIRST))
-    return found | {both: value + float(np.log(FIRST * NEXT)) for both, value in pairs.items()}
+        found[(one,)] = log_mean(of_sizes) + one.prior + log_odds_of_count(1)
+    two = log_odds_of_count(2) - float(np.log(2.0))  # a pair's prior counts both orders
+    return found | {both: value + two for both, value in pairs.items()}
 
 
 @pytest.mark.benchmark
@@ -209,7 +210,7 @@ def test_ceiling(cell: str) -> None:
         for effects, value in found.items():
             family = tuple(sorted(one.family for one in effects))
             families[family] = float(np.logaddexp(families.get(family, -np.inf), value))
-        near = [name for name, value in names.items() if value > names[best] - 3.0]  # as Delta BIC <= 6
+        near = [name for name, value in names.items() if value > names[best] - 3.0]  # odds of 20
         exact.append(best == hidden)
         classes.append(
             max(families, key=lambda family: families[family])

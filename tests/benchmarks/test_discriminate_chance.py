@@ -22,14 +22,14 @@ from identification.measurements import Measurements
 
 DATA = Path(__file__).parents[1] / "data/ur10_planar/measurements.csv"
 ARM = Arm(np.array([612.0, 572.3, 115.7]))
-ROWS, MORE, CHOICES, DRAWS = 40, 4, 200, 399
+ROWS, MORE, CHOICES = 40, 4, 200
 
 
 def again(data: Measurements, taken: NDArray[np.int64], before: Diagnosis) -> bool:
     """Whether one of the candidates is named with these rows, and the others are gone."""
     mask = np.zeros(len(data), dtype=bool)
     mask[taken] = True
-    after = diagnose(ARM, data.rows(mask), draws=DRAWS)
+    after = diagnose(ARM, data.rows(mask))
     return after.verdict == "named" and sorted(after.named.keys) in [sorted(c.keys) for c in before.candidates]
 
 
@@ -42,7 +42,7 @@ def test_how_often_chosen_postures_settle_it() -> None:
         first, rest = np.sort(order[:ROWS]), order[ROWS:]
         mask = np.zeros(len(data), dtype=bool)
         mask[first] = True
-        found = diagnose(ARM, data.rows(mask), draws=DRAWS)
+        found = diagnose(ARM, data.rows(mask))
         if found.verdict != "ambiguous":
             continue
         plan = discriminate(ARM, found, data.rows(mask), MORE, pool=data.postures[rest])

@@ -26,7 +26,7 @@ from identification.threads import single_thread
 # reasons: identification/README.md, "Constants"
 SPARE = 4  # residual degrees of freedom; with fewer an effect of two parameters is found at no size
 POWER, LEVEL = 0.9, 0.05  # convention
-EXACT, NEAR = 0.9999, 0.9  # likeness: Delta BIC of two effects stays within the window up to lambda = 173 and 5.6
+EXACT, NEAR = 0.9999, 0.9  # likeness: odds of two effects stay below 20 up to lambda = 173 and 5.6
 VISIBLE = 1e-4  # share of a column's length that must survive projection; less is an alias of what is in the model
 LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test
 

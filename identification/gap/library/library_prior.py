@@ -33,7 +33,7 @@ class LibraryPrior:
     """An arm with the effects of the library added to its own, and the prior of their parameters.
 
     arm : with all effects, those `added` last;  prior : of the parameters of `added`
-    left_out : effect -> why it was not added;  size : factor on the typical sizes
+    left_out : effect -> why it was not added
     together : how many settings of an effect the fit took to be there at once
     """
 
@@ -41,16 +41,7 @@ class LibraryPrior:
     added: tuple[EffectSpec, ...]
     prior: Prior
     left_out: Mapping[str, str]
-    size: float = 1.0
     together: float = 1.0
-
-    def times(self, size: float) -> LibraryPrior:
-        """The same with all standard deviations multiplied by `size`; without the added effects if it is zero."""
-        if size == 0.0:
-            own = self.arm.effects[: len(self.arm.effects) - len(self.added)]
-            return replace(self, arm=self.arm.with_effects(*own), added=(), prior=Prior({}), size=size)
-        scaled = {name: size * deviation for name, deviation in self.prior.deviations.items()}
-        return replace(self, prior=replace(self.prior, deviations=scaled), size=size)
 
     @property
     def model(self) -> Model:
@@ -66,10 +57,7 @@ class LibraryPrior:
     def sentence(self) -> str:
         """Description of the prior for people."""
         kinds = dict.fromkeys(spec.name for spec in self.added)
-        if not kinds:
-            return "without the rest of the library: the data leave no room for it"
-        times = "" if self.size == 1.0 else f"{self.size:.2g} times "
-        found = f"with a prior of {times}typical sizes: {len(self.prior.deviations)} parameters of {', '.join(kinds)}"
+        found = f"with a prior of typical sizes: {len(self.prior.deviations)} parameters of {', '.join(kinds)}"
         if self.together == 1.0:
             return found
         several = dict.fromkeys(key.partition(".")[0].partition(":")[0] for key in self.prior.alternatives)
@@ -78,7 +66,7 @@ class LibraryPrior:
     def to_json(self) -> dict[str, Any]:
         """Key `prior` of `identify` (identification/files/README.md, "JSON keys")."""
         found = {"parameters": len(self.prior.deviations), "effects": self.effects, "left_out": dict(self.left_out)}
-        return found | {"size": self.size, "together": self.together}
+        return found | {"together": self.together}
 
 
 def library_prior(
@@ -86,16 +74,13 @@ def library_prior(
     given: frozenset[str] = frozenset(),
     names: Sequence[str] | None = None,
     most_settings: int | None = None,
-    *,
-    required: bool = True,
 ) -> LibraryPrior:
     """A prior on all effects of the library that the arm may have and that rows with the data `given` can show.
 
     given : those of `time`, `directions`, `past`, `temperature` that the rows have;  names : of effects, None: all
     most_settings : maximum number of settings of one effect at one joint, taken evenly from a longer scan; None: all
-    required : raise `InputError` if no effect remains
 
-    Raises `InputError` for names that are not in the library.
+    Raises `InputError` for names that are not in the library, or if no effect remains.
     """
     for name in names or ():
         if name not in library():
@@ -111,7 +96,7 @@ def library_prior(
             left_out[hypothesis.key] = reason
         else:
             chosen.append(hypothesis)
-    if required and not chosen:
+    if not chosen:
         raise InputError("effects: none of the library's is left for the prior, allowed: at least one")
     kept = _thinned(chosen, most_settings)
     wide = _extended(arm, kept)

@@ -211,7 +211,7 @@ def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     assert flag["offered"]["better"] is False
     assert steps[0].startswith("Leave --library-prior away, since the geometry alone predicts as well:")
     assert steps[-1].startswith("Effects that may be missing are allowed for, and none is named.")
-    assert steps[-1].endswith("armcal diagnose arm.toml data.csv --prior --report gap.html")
+    assert steps[-1].endswith("armcal diagnose arm.toml data.csv --report gap.html")
     both = folder.armcal(*named, "--prior", "--missing", "backlash").data
     assert both["prior"]["parameters"] == 4
     assert both["prior_from"]["anew"] == []

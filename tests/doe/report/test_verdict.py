@@ -26,6 +26,7 @@ TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
 def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int = 1) -> dict[str, Any]:
     candidates = [{"effects": [name]} for name in effects[:sets]]
     found = {"verdict": verdict, "effects": list(effects), "candidates": candidates, "where": "joint:3", "gap": GAP}
+    found |= {"shape": None, "curves": []}
     return found | {"confirmed": confirmed, "confirmation": None if confirmed is None else TEST}
 
 
@@ -56,7 +57,7 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
     assert " ".join(verdict).startswith(first)
     assert len(verdict[0].split()) <= 15
     figures = "0.500 to 0.125 mm" if data["confirmation"] is None else "0.600 to 0.250 mm; 0.200 mm were predicted"
-    figures = figures if data["effects"] else "leaves 0.125 mm RMS of the data"
+    figures = "leaves 0.125 mm RMS of the data" if data["verdict"] == "none" else figures
     assert figures in gap
     assert command in diagnosis_actions(data)[0].command
     if data["confirmed"] is False:
@@ -98,18 +99,21 @@ def test_the_other_commands_in_a_sentence_each() -> None:
 
 
 def test_what_curves_describe_has_a_size_and_no_cause() -> None:
-    data = said("unknown", "joint_error_curve:3") | {"curves": [{"joint": 3}]}
+    curves = [{"joint": j, "shape": f"smooth curve {j}"} for j in (3, 1)]
+    data = said("unknown") | {"curves": curves[:1], "shape": "smooth curve 3"}
     assert diagnosis_verdict(data)[1] == "An error curve of joint 3 describes it; its cause is open."
-    two = said("unknown", "joint_error_curve:3", "joint_error_curve:1", "backlash:2") | {"curves": [{"joint": 3}]}
+    two = said("unknown", "backlash:2") | {"curves": curves, "shape": "smooth curve 3"}
     assert diagnosis_verdict(two)[1:3] == [
         "Error curves of joints 1 and 3 describe it; its cause is open.",
         "Beside it: gear play, by direction of approach (backlash:2).",
     ]
     meanwhile = "Look for a cause at joint 3; the error curves, within the angles measured, may be used meanwhile."
     assert diagnosis_actions(data)[0].text == meanwhile
-    elsewhere = data | {"curves": [{"joint": 2}]}
+    elsewhere = two | {"curves": curves[1:]}
     assert diagnosis_actions(elsewhere)[0].text.endswith("; the named part may be used meanwhile.")
     assert diagnosis_actions(said("unknown"))[0].text == "Look for a cause at joint 3."
+    nowhere = said("unknown") | {"where": None}
+    assert diagnosis_verdict(nowhere)[0].endswith("is missing, at a place that is not known.")
     assert diagnosis_verdict(elsewhere)[1].startswith("Beside it: ")
 
 
@@ -137,7 +141,7 @@ def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: st
 
 def test_a_file_that_was_written_is_named_in_what_follows() -> None:
     """No step asks for what has been done, and the commands name the user's own file."""
-    data = {"verdict": "named", "confirmed": True, "effects": [], "where": "joint:1"}
+    data = said("named", confirmed=True)
     kept = [action.command for action in diagnosis_actions(data, "arm.toml", ["data.csv"], Path("mine.toml"))]
     assert not any("--out extended.toml" in command for command in kept)
     assert any("armcal compensate mine.toml" in command for command in kept)

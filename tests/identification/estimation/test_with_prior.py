@@ -24,7 +24,6 @@ from identification.estimation.prior_sizes import (
     likeliest,
 )
 from identification.estimation.problem import Problem
-from identification.estimation.restricted_likelihood import Restricted
 from identification.gap.library.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -136,21 +135,6 @@ def test_the_size_of_the_arm_does_not_matter(size: float) -> None:
     scaled = other.parameters / np.where(np.arange(len(SIZES)) < 2, size, 1.0)
     assert np.abs((scaled - one.parameters) / one.std).max() < 1e-9
     assert other.scatter == pytest.approx(size * one.scatter, rel=1e-9)
-
-
-@pytest.mark.parametrize(("times", "expected"), [(0.2, 0.2), (2.0, 1.0)])
-def test_a_common_size_of_effects_is_at_most_one(times: float, expected: float) -> None:
-    """Forty effects seen clearly (noise 0.01) are so many times their deviations: likeliest is the root of their mean
-    square, sqrt(2) / sqrt(80) of the size uncertain, found in steps of sqrt(2)."""
-    generator = np.random.default_rng(6)
-    effects = np.linalg.qr(generator.standard_normal((60, 40)))[0]
-    true = times * generator.standard_normal(40)
-    free, noise = generator.standard_normal((60, 2)), 0.01 * generator.standard_normal(60)
-    size, found = Restricted.of(effects @ true + noise, free, effects).likeliest_size()
-    assert abs(np.log2(size / min(float(np.sqrt(np.mean(true**2))), 1.0))) <= 0.5
-    assert size == 1.0 or times < 1.0
-    assert abs(np.log2(size / expected)) <= 0.5 + 4 * np.log2(1.0 + 1.0 / np.sqrt(80.0))
-    assert found == pytest.approx(0.01, rel=4 / np.sqrt(2 * 18))
 
 
 def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
