@@ -1,4 +1,4 @@
-"""A six-axis arm with gravity and three reflectors: what is hidden in it is named, and the posture's own error found."""
+"""A six-axis arm with gravity and three reflectors: what is hidden is named, and the error of a posture is found."""
 
 from __future__ import annotations
 
