@@ -390,7 +390,15 @@ def linearized(
     added = np.setdiff1d(np.arange(len(at.values)), base)
     # the data as the base model sees them: what the fit has beyond it is given back
     y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
-    of_library = library.columns(rows, at.by_name, None, model)
+    # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
+    fitted = {
+        e.label: [model.names.index(p.name) for p in e.parameters if p.name in model.names] for e in model.effects
+    }
+    neutral = library.columns(rows, at.by_name, None, model)
+    of_library = [
+        jacobian[:, :, fitted[h.label]] if h.label in fitted else c
+        for h, c in zip(library.members, neutral, strict=True)
+    ]
     blocks = [Block(h.key, h.label, acting_at(h), h.weight, member=h) for h in library.members]
     where = Where.of(model, at.values, rows.postures, rows.conditions)
     further = [one for one in outside_blocks(rows, where) if outside is None or one.label in outside]

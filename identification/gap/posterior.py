@@ -184,11 +184,16 @@ def _with_noises(
     search: Search,
     top: Weighed,
 ) -> Climbed:
-    """A set with the odds of each noise, with nothing and with the set, in units of the noise that was searched."""
+    """A set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and with
+    the outlying rows of the set alone, which noise of another kind may need, too."""
     first, there = _likelihoods(library, every, at, problem, top)
     prior = np.array([n.prior for n in every])
     offset = first - first[number] + prior
     scores = np.maximum(offset, there - there[number] + top.log_odds + prior)
+    if outlying := [k for k, b in enumerate(top.blocks) if problem.blocks[b].row]:
+        rows_only = search.weigh(tuple(top.blocks[k] for k in outlying), tuple(top.sizes[k] for k in outlying))
+        there = _likelihoods(library, every, at, problem, rows_only)[1]
+        scores = np.maximum(scores, there - there[number] + rows_only.log_odds + prior)
     return Climbed(library, at, every, number, wrong, problem, search, top, scores, offset)
 
 

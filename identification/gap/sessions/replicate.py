@@ -23,11 +23,16 @@ from identification.measurements import Measurements
 
 
 def replications(
-    found: Fit, measurements: Measurements, kept: NDArray[np.bool_], labels: tuple[str, ...]
+    found: Fit,
+    measurements: Measurements,
+    kept: NDArray[np.bool_],
+    labels: tuple[str, ...],
+    curves: Sequence[tuple[Effect, Array]] = (),
 ) -> tuple[Replication, ...]:
-    """Replication of the named effects across sessions; empty for a single session.
+    """Replication of the named effects and of error curves across sessions; empty for a single session.
 
     found : fit to the kept rows;  kept : (m,) rows that are no outliers;  labels : of the named effects
+    curves : with their (m, d, K) columns in the kept rows, as of `SharedFit.of`
     """
     data = measurements.rows(kept)
     if len(data.sessions) < 2:
@@ -38,8 +43,9 @@ def replications(
         SessionRows(name, rows, groupings(data.postures[rows], data.posture_numbers[rows], turn[rows]))
         for name, rows in zip(data.sessions, data.session_rows, strict=True)
     )
-    problem = SharedFit.of(found, sessions)
-    return tuple(_replication(problem, effect) for effect in found.model.effects if effect.label in labels)
+    problem = SharedFit.of(found, sessions, {curve.joint or 0: columns for curve, columns in curves})
+    effects = [effect for effect in found.model.effects if effect.label in labels]
+    return tuple(_replication(problem, effect) for effect in [*effects, *(curve for curve, _ in curves)])
 
 
 def _replication(problem: SharedFit, effect: Effect) -> Replication:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -68,15 +70,26 @@ class SharedFit:
     sessions: tuple[SessionRows, ...]
 
     @classmethod
-    def of(cls, found: Fit, sessions: tuple[SessionRows, ...]) -> SharedFit:
-        """Linearize a fit;  sessions : of the rows of the fit."""
+    def of(
+        cls, found: Fit, sessions: tuple[SessionRows, ...], shapes: Mapping[int, Array] = MappingProxyType({})
+    ) -> SharedFit:
+        """Linearize a fit.
+
+        sessions : of the rows of the fit
+        shapes : joint (from 1) -> (m, d, K) whitened columns of its error curve, each with the prior variance of the
+            noise; the fit is without
+        """
         rows = found.rows
         shape = len(rows), rows.dimension, -1
-        jacobian, known = found.jacobian.reshape(shape), found.values
+        ends = np.cumsum([len(found.values), *(columns.shape[2] for columns in shapes.values())])
+        curves = {j: np.arange(*ends[k : k + 2]) for k, j in enumerate(shapes)}
+        jacobian = np.concatenate([found.jacobian.reshape(shape), *shapes.values()], axis=2)
+        known = np.concatenate([found.values, np.zeros(ends[-1] - len(found.values))])
         lengths = np.sqrt(np.einsum("mdp,mdp->p", jacobian, jacobian))
         lengths = np.where(lengths > 0.0, lengths, 1.0)
         response = found.residual.reshape(shape[:2]) + jacobian @ known
-        return cls(found, jacobian / lengths, response, lengths, np.zeros(len(lengths)), {}, sessions)
+        penalty = np.where(np.arange(len(lengths)) < len(found.values), 0.0, lengths**-2.0)
+        return cls(found, jacobian / lengths, response, lengths, penalty, curves, sessions)
 
     def columns_of(self, effect: Effect) -> Index:
         """Indices of the columns of an effect's parameters, or of its error curve."""
