@@ -27,6 +27,7 @@ from identification.sessions import SESSIONS
 
 # reasons: identification/README.md, "Constants"
 WRITTEN = 0.05  # probability of a block that is part of the model
+LIKELY = 0.5  # of the rest of the library, below which the average is over the sets without it
 SETS = 150  # effort: explanations that are averaged
 TIDY = 7  # decimals of a value in degrees, in files
 
@@ -55,7 +56,8 @@ def mixture_of(found: Posterior) -> Moments:
 
     The base's are those beside what an arm file can have: what it cannot have stays with the base.
     """
-    likely = found.explanations[:SETS]
+    rest = sum(one.probability for one in found.explanations if one.rest)
+    likely = [one for one in found.explanations if rest >= LIKELY or not one.rest][:SETS]
     total = sum(one.probability for one in likely)
     shares: dict[str, float] = {}
     blocks: dict[str, Block] = {}

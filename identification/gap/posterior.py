@@ -54,6 +54,11 @@ class Explanation:
         return () if self.effects and all(b.parts for b in rest) else rest
 
     @property
+    def rest(self) -> bool:
+        """Whether the rest of the library is in it."""
+        return any(b.parts for b in self.blocks)
+
+    @property
     def wrong(self) -> tuple[int, ...]:
         """Rows (from 0) that it takes for outlying."""
         return tuple(_row_of(b) for b in self.blocks if b.row)

@@ -33,7 +33,7 @@ TAIL = 2.0  # p(K) ~ K^-TAIL
 WRONG = 0.0005  # prior odds of a row to be outlying
 REST_ODDS = 0.25  # prior odds of the rest of the library
 NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
-MOVES = 500  # effort: of the walk
+MOVES = 1000  # effort: of the walk
 PAIRS, TRIED = 10, 3  # effort: of the climb, blocks that are tried in pairs, and exchanges at each step
 LEAST = 1e-5  # probability of a set that is kept
 
