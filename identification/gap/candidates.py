@@ -13,6 +13,7 @@ from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.uncertainty import FittedRows, Uncertainty, uncertainty
 from identification.gap.average import PredictingModel
 from identification.gap.candidate import Candidate, Estimate
+from identification.gap.evidence import SIZES
 from identification.gap.fits.fit import Fit
 from identification.gap.posterior import Posterior
 from identification.gap.result import Trial
@@ -97,19 +98,25 @@ def estimates(model: Model, values: Array, sure: Uncertainty, names: set[str]) -
 
 
 def trial_list(found: Posterior) -> tuple[Trial, ...]:
-    """Every effect alone against the base model, likeliest first; of a scanned setting only the best value."""
+    """Every effect alone against the base model, likeliest first; of a scanned setting only the best value.
+
+    Rows that are left out have shifts of their own, too large for anything else to explain them.
+    """
     problem, shares = found.whole, block_probabilities(found)
     products = problem.products
-    added = logsumexp(products.added(products.left((), np.zeros(0))), axis=1) - np.log(products.limits)
+    wrong = [problem.numbers[block.label] for block in found.best.blocks if block.row]
+    left, freedom = products.left(wrong, np.full(len(wrong), SIZES[-1])), products.freedom - len(products.places(wrong))
+    added = logsumexp(products.added(left), axis=1) - np.log(products.limits)
     total = sum(b.weight for b in problem.blocks if not b.row)
     best: dict[str, Trial] = {}
     for k, block in enumerate(problem.blocks):
         if block.named:
             own = products.places([k])
-            gram = products.columns[:, own].T @ products.columns[:, own]
-            gain = float(products.right[own] @ np.linalg.pinv(gram) @ products.right[own])
-            rest = max(products.freedom - len(own), 1)
-            f = gain / len(own) / (max(products.squares - gain, 1e-300) / rest)
+            gram = products.columns[:, own].T @ products.columns[:, own] - left.rows[:, own].T @ left.rows[:, own]
+            scores = products.right[own] - left.scores @ left.rows[:, own]
+            gain = float(scores @ np.linalg.pinv(gram) @ scores)
+            rest = max(freedom - len(own), 1)
+            f = gain / len(own) / (max(left.squares - gain, 1e-300) / rest)
             odds = float(added[k] + np.log(block.weight / total))
             p = float(fdtrc(len(own), rest, f))
             trial = Trial(block.label, f, p, 1.0 - shares.get(block.key, 0.0), -2.0 * odds)

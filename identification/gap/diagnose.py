@@ -269,7 +269,7 @@ def models(found: Posterior, base: Fit, likely: Probabilities) -> list[Candidate
         keys = [h.key for h in one.effects]
         p = likely.of(keys) if likely.verdict != "unknown" else None
         best = max(likely.of(likely.best), 1e-300)
-        delta = -2.0 * float(np.log(max(p, 1e-300) / best)) if rivals and p is not None else 0.0
+        delta = 2.0 * float(np.log(best / max(p, 1e-300))) if rivals and p is not None else 0.0
         candidates.append(candidate_of(fitted, len(one.effects), sure, max(float(gain), 0.0), p, delta))
     listed = candidates if rivals or (likely.verdict == "unknown" and candidates[0].effects) else []
     return [candidates[0], *listed]
