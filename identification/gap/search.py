@@ -28,10 +28,10 @@ from identification.arrays import Array
 from identification.gap.evidence import ROUNDING, SIZES, Products
 
 # reasons: identification/README.md, "Constants"
-SOME = 3.0  # prior odds of something missing to nothing
-TAIL = 2.0  # p(K) ~ K^-TAIL
+SOME = 2.0  # prior odds of something missing to nothing
+TAIL = 4.0  # p(K) ~ K^-TAIL
 WRONG = 0.0005  # prior odds of a row to be outlying
-REST_ODDS = 0.25  # prior odds of the rest of the library
+REST_ODDS = 0.1  # prior odds of the rest of the library
 NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
 MOVES = 1000  # effort: of the walk
 PAIRS, TRIED = 10, 3  # effort: of the climb, blocks that are tried in pairs, and exchanges at each step
