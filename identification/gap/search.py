@@ -28,8 +28,8 @@ from identification.arrays import Array
 from identification.gap.evidence import ROUNDING, SIZES, Products
 
 # reasons: identification/README.md, "Constants"
-SOME = 2.0  # prior odds of something missing to nothing
-TAIL = 4.0  # p(K) ~ K^-TAIL
+SOME = 1.0  # prior odds of something missing to nothing
+TAIL = 3.0  # p(K) ~ K^-TAIL
 WRONG = 0.0005  # prior odds of a row to be outlying
 REST_ODDS = 0.1  # prior odds of the rest of the library
 NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
