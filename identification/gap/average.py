@@ -119,13 +119,13 @@ def _to_parameters(problem: Linearized, places: Mapping[str, tuple[Block, Index]
     """(P, C) from the coefficients of a problem's columns to the base's parameters and those of the blocks."""
     turn = np.zeros((count, len(problem.products.right)))
     for b, block in enumerate(problem.blocks):
-        own, row = problem.products.places([b]), 0
-        for part in block.parts or (block,):
+        own, parts, row = problem.products.places([b]), block.parts or (block,), 0
+        for part in parts:
+            width = _width(part) or len(problem.roots[b])
             if part.label in places:
-                width = len(places[part.label][1])
                 turn[np.ix_(places[part.label][1], own)] = problem.roots[b][row : row + width]
-                row += width
-        if block.row or (block.written and block.label in places) or (block.parts and row):
+            row += width
+        if block.row or any(part.written and part.label in places for part in parts):
             turn[:g, own] = problem.response[:, own]
     return turn
 

@@ -10,7 +10,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.gap.average import averaged
+from identification.gap.average import _to_parameters, averaged
 from identification.gap.blocks import Where
 from identification.gap.evidence import SIZES
 from identification.gap.fits.whitening import Rows
@@ -98,3 +98,14 @@ def test_expected_square_errors_elsewhere_are_those_of_draws(seed: int) -> None:
     columns, products = written.uncertain(postures, conditions)
     expected = np.sum((columns @ products) * columns, axis=2).ravel()
     np.testing.assert_allclose(np.mean((true - off) ** 2, axis=0), expected, rtol=0.05)
+
+
+def test_a_part_of_the_rest_that_is_not_written_leaves_the_others_in_their_places() -> None:
+    """The last of them alone: its rows of the rest's root, and no others."""
+    problem = found().whole
+    b = problem.numbers["library"]
+    last, own, g = problem.blocks[b].parts[-1], problem.products.places([b]), len(problem.base)
+    width = len(problem.roots[problem.numbers[last.label]])
+    turn = _to_parameters(problem, {last.label: (last, np.arange(g, g + width))}, g, g + width)
+    np.testing.assert_array_equal(turn[g:, own], problem.roots[b][-width:])
+    np.testing.assert_array_equal(turn[:g, own], problem.response[:, own])
