@@ -227,12 +227,6 @@ def log_odds_of_count(count: int) -> float:
     return float(np.log(SOME / zeta(TAIL)) - TAIL * np.log(count)) + lgamma(count + 1) if count else 0.0
 
 
-def shares(sets: Sequence[Weighed]) -> Array:
-    """Posterior probabilities of sets."""
-    odds = np.array([one.log_odds for one in sets])
-    return np.asarray(np.exp(odds - logsumexp(odds)))
-
-
 def _over_sizes(table: Array) -> Array:
     """(B,) log odds of blocks from those of their sizes (B, S)."""
     return np.asarray(logsumexp(table, axis=1))

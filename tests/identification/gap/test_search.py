@@ -6,11 +6,11 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from scipy.special import logsumexp, zeta
+from scipy.special import logsumexp, softmax, zeta
 
 from identification.gap import search as search_module
 from identification.gap.evidence import SIZES, Products
-from identification.gap.search import REST_ODDS, SOME, TAIL, WRONG, Search, Weighed, log_odds_of_count, shares
+from identification.gap.search import REST_ODDS, SOME, TAIL, WRONG, Search, Weighed, log_odds_of_count
 
 WIDTHS = (1, 2, 1, 1, 2, 1, 1, 3)
 COUNT = len(WIDTHS)
@@ -50,7 +50,7 @@ def exact(search: Search) -> dict[tuple[int, ...], float]:
 
 def variation(search: Search, sets: list[Weighed]) -> float:
     """Total variation between what a walk found and all sets."""
-    found = {one.blocks: p for one, p in zip(sets, shares(sets).tolist(), strict=True)}
+    found = {one.blocks: p for one, p in zip(sets, softmax([one.log_odds for one in sets]).tolist(), strict=True)}
     assert sum(found.values()) == pytest.approx(1.0)
     return 0.5 * sum(abs(p - found.get(blocks, 0.0)) for blocks, p in exact(search).items())
 
