@@ -19,8 +19,7 @@ from identification.arrays import Array
 from identification.effects.places import OF_FRAME, widths
 from identification.error_curve import ErrorCurve, local_splines
 from identification.gap.evidence import SIZES, Products
-from identification.gap.fits.fit import Fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Fit, Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, untested_joints
 from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.spatial import SpatialChain

@@ -14,7 +14,7 @@ from identification.estimation.uncertainty import FittedRows, Uncertainty, uncer
 from identification.gap.average import PredictingModel
 from identification.gap.candidate import Candidate, Estimate
 from identification.gap.evidence import SIZES
-from identification.gap.fits.fit import Fit
+from identification.gap.fit import Fit
 from identification.gap.posterior import Posterior
 from identification.gap.result import Trial
 from identification.gap.verdict import block_probabilities

@@ -31,8 +31,7 @@ from identification.gap.confirmation.holdout import (
 )
 from identification.gap.curves.curve import Curve
 from identification.gap.evidence import SIZES
-from identification.gap.fits.fit import Fit, fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses.detectability import assess, require_spare
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.noise.misfit import Misfit, misfit

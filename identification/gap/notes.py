@@ -11,7 +11,7 @@ from identification.arrays import Array, rows_in_words
 from identification.gap.candidate import Candidate
 from identification.gap.confirmation.holdout import Gap
 from identification.gap.curves.curve import Curve
-from identification.gap.fits.fit import Fit
+from identification.gap.fit import Fit
 from identification.gap.hypotheses.detectability import EXACT, NEAR, Detectability
 from identification.gap.noise.misfit import Misfit
 from identification.gap.posterior import MOST_ROWS, Posterior

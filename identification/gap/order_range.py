@@ -13,8 +13,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.effects import Effect
-from identification.gap.fits.fit import Fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Fit, Rows
 from identification.gap.hypotheses.detectability import NEAR, VISIBLE
 from identification.information import column_space
 

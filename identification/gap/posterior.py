@@ -13,8 +13,7 @@ from identification.arrays import Array
 from identification.estimation.outlying import together
 from identification.gap.blocks import Block, Linearized, linearized
 from identification.gap.evidence import State
-from identification.gap.fits.fit import Fit, fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet
 from identification.gap.scatter import NoiseModel, log_likelihood, noises
 from identification.gap.search import ROUNDING, Moments, Search, Walked, Weighed

@@ -133,8 +133,8 @@ class Search:
 
     def log_odds(self, state: State) -> float:
         """Log posterior odds of a set with its sizes against nothing missing."""
-        of_sizes = float(np.sum(np.log(self.products.limits[list(state.blocks)])))
-        return self.products.ratio(state) + self.products.signed(state) + self.log_prior(state.blocks) - of_sizes
+        of_sizes = -float(np.sum(np.log(self.products.limits[list(state.blocks)])))
+        return self.products.ratio(state) + self.products.signed(state) + self.log_prior(state.blocks) + of_sizes
 
     def climb(self, start: Set = ()) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
@@ -144,7 +144,8 @@ class Search:
         for block in np.argsort(-np.round(logsumexp(table, axis=1), 9), kind="stable")[:PAIRS].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
                 single = self.products.with_block(nothing, block, int(np.argmax(table[block])))
-                tops += [single, self._put(single, self._each(single))]
+                pair = self._put(single, self._each(single))
+                tops += [single, self._up(pair, frozenset(range(len(table))) - set(pair.blocks))]  # its sizes alone
         return self._up(self._up(max(tops, key=lambda one: round(self.log_odds(one), 9)), self.rest))
 
     def _up(self, state: State, barred: frozenset[int] = frozenset()) -> State:

@@ -21,7 +21,7 @@ from identification.gap.confirmation.confirmation import (
     mean_of,
 )
 from identification.gap.confirmation.set_up import Predicted, SetUp, point_names, set_up_of
-from identification.gap.fits.fit import Fit
+from identification.gap.fit import Fit
 from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 

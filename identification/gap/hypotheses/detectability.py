@@ -16,7 +16,7 @@ from scipy.special import betaincinv, ncfdtr, nctdtr, stdtrit
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.information import column_space
 from identification.measurements import Conditions, directions_from_order, past_from_order, session_time

@@ -19,7 +19,7 @@ from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
 from identification.effects.places import state_size
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows
 from identification.gap.hypotheses.columns import Bundle, bundles
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model

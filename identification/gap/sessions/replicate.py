@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.effects import Effect
 from identification.gap.confirmation.confirmation import LEVEL, Groups, Mean, groupings, mean_of
-from identification.gap.fits.fit import Fit
+from identification.gap.fit import Fit
 from identification.gap.sessions.replication import InSession, Replication
 from identification.gap.sessions.shared_fit import Carried, SessionRows, SharedFit
 from identification.measurements import Measurements

@@ -15,7 +15,7 @@ from scipy.special import fdtrc
 from identification.arrays import Array
 from identification.effects import Effect
 from identification.gap.confirmation.confirmation import Groups
-from identification.gap.fits.fit import Fit
+from identification.gap.fit import Fit
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.sessions import BASE, SESSIONS
 

@@ -13,10 +13,10 @@ from identification.arrays import Array
 from identification.gap.average import _to_parameters, averaged
 from identification.gap.blocks import Where
 from identification.gap.evidence import SIZES
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.posterior import Explanation, Posterior, posterior
-from identification.gap.search import Weighed
+from identification.gap.search import Moments, Weighed
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -34,12 +34,14 @@ def found() -> Posterior:
     rows = Rows.of(Measurements(q, exact + 0.05 * rng.normal(size=(50, 2))))
     walked = posterior(hypotheses(ARM, frozenset(), rows), rows, rng)
     problem, numbers = walked.whole, walked.whole.numbers
-    explanations = []
+    explanations, moments = [], (Moments(problem.products), Moments(problem.products))
     for labels, share in zip(SETS, SHARES, strict=True):
         blocks = tuple(sorted(numbers[label] for label in labels))
         weighed = Weighed(blocks, tuple(2 + k for k in range(len(blocks))), float(np.log(share)))
         explanations.append(Explanation(tuple(problem.blocks[b] for b in blocks), 0, weighed, share))
-    return replace(walked, explanations=tuple(explanations), problems=(problem,), noises=walked.noises[:1])
+        moments[0].add(problem.products.state([(b, 2 + k) for k, b in enumerate(blocks)]), round(100 * share))
+    alone = {"problems": (problem,), "noises": walked.noises[:1], "moments": (moments,)}
+    return replace(walked, explanations=tuple(explanations), **alone)
 
 
 def regressed(given: Posterior, one: Explanation, base: Array, target: Array) -> tuple[Array, Array, list[Array]]:

@@ -17,8 +17,7 @@ from identification.errors import InputError
 from identification.estimation import estimate as identify
 from identification.gap.candidates import candidate_of, certainty
 from identification.gap.diagnose import diagnose
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.gap.hypotheses.detectability import NEAR
 from identification.gap.order_range import order_clauses, order_ranges
 from identification.measurements import Measurements

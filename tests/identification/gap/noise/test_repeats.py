@@ -10,8 +10,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.gap.noise.repeats import NoiseFloor, noise_floor, repeat_finding, with_repeats_doubted
 from identification.measurements import Measurements
 from identification.model import Model

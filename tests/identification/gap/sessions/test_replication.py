@@ -8,8 +8,7 @@ from scipy import stats
 
 from identification.arm import Arm, EffectSpec
 from identification.gap.diagnose import diagnose
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.gap.sessions.replicate import replications
 from identification.gap.sessions.replication import Replication, replication_clauses
 from identification.gap.sessions.shared_fit import SessionRows, SharedFit
