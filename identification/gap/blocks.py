@@ -29,7 +29,7 @@ from identification.model import Model
 # reasons: identification/README.md, "Constants"
 ALIKE = 0.3  # relative scatter of one family's parameters over the joints
 RANK = 1e-6  # of the largest eigenvalue of unit columns: combinations that the data do not determine
-FAINT = 1e-3  # expected square of a combination of columns at the block's largest size, below which it is left out
+FAINT = 0.03  # expected square of a combination of columns at the block's largest size, below which it is left out
 VISIBLE = 1e-6  # share of a block's square that the base model must leave
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect
 WAVES = 30  # half periods of an error curve over the angles of its joint

@@ -15,7 +15,7 @@ of that block's rank (M. A. Woodbury, 1950): Z_A is never factorized anew.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,6 +27,7 @@ from identification.arrays import Array, eigen_of_pairs
 
 # reasons: identification/README.md, "Constants"
 SIZES: Array = 3.0 * np.exp2(np.arange(14))  # of a block's contribution, in standard deviations of the noise
+DIGITS = 1e-9  # of the scores, which a set's coefficients explain but for rounding
 LEAST = 1e-14  # of y^T y: what rounding leaves of a sum of squares
 
 Index = NDArray[np.int64]
@@ -171,7 +172,7 @@ class Products:
         inner = np.linalg.inv(state.covariance[np.ix_(out, out)])
         give = state.covariance[np.ix_(~out, out)] @ inner
         precision = SIZES[state.order[which][1]] ** -2.0
-        return State(
+        fewer = State(
             (*state.order[:which], *state.order[which + 1 :]),
             state.places[~out],
             state.mean[~out] - give @ mean,
@@ -182,6 +183,13 @@ class Products:
             self._rest(state.squares + float(mean @ inner @ mean)),
             state.volume - float(np.linalg.slogdet(inner)[1]) + len(mean) * float(np.log(precision)),
         )
+        # what two nearly equal blocks share cancels when one of them goes: made at once where too few digits are left
+        right = self.right[fewer.places]
+        precisions = np.repeat(
+            [SIZES[size] ** -2.0 for _, size in fewer.order], self.widths[[b for b, _ in fewer.order]]
+        )
+        off = self.gram[np.ix_(fewer.places, fewer.places)] @ fewer.mean + precisions * fewer.mean - right
+        return fewer if np.linalg.norm(off) <= DIGITS * np.linalg.norm(right) else self.state(fewer.order)
 
     def _within(self, state: State, one: Array, other: Array, sign: float) -> tuple[Array, ...]:
         """The blocks' own parts of V + sign one^T other, with (v, P) each."""
@@ -206,10 +214,19 @@ class Products:
         variance = np.diag(state.covariance)[signs] * state.squares / max(self.freedom, 1)
         return float(np.sum(np.log(2.0) + log_ndtr(state.mean[signs] / np.sqrt(np.maximum(variance, 1e-300)))))
 
-    def added(self, state: State) -> Array:
-        """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf."""
+    def added(self, state: State, barred: Collection[int] = ()) -> Array:
+        """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf.
+
+        barred : blocks that are not asked, beside those that are in the set
+        """
         ratios = np.full((len(self.widths), len(SIZES)), -np.inf)
-        for (blocks, index), left in zip(self.alike, state.within, strict=True):
+        asked = np.ones(len(self.widths), dtype=bool)
+        asked[[*state.blocks, *barred]] = False
+        for (every, every_index), parts_of_all in zip(self.alike, state.within, strict=True):
+            chosen = asked[every]
+            if not chosen.any():
+                continue
+            blocks, index, left = every[chosen], every_index[chosen], parts_of_all[chosen]
             width, scores = index.shape[1], state.scores[index]
             if width == 1:
                 values, parts = left[:, 0], scores

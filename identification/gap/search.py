@@ -38,7 +38,6 @@ MOVES = 1000  # effort: of the walk
 PAIRS = 10  # effort: of the climb, blocks that are tried in pairs
 LEAST = 1e-5  # probability of a set that is kept
 ROUNDING = 1e-6  # of a log likelihood
-AFRESH = 64  # steps after which rounding is swept out
 
 Set = tuple[int, ...]
 Key = tuple[tuple[int, int], ...]  # blocks with their sizes, ascending
@@ -106,7 +105,7 @@ class Search:
     needy: frozenset[int] = frozenset()
     givers: frozenset[int] = frozenset()
     total: float | None = None
-    _tables: dict[Key, Array] = field(default_factory=dict)
+    _tables: dict[tuple[Key, frozenset[int]], Array] = field(default_factory=dict)
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:
@@ -151,12 +150,11 @@ class Search:
     def _up(self, state: State, barred: frozenset[int] = frozenset()) -> State:
         """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each;
         and so on, round after round, until nothing changes;  barred : blocks that are not added"""
-        bars, changed = list(barred), True
+        changed = True
 
         def likelier(fewer: State, least: float) -> State | None:
             """A set with the likeliest block beside it, or alone, where its log odds grow by more than `least`."""
-            table = self._each(fewer).copy()
-            table[bars] = -np.inf
+            table = self._each(fewer, barred)
             alone = 0.0 if np.isfinite(self.log_prior(fewer.blocks)) else -np.inf
             if max(np.max(table), alone) <= least + ROUNDING:
                 return None
@@ -169,7 +167,8 @@ class Search:
                 if block in state.blocks:
                     fewer = self.products.without(state, block)
                     size = dict(state.order)[block]
-                    if (new := likelier(fewer, float(self._each(fewer)[block, size]))) is not None:
+                    stays = float(self._each(fewer, barred - {block})[block, size])
+                    if (new := likelier(fewer, stays)) is not None:
                         state, changed = new, True
                 while (new := likelier(state, 0.0)) is not None:
                     state, changed = new, True
@@ -195,9 +194,7 @@ class Search:
         """The posterior, from a set to start from."""
         state, steps, odds = top, dict[Key, tuple[Array, Array]](), dict[Key, float]()
         visits, moments = Counter[Key](), (Moments(self.products), Moments(self.products))
-        for step in range(MOVES):
-            if step % AFRESH == AFRESH - 1:
-                state = self.products.state(state.key)
+        for _ in range(MOVES):
             taken = int(generator.integers(len(state.order) + 1))
             fewer = self.products.without(state, state.blocks[taken]) if taken < len(state.order) else state
             visits[fewer.key] += 1
@@ -236,20 +233,19 @@ class Search:
         sizes = {blocks: tuple(size for _, size in likeliest[blocks]) for _, blocks in order}
         return [Weighed(blocks, sizes[blocks], float(np.log(-negative)) + evidence) for negative, blocks in order]
 
-    def _each(self, state: State) -> Array:
+    def _each(self, state: State, barred: frozenset[int] = frozenset()) -> Array:
         """(B, S) log odds of the set with each further block in each size against the set; -inf where it may not be."""
-        if state.key not in self._tables:
+        if (state.key, barred) not in self._tables:
             chosen, inside = set(state.blocks), list(state.blocks)
             count = int(np.sum(self.counted[inside]))
             step = np.where(self.counted, log_odds_of_count(count + 1) - log_odds_of_count(count), 0.0)
             prior = step + self._log_weights - np.log(self.products.limits)
-            prior[inside] = -np.inf
             prior[[b for a, b in self.apart if a in chosen] + [a for a, b in self.apart if b in chosen]] = -np.inf
             if not chosen & self.givers:
                 others = set(range(len(prior))) - self.givers if chosen & self.needy else self.needy
                 prior[list(others)] = -np.inf
-            self._tables[state.key] = self.products.added(state) + prior[:, None]
-        return self._tables[state.key]
+            self._tables[state.key, barred] = self.products.added(state, barred) + prior[:, None]
+        return self._tables[state.key, barred]
 
 
 def log_odds_of_count(count: int) -> float:
