@@ -22,10 +22,11 @@ from identification.progress import Tell, say_nothing
 
 # reasons: identification/README.md, "Constants"
 MOST_ROWS = 1250  # that are searched for any effect
-PASSES = 4  # effort: linearizations
+PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
 UNLIKELY = 3.0  # log odds below the best, of a noise model that is not searched
 STRIKING = 3.0  # robust standard deviations of a row that may be outlying
+WRITTEN = 0.05  # probability of a block that is part of the model that is written
 MOST_WRONG = 30  # effort: rows that may be
 
 
@@ -68,6 +69,7 @@ class Posterior:
     """explanations : likeliest first, with sum 1
     noises, problems, moments : searched, with the blocks that are not negligible, and what the walk among these drew
     whole : problem of the likeliest noise, with all blocks;  at : fit where it is linearized
+    given_file : the posterior if nothing is missing but what an arm file can have; None where that is the same
     """
 
     explanations: tuple[Explanation, ...]
@@ -78,11 +80,24 @@ class Posterior:
     rows: Rows
     at: Fit
     moments: tuple[tuple[Moments, Moments], ...] = ()
+    given_file: Posterior | None = None
 
     @property
     def best(self) -> Explanation:
         """The likeliest."""
         return self.explanations[0]
+
+    @property
+    def writable(self) -> Posterior:
+        """The posterior if nothing is missing but what an arm file can have."""
+        return self.given_file or self
+
+    @property
+    def noise_variance(self) -> float:
+        """Expected variance of a whitened coordinate's noise [mm^2]."""
+        shares = [sum(e.probability for e in self.explanations if e.noise == k) for k in range(len(self.noises))]
+        both = [(sum(m.variance for m in pair), sum(m.count for m in pair)) for pair in self.moments]
+        return sum(share * variance / max(count, 1) for share, (variance, count) in zip(shares, both, strict=True))
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -158,7 +173,11 @@ def _climbed(library: HypothesisSet, rows: Rows, tell: Tell) -> Climbed:
 def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
     """The set of a sample, with the blocks and noises that are not unlikely there, in the problem of all rows."""
     tell("all rows")
-    labels = frozenset(sample.problem.blocks[b].label for b in sample.search.near(sample.top))
+    near = {sample.problem.blocks[b].label for b in sample.search.near(sample.top)}
+    if not all(_holds(sample.problem.blocks[b]) for b in sample.top.blocks):
+        alone = _writable(sample)
+        near |= {alone.problem.blocks[b].label for b in alone.search.near(alone.top)}
+    labels = frozenset(near)
     least = sample.scores.max() - UNLIKELY
     chosen = sample.every[sample.noise]
     names = {chosen.name, *(n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least)}
@@ -212,6 +231,20 @@ def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
     return tuple(b.member for b in blocks if b.member is not None)
 
 
+def _writable(climbed: Climbed) -> Climbed:
+    """The likely set of what an arm file can have."""
+    problem = climbed.problem
+    alone = problem.of([k for k, block in enumerate(problem.blocks) if _holds(block)])
+    search = search_of(climbed.library, alone, climbed.search.total)
+    top = search.climb(tuple(sorted(alone.numbers[label] for label in climbed.labels if label in alone.numbers)))
+    return climbed._replace(problem=alone, search=search, top=top)
+
+
+def _holds(block: Block) -> bool:
+    """Whether an arm file can have a block, or its row be left out."""
+    return block.written or block.row or bool(block.parts)
+
+
 def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: Tell) -> Posterior:
     """The posterior around a likely set, under each noise that is not unlikely."""
     order = [int(k) for k in np.argsort(-climbed.scores, kind="stable") if k != climbed.noise]
@@ -221,19 +254,30 @@ def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: 
     for k in [climbed.noise, *order]:
         noise = climbed.every[k]
         tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
-        problem, top, search = climbed.problem, climbed.top, climbed.search
+        there = climbed
         if k != climbed.noise:
             problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong, labels)
             search = search_of(climbed.library, problem)
-            top = _same_set(climbed, problem, search)
-        near = search.near(top)
-        problem = problem.of(near)
-        place = {b: i for i, b in enumerate(near)}
-        total = float(np.sum(search.weights[search.counted]))
-        walk = search_of(climbed.library, problem, total)
-        start = walk.products.state([(place[b], size) for b, size in top.key])
-        models.append((noise, problem, walk.walk(start, generator), float(climbed.offset[k])))
-    return _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
+            there = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
+        models.append((noise, *_near_walk(there, generator), float(climbed.offset[k])))
+    found = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
+    lacking = sum(one.probability for one in found.explanations if not all(map(_holds, one.blocks)))
+    if lacking < WRITTEN:
+        return found
+    alone = _writable(climbed)
+    tell("what an arm file can have")
+    model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
+    return replace(found, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
+
+
+def _near_walk(climbed: Climbed, generator: np.random.Generator) -> tuple[Linearized, Walked]:
+    """The problem with the blocks alone that are not negligible, and the walk there."""
+    search, near = climbed.search, climbed.search.near(climbed.top)
+    problem, place = climbed.problem.of(near), {b: i for i, b in enumerate(near)}
+    total = search.total or float(np.sum(search.weights[search.counted]))
+    walk = search_of(climbed.library, problem, total)
+    start = walk.products.state([(place[b], size) for b, size in climbed.top.key])
+    return problem, walk.walk(start, generator)
 
 
 def _mixture(
