@@ -16,7 +16,7 @@ import numpy as np
 
 from identification.arm import EffectSpec
 from identification.arrays import Array
-from identification.gap.blocks import WAVES, Block, Linearized
+from identification.gap.blocks import WAVES, Block, Linearized, Where
 from identification.gap.curves.curve import Curve
 from identification.gap.evidence import Index
 from identification.gap.posterior import WRITTEN, Posterior
@@ -184,13 +184,15 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
     spread /= max(_mean_trace(jacobian, spread), 1e-300)
     # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
     # measured as much more as the curves are uncertain, and what a file cannot have is there
-    at_rows = {b.label: c for p in held.problems for b, c in zip(p.blocks, p.columns, strict=True)}
-    tables = [(b.label, at) for b, at in mixed.places.values() if b.basis is not None]
+    where = Where.of(held.at.model, held.at.values, held.rows.postures, held.rows.conditions)
+    tables = [
+        (b.columns(where), at) for b, at in mixed.places.values() if b.basis is not None and b.columns is not None
+    ]
     of_curves = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in tables)])
     across, inner = mixed.covariance[np.ix_(index, of_curves)], mixed.covariance[np.ix_(of_curves, of_curves)]
     covariance = mixed.covariance[np.ix_(index, index)] - across @ np.linalg.pinv(inner, hermitian=True) @ across.T
     written = PredictingModel(model, values, covariance, every, curves, mixed.sigma, freedom, spread)
-    whole, both = np.concatenate([jacobian, *(at_rows[label] for label, _ in tables)], axis=2), [*index, *of_curves]
+    whole, both = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
     more = _mean_trace(whole, mixed.covariance[np.ix_(both, both)]) - _mean_trace(jacobian, covariance)
     lacking = held.noise_variance - found.noise_variance
     return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
