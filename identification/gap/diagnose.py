@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.effects import Effect
 from identification.errors import InputError
 from identification.estimation.checks import check_measurements
 from identification.estimation.outlying import outlying, together
 from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.gap.average import PredictingModel, averaged
-from identification.gap.blocks import REST, Where
+from identification.gap.blocks import REST
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate_of, certainty, predicting_candidate, trial_list
 from identification.gap.confirmation.cross_validation import cross_validation
@@ -30,7 +29,6 @@ from identification.gap.confirmation.holdout import (
     other_set_up,
 )
 from identification.gap.curves.curve import Curve
-from identification.gap.evidence import SIZES
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.detectability import assess, require_spare
@@ -40,9 +38,9 @@ from identification.gap.noise.repeats import noise_floor, repeat_finding
 from identification.gap.notes import alias_list, curve_notes, hidden_orders, notes, order_notes, unexplained_note
 from identification.gap.order_range import order_ranges
 from identification.gap.posterior import Explanation, Posterior, posterior, refit
+from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.scatter import Finding
-from identification.gap.sessions.replicate import replications
 from identification.gap.verdict import Names, Probabilities, likeliest_with, probabilities
 from identification.measurements import Measurements
 from identification.model import Model
@@ -215,23 +213,10 @@ def diagnosis_of(
         unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
         shapes=order_ranges(fitted, fitted.rows, named.effects),
         replication=replications(
-            fitted, measurements, kept, named.effects, _shapes(found, likeliest_of(found, likely), fitted, predicting)
+            fitted, measurements.session_names, named.effects, curve_columns(found, shown, fitted, curves)
         ),
         curves=curves,
     )
-
-
-def _shapes(found: Posterior, one: Explanation, fitted: Fit, predicting: PredictingModel) -> list[tuple[Effect, Array]]:
-    """Error curves of an explanation, with their whitened columns in the rows of a fit in units of their prior."""
-    rows, problem = fitted.rows, found.problems[one.noise]
-    where = Where.of(fitted.model, fitted.values, rows.postures, rows.conditions)
-    of_joint = {effect.joint: effect for effect in predicting.model.effects if effect.curve is not None}
-    shapes = []
-    for block, number, size in zip(one.blocks, one.weighed.blocks, one.weighed.sizes, strict=True):
-        if block.basis is not None and block.columns is not None and (joint := block.basis.joint + 1) in of_joint:
-            columns = rows.whiten(block.columns(where) @ problem.roots[number]) * SIZES[size]
-            shapes.append((of_joint[joint], columns.reshape(len(rows), rows.dimension, -1)))
-    return shapes
 
 
 def guarded(

@@ -20,8 +20,8 @@ from identification.gap.curves.curve import Curve
 from identification.gap.hypotheses.detectability import Detectability, Size
 from identification.gap.noise.misfit import Misfit
 from identification.gap.order_range import OrderRange
+from identification.gap.replication import Replication
 from identification.gap.scatter import Finding
-from identification.gap.sessions.replication import Replication
 from identification.gap.verdict import Probabilities
 from identification.model.minimal import placed_calibration
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from identification.gap.order_range import order_clauses
-from identification.gap.sessions.replication import replication_clauses
+from identification.gap.replication import replication_clauses
 
 if TYPE_CHECKING:
     from identification.gap.candidate import Candidate
