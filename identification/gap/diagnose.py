@@ -19,13 +19,12 @@ from identification.gap.average import PredictingModel, averaged
 from identification.gap.blocks import REST
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate_of, certainty, predicting_candidate, trial_list
-from identification.gap.confirmation.cross_validation import cross_validation
-from identification.gap.confirmation.holdout import (
+from identification.gap.confirmation import (
+    Gap,
     check_holdout,
     check_same_arm,
-    confirmation_of,
-    gap_of,
-    held_out,
+    confirmed_on,
+    cross_validation,
     other_set_up,
 )
 from identification.gap.curves.curve import Curve
@@ -42,7 +41,7 @@ from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.scatter import Finding
 from identification.gap.verdict import Names, Probabilities, likeliest_with, probabilities
-from identification.measurements import Measurements
+from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
 from identification.progress import Progress, Tell, silent
@@ -165,14 +164,14 @@ def diagnosis_of(
         worse = ["other rows are predicted better by the geometry alone: that is what --out writes"]
     else:
         worse = []
-    there = None if holdout is None else held_out(base, predicting, measurements, kept, holdout)
+    confirmation = None
+    if holdout is not None:
+        confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something)
     residuals = show_residuals(library.arm, measurements, base, left)
     before, after = residuals.before[kept], residuals.after[kept]
     unexplained = kept & unexplained_rows(best, found.rows)
-    gap = gap_of(before, after, there, noise_floor(left, measurements, kept, library.arm.sigma))
-    confirmation = None
-    if holdout is not None and there is not None:
-        confirmation = confirmation_of(measurements, holdout, there, something)
+    floor = noise_floor(left, measurements, kept, library.arm.sigma)
+    gap = Gap.of(rms_distance(before), rms_distance(after), floor, confirmation)
     shown = likeliest_of(found, likely)
     fitted = fit(library.model(shown.effects), found.noises[found.best.noise].rows.pick(kept), best.by_name)
     at_base = library.base.jacobian(base.rows.postures, base.values, base.rows.conditions)
@@ -202,7 +201,7 @@ def diagnosis_of(
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=tests,
-        warnings=(*fit_doubts(library.arm, measurements, best, after), *other_set_up(there)),
+        warnings=(*fit_doubts(library.arm, measurements, best, after), *other_set_up(confirmation)),
         notes=(
             *order_notes(hidden),
             *curve_notes(curves),

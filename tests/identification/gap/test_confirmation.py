@@ -3,24 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from identification.gap.confirmation.confirmation import (
+from identification.arm import Arm
+from identification.errors import InputError
+from identification.gap.confirmation import (
     GROUPS,
     Confirmation,
-    HeldOut,
     Mean,
     confirm,
+    confirmed_on,
     groupings,
     mean_of,
     regions,
-    shrinks,
+    split,
 )
+from identification.gap.fits.fit import fit
+from identification.gap.fits.whitening import Rows
+from identification.measurements import Measurements
+from identification.model import Model
 
 SIGMA = 0.1  # per coordinate
+RNG = np.random.default_rng(1)
+NUMBER = np.repeat(np.arange(50), 2)
+DATA = Measurements(
+    RNG.uniform(-3.0, 3.0, (50, 3))[NUMBER],
+    RNG.normal(size=(100, 2)),
+    np.arange(100.0),
+    temperature=20.0 + RNG.random(100),
+)
 
 
 def test_group_means_are_compared_by_students_t() -> None:
@@ -49,12 +64,15 @@ def test_one_group_tells_nothing() -> None:
     assert (Mean(1.0, 0.1, 5.0) - alone).p_above() == 1.0
 
 
-def test_without_noise_any_two_models_differ_for_sure() -> None:
+@pytest.mark.parametrize(
+    ("move", "sigma", "expected"), [(1.0, 0.0, False), (1.0, 0.1, False), (1.0, 10.0, None), (0.0, 0.0, None)]
+)
+def test_without_noise_any_two_models_differ_for_sure(move: float, sigma: float, expected: bool | None) -> None:
     """Eight rows where nothing is gained: refuted if the models differ there at all, else the rows do not tell."""
-    gained, zero, one = Mean(0.0, 1.0, 7.0), np.zeros(8), np.ones(8)
-    for moved, sigma, expected in ((one, 0.0, False), (zero, 0.0, None), (zero, 1.0, None), (one, 0.1, False)):
-        assert shrinks(gained, HeldOut(one, one, gained, moved, sigma, 2), 0.05) is expected
-    assert shrinks(gained, HeldOut(one, one, gained, one, 10.0, 2), 0.05) is None
+    before, after = np.tile([1.0, 0.0], (8, 1)), np.tile([np.cos(move), np.sin(move)], (8, 1))
+    after *= np.array([0.5, 1.5] * 4)[:, None] / np.sqrt(1.25)  # more and less, on average the same
+    found = confirm(before, after if move else before, Mean(1.0, 1.0, 7.0), sigma, (np.arange(8),), "other postures")
+    assert found.shrinks is expected
 
 
 def test_groups_keep_repeats_together_and_are_of_equal_size() -> None:
@@ -96,10 +114,8 @@ def held_out(rng: np.random.Generator, m: int, size: float, present: float = 1.0
     variance = SIGMA**2 * rng.chisquare(100) / 100
     after = after + SIGMA * np.sqrt(0.08) * rng.normal(size=2)
     predicted = Mean(2.0 * 1.08 * variance, (2.0 * variance) ** 2 * 2.0 / 100, 7.0)
-    squares = (np.square(a).sum(axis=1) for a in (before, after, move))
-    b, a, moved = squares
-    rows = HeldOut(b, a, predicted, moved, float(np.sqrt(variance)), 2)
-    return confirm(rows, groupings(rng.uniform(size=(m, 3)), np.arange(m), np.arange(m)), "other postures")
+    groups = groupings(rng.uniform(size=(m, 3)), np.arange(m), np.arange(m))
+    return confirm(before, after, predicted, float(np.sqrt(variance)), groups, "other postures")
 
 
 def share(answer: bool | None, sets: int = 200, **drawn: float) -> float:
@@ -132,8 +148,8 @@ def test_errors_shared_by_a_stretch_of_time_do_not_refute() -> None:
     for _ in range(200):
         shared = np.repeat(SIGMA * rng.normal(size=(8, 2)), 20, axis=0)
         squares = np.square(shared).sum(axis=1)
-        rows = HeldOut(squares, squares, Mean(2.0 * SIGMA**2, 0.0, 7.0), np.zeros(160), SIGMA, 2)
-        found = confirm(rows, groupings(rng.uniform(size=(160, 3)), np.arange(160), np.arange(160)), "other postures")
+        groups = groupings(rng.uniform(size=(160, 3)), np.arange(160), np.arange(160))
+        found = confirm(shared, shared, Mean(2.0 * SIGMA**2, 0.0, 7.0), SIGMA, groups, "other postures")
         refuted += found.confirmed is False
         naive += stats.ttest_1samp(squares, 2.0 * SIGMA**2, alternative="greater").pvalue <= 0.025
     assert refuted <= 12  # 2.5 % of 200 and 3 standard errors
@@ -151,12 +167,47 @@ def test_says_what_was_tested_and_what_failed() -> None:
 
 def test_a_gap_that_shrinks_while_the_prediction_stays_open_is_said_so() -> None:
     """Twice the predicted square is left, in stretches of time that differ so much that it may be chance."""
-    left = np.repeat([0.2, 0.2, 6.0, 0.2, 0.3, 0.2, 8.0, 0.9], 20)
-    rows = HeldOut(left + 30.0, left, Mean(1.0, 1e-4, 100.0), np.full(160, 30.0), 0.7, 2)
-    found = confirm(
-        rows, groupings(np.random.default_rng(7).uniform(size=(160, 3)), np.arange(160), np.arange(160)), "a later time"
-    )
+    left = np.sqrt(np.repeat([0.2, 0.2, 6.0, 0.2, 0.3, 0.2, 8.0, 0.9], 20))
+    after, before = np.column_stack([left, np.zeros(160)]), np.column_stack([left, np.full(160, np.sqrt(30.0))])
+    groups = groupings(np.random.default_rng(7).uniform(size=(160, 3)), np.arange(160), np.arange(160))
+    found = confirm(before, after, Mean(1.0, 1e-4, 100.0), 0.7, groups, "a later time")
     assert (found.confirmed, found.shrinks, found.as_predicted) == (True, True, None)
     few = "too few independent rows to say whether by as much as expected"
     assert found.answer == f"the error shrinks for a later time; {few}"
     assert replace(found, file="more.csv").answer == f"the error shrinks for more.csv; {few}"
+
+
+def test_postures_are_held_out_with_their_repeats() -> None:
+    data, held = split(DATA, 0.3, np.random.default_rng(0))
+    assert (len(data), len(held)) == (70, 30)
+    own, other = (set(map(tuple, rows.postures)) for rows in (data, held))
+    assert len(own) == 35
+    assert not own & other
+    again = split(DATA, 0.3, np.random.default_rng(0))[1]
+    assert np.array_equal(again.postures, held.postures)
+    assert len(split(DATA, 1e-9, np.random.default_rng(0))[1]) == 2  # at least one posture
+    assert len(split(DATA, 0.9999, np.random.default_rng(0))[0]) == 2
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -0.2, float("nan")])
+def test_a_share_is_between_none_and_all(share: float) -> None:
+    with pytest.raises(InputError, match="allowed: a share of the rows between 0 and 1"):
+        split(DATA, share, np.random.default_rng(0))
+
+
+def test_rows_of_one_posture_cannot_be_split() -> None:
+    with pytest.raises(InputError, match="of one posture"):
+        split(DATA.rows(NUMBER == 3), 0.5, np.random.default_rng(0))
+
+
+def test_a_file_taken_for_another_session_is_called_by_its_name() -> None:
+    """Only its order numbers, which start again, tell that it is one; what follows in the order needs no name."""
+    model, order = Model(Arm([300.0, 200.0, 100.0])), np.arange(100.0)
+    data = Measurements(DATA.postures, model.position(DATA.postures) + SIGMA * RNG.normal(size=(100, 2)), order)
+    first, every = data.rows(np.arange(60)), np.ones(60, dtype=bool)
+    base = fit(model, Rows.of(first))
+    for rows, where in (np.arange(40), "fresh.csv"), (np.arange(60, 100), "a later time"):
+        given = replace(data.rows(rows), provenance=MappingProxyType({"file": "fresh.csv"}))
+        assert confirmed_on(given, base, base, first, every, named=False).where == where
+    unnamed = confirmed_on(data.rows(np.arange(40)), base, base, first, every, named=False)
+    assert (unnamed.where, unnamed.to_json()["file"]) == ("another session", None)
