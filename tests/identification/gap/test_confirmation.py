@@ -19,11 +19,14 @@ from identification.gap.confirmation import (
     confirmed_on,
     groupings,
     mean_of,
+    predicted_from_others,
     regions,
     split,
 )
 from identification.gap.fits.fit import fit
 from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.posterior import posterior
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -211,3 +214,47 @@ def test_a_file_taken_for_another_session_is_called_by_its_name() -> None:
         assert confirmed_on(given, base, base, first, every, named=False).where == where
     unnamed = confirmed_on(data.rows(np.arange(40)), base, base, first, every, named=False)
     assert (unnamed.where, unnamed.to_json()["file"]) == ("another session", None)
+
+
+def simulated(seed: int, sigma: np.ndarray, given: bool = False, ripple: float = 0.0) -> Measurements:
+    """Rows of two links in complex numbers, with noise of these sizes (m,) [mm] and a wave in joint 2 [rad]."""
+    generator, m = np.random.default_rng(seed), len(sigma)
+    q = generator.uniform(-np.pi, np.pi, (m, 2))
+    bent = q + np.column_stack([np.zeros(m), ripple * np.cos(5.0 * q[:, 1])])
+    z = np.exp(1j * np.cumsum(bent, axis=1)) @ np.array([300.4, 199.7])
+    noise = sigma[:, None] * generator.standard_normal((m, 2))
+    return Measurements(q, np.column_stack([z.real, z.imag]) + noise, sigma=sigma if given else None)
+
+
+def left_by_others(data: Measurements, folds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    rows = Rows.of(data)
+    found = posterior(hypotheses(Arm([300.0, 200.0]), frozenset(), rows), rows, np.random.default_rng(0))
+    return predicted_from_others(found, np.ones(len(data), dtype=bool), folds)
+
+
+def test_each_part_is_predicted_by_a_fit_to_the_others() -> None:
+    """Positions are linear in the links as complex numbers, so least squares of some rows needs no start."""
+    folds = np.arange(60) % 8
+    data = simulated(1, np.full(60, SIGMA), ripple=0.001)
+    links, measured = np.exp(1j * np.cumsum(data.postures, axis=1)), data.positions @ [1.0, 1.0j]
+    base = np.hstack([links, 1j * links])
+    before, after, _ = left_by_others(data, folds)
+    lever = 1j * links[:, 1:]  # of the wave: a cos + b sin of the angle, times the lever of the joint
+    wave = np.hstack([lever * np.cos(5.0 * data.postures[:, 1:]), lever * np.sin(5.0 * data.postures[:, 1:])])
+    for columns, found, near in ((base, before, 1e-3), (np.hstack([base, wave]), after, 0.2)):
+        real = np.concatenate([columns.real, columns.imag])
+        target = np.concatenate([measured.real, measured.imag])
+        for fold in range(8):
+            test = np.tile(folds == fold, 2)
+            left = target - real @ np.linalg.lstsq(real[~test], target[~test], rcond=None)[0]
+            difference = found[folds == fold].T.ravel() - left[test]
+            assert np.sqrt(np.mean(difference**2)) < near * SIGMA  # of the wave shrunk, and not the only explanation
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_what_is_left_is_what_was_expected(given: bool) -> None:
+    """Noise that is alike, and noise that differs from row to row as `sigma_mm` says; 800 squares scatter by 5 %."""
+    sigma = SIGMA * (np.exp(np.random.default_rng(2).normal(0.0, 0.8, 400)) if given else np.ones(400))
+    _, after, expected = left_by_others(simulated(3, sigma, given), np.arange(400) % 8)
+    assert expected == pytest.approx(2.0 * np.mean(sigma**2), rel=0.1)
+    assert np.mean(np.sum(after**2, axis=1)) == pytest.approx(expected, rel=0.3 if given else 0.15)
