@@ -40,27 +40,26 @@ HERE, ELSEWHERE, BOTH = range(3)  # blocks
 
 
 class CurveColumns(NamedTuple):
-    """Of the error curve of a joint (from 1): its (m, d, K) columns in the rows of a fit, and its size in the noise."""
+    """Of the error curve of a joint (from 1): its (m, d, K) columns in the rows of a fit, and its number in `SIZES`."""
 
     joint: int
     columns: Array
-    size: float
+    size: int
 
 
 class Question(NamedTuple):
-    """An effect in one session: whitened columns with a row for each of the `coordinates`, or any tables with the
-    same products.
+    """An effect in one session: whitened columns with a row for each of the `coordinates`, or any tables with the same
+    products.
 
-    target : (N,) to be explained;  rest : (N, g) of everything else that is fitted freely;  curves : beside it, each of
-    unit size;  columns : (N, w) of the effect, in all sessions;  here : (N, w) in this one alone
+    target : (N,) to be explained;  rest : (N, g) of everything else that is fitted
+    columns : (N, w) of the effect, in all sessions;  here : (N, w) in this one alone
     """
 
+    coordinates: int
     target: Array
     rest: Array
-    curves: Sequence[Array]
     columns: Array
     here: Array
-    coordinates: int
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,7 @@ def curve_columns(found: Posterior, one: Explanation, fitted: Fit, curves: Seque
     for block, number, size in zip(one.blocks, one.weighed.blocks, one.weighed.sizes, strict=True):
         if block.basis is not None and block.columns is not None and (joint := block.basis.joint + 1) in keys:
             columns = block.columns(where) @ found.problems[one.noise].roots[number]
-            listed[keys[joint]] = CurveColumns(joint, columns, float(SIZES[size]))
+            listed[keys[joint]] = CurveColumns(joint, columns, size)
     return listed
 
 
@@ -164,28 +163,34 @@ def replications(
     there: dict[str, list[InSession]] = {label: [] for label in (*(effect.label for effect in effects), *curves)}
     for number in np.unique(session).astype(int).tolist():
         here = (session == number)[:, None, None]
-        beside = [curve.columns * curve.size for curve in curves.values()]
-        left, every, alone, *beside = _white(rows, [target, jacobian, jacobian * here, *beside])
+        count, (left, every, alone, beside) = _white(rows, [target, jacobian, jacobian * here], [*curves.values()])
         for effect, own, at in zip(effects, parameters, places, strict=True):
             units = np.array([p.to_file for p in own]) / model.scales[at]
-            response, rest = left[:, 0] + every[:, at] @ scaled[at], np.delete(every, at, axis=1)
-            asked = Question(response, rest, beside, every[:, at], alone[:, at], target.size)
+            response, rest = left[:, 0] + every[:, at] @ scaled[at], np.hstack([np.delete(every, at, axis=1), beside])
+            asked = Question(count, response, rest, every[:, at], alone[:, at])
             there[effect.label].append(_in_session(names[number], asked, units))
         for key, curve in curves.items():
             common = _common(rows.postures[:, curve.joint - 1], here)
-            others = [other.columns * other.size for other in curves.values() if other is not curve]
-            tables = [target, jacobian, curve.columns, curve.columns * here, *others]
-            left, rest, columns, alone, *others = _white(rows, [table * common for table in tables])
-            asked = Question(left[:, 0], rest, others, columns, alone, target[common[:, 0, 0]].size)
+            tables = [target * common, jacobian * common, curve.columns * common, curve.columns * (common & here)]
+            others = [other._replace(columns=other.columns * common) for other in curves.values() if other is not curve]
+            count, (left, every, columns, alone, beside) = _white(rows, tables, others)
+            count -= rows.dimension * int(np.sum(~common))
+            asked = Question(count, left[:, 0], np.hstack([every, beside]), columns, alone)
             there[key].append(_in_session(names[number], asked))
     found = [Replication(e.label, own, tuple(there[e.label])) for e, own in zip(effects, parameters, strict=True)]
     return (*found, *(Replication(key, (), tuple(there[key])) for key in curves))
 
 
-def _white(rows: Rows, tables: Sequence[Array]) -> list[Array]:
-    """Tables (m, d, k), whitened, as (n, k) that have the same products, with no more rows than there are columns."""
-    ends = np.cumsum([table.shape[2] for table in tables])
-    return np.split(np.linalg.qr(rows.whiten(np.concatenate(tables, axis=2)), mode="r"), ends[:-1], axis=1)
+def _white(rows: Rows, tables: Sequence[Array], beside: Sequence[CurveColumns]) -> tuple[int, list[Array]]:
+    """Tables (m, d, k), whitened, and curves: as (n, k) that have the same products, with the prior of the curves as
+    further rows; and how many rows they have without such a reduction."""
+    every = [*tables, np.concatenate([np.zeros((*tables[0].shape[:2], 0)), *(c.columns for c in beside)], axis=2)]
+    ends = np.cumsum([table.shape[2] for table in every])
+    white = rows.whiten(np.concatenate(every, axis=2))
+    precision = [np.full(curve.columns.shape[2], 1.0 / SIZES[curve.size]) for curve in beside]
+    prior = np.diag(np.concatenate([np.zeros(ends[-2]), *precision]))[ends[-2] :]
+    reduced = np.concatenate([np.linalg.qr(white, mode="r"), prior])
+    return len(white) + len(prior), np.split(reduced, ends[:-1], axis=1)
 
 
 def _common(angles: Array, here: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -210,22 +215,19 @@ def _in_session(name: str, asked: Question, units: Array | None = None) -> InSes
         root = column_space_of(columns, np.ones(len(root)))[1]
         root = root / np.sqrt(max(root.shape[1], 1))
     both, here = columns @ root, apart(asked.here) @ root
-    blocks = [here, both - here, np.concatenate([both, SAME * here], axis=1), *map(apart, asked.curves)]
-    starts = np.cumsum([0, *(block.shape[1] for block in blocks)])
-    signs, limits = np.zeros(len(blocks), dtype=bool), np.full(len(blocks), len(SIZES))
-    products = Products(np.concatenate(blocks, axis=1), apart(asked.target), freedom, starts, signs, limits)
-    beside, as_they_are = [*range(BOTH + 1, len(blocks))], np.ones(len(asked.curves))
-    single = products.added(products.left(beside, as_they_are))  # (blocks, sizes)
-    second = [products.added(products.left([ELSEWHERE, *beside], np.append(s, as_they_are)))[HERE] for s in SIZES]
+    blocks, width = np.hstack([here, both - here, both, SAME * here]), root.shape[1]
+    starts, signs, limits = np.array([0, 1, 2, 4]) * width, np.zeros(3, dtype=bool), np.full(3, len(SIZES))
+    products = Products(blocks, apart(asked.target), freedom, starts, signs, limits)
+    single = products.added(products.left([], np.zeros(0)))  # (blocks, sizes)
+    second = [products.added(products.left([ELSEWHERE], np.array([size])))[HERE] for size in SIZES]
     double = single[ELSEWHERE, :, None] + np.array(second)
     tables = single[BOTH], double, single[ELSEWHERE], single[HERE]
     same, own, absent, _ = softmax([logsumexp(table) - np.log(table.size) for table in tables]).tolist()
     answer = True if same >= CREDIBLE else False if own + absent >= CREDIBLE else None
     if units is None:
         return InSession(name, (), (), same, answer)
-    elsewhere, size = np.unravel_index(np.argmax(double), double.shape)
-    sizes = np.append(SIZES[[size, elsewhere]], as_they_are)
-    mean, covariance = products.estimates([HERE, ELSEWHERE, *beside], sizes)
-    turn, width = root * units[:, None], root.shape[1]
+    elsewhere, alone = np.unravel_index(np.argmax(double), double.shape)
+    mean, covariance = products.estimates([HERE, ELSEWHERE], SIZES[[alone, elsewhere]])
+    turn = root * units[:, None]
     deviations = np.sqrt(np.diag(turn @ covariance[:width, :width] @ turn.T))
     return InSession(name, tuple((turn @ mean[:width]).tolist()), tuple(deviations.tolist()), same, answer)

@@ -176,7 +176,7 @@ def test_a_curve_is_open_without_common_angles(sides: tuple[float, float]) -> No
     lever = LENGTHS[1] * np.exp(1j * np.sum(q, axis=1)) * 1j
     waves = lever[:, None] * np.cos(np.outer(q[:, 1], np.arange(1, 5))) / np.arange(1, 5) / 100.0
     columns = np.stack([waves.real, waves.imag], axis=1)
-    (one,) = replications(fitted, data.session_names, (), {"joint_error_curve:2": CurveColumns(2, columns, 6.0)})
+    (one,) = replications(fitted, data.session_names, (), {"joint_error_curve:2": CurveColumns(2, columns, 1)})
     assert one.replicates is None
     assert str(one) == (
         "joint_error_curve:2 is open across sessions "
