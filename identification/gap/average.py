@@ -17,7 +17,7 @@ from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.gap.blocks import WAVES, Block, Linearized, Where
 from identification.gap.curves.curve import Curve
-from identification.gap.evidence import SIZES, Index
+from identification.gap.evidence import Index
 from identification.gap.posterior import Posterior
 from identification.kinematics.base_axes import along, planar_axes
 from identification.kinematics.parameters import JOINT_OFFSET
@@ -28,7 +28,6 @@ from identification.sessions import SESSIONS
 # reasons: identification/README.md, "Constants"
 WRITTEN = 0.05  # probability of a block that is part of the model
 LIKELY = 0.5  # of the rest of the library, below which the average is over the sets without it
-SETS = 150  # effort: explanations that are averaged
 TIDY = 7  # decimals of a value in degrees, in files
 
 
@@ -57,7 +56,7 @@ def mixture_of(found: Posterior) -> Moments:
     The base's are those beside what an arm file can have: what it cannot have stays with the base.
     """
     rest = sum(one.probability for one in found.explanations if one.rest)
-    likely = [one for one in found.explanations if rest >= LIKELY or not one.rest][:SETS]
+    likely = [one for one in found.explanations if rest >= LIKELY or not one.rest]
     total = sum(one.probability for one in likely)
     shares: dict[str, float] = {}
     blocks: dict[str, Block] = {}
@@ -77,32 +76,24 @@ def mixture_of(found: Posterior) -> Moments:
     mean, second, response = np.zeros(count), np.zeros((count, count)), np.zeros((g, count))
     squares = effective = 0.0
     for number, problem in enumerate(found.problems):
-        turn, products = _to_parameters(problem, places, g, count), problem.products
-        moment, square = np.zeros(len(products.right)), np.zeros((len(products.right), len(products.right)))
-        weight = variance = 0.0
-        for one in likely:
-            if one.noise != number:
-                continue
-            share, own = one.probability / total, products.places(one.weighed.blocks)
-            sizes = SIZES[list(one.weighed.sizes)]
-            z, covariance = products.estimates(one.weighed.blocks, sizes)
-            left = max(products.squares - float(z @ products.right[own]), 0.0) / max(products.freedom, 1)
-            prior = np.repeat(sizes**2, products.widths[list(one.weighed.blocks)]) * max(left, 1e-300)
-            effective += share * float(np.sum(1.0 - np.diag(covariance) / prior))
-            moment[own] += share * z
-            square[np.ix_(own, own)] += share * (covariance + np.outer(z, z))
-            weight, variance = weight + share, variance + share * left
-        there, moved = turn @ moment, np.zeros(count)
+        weight = sum(one.probability for one in likely if one.noise == number) / total
+        drawn = [m for m in found.moments[number][: 1 + (rest >= LIKELY)] if m.count]
+        if not drawn or weight == 0.0:
+            continue
+        turn, draws = _to_parameters(problem, places, g, count), sum(m.count for m in drawn)
+        there, moved = turn @ sum(m.first for m in drawn) / draws, np.zeros(count)
         moved[:g] = problem.base - base
-        mean += there + weight * moved
-        second += (
-            turn @ square @ turn.T + np.outer(there, moved) + np.outer(moved, there) + weight * np.outer(moved, moved)
-        )
-        second[:g, :g] += variance * problem.normal
-        squares += variance
+        mean += weight * (there + moved)
+        across = np.outer(there, moved)
+        products = turn @ sum(m.second for m in drawn) @ turn.T / draws
+        second += weight * (products + across + across.T + np.outer(moved, moved))
+        variance = sum(m.variance for m in drawn) / draws
+        second[:g, :g] += weight * variance * problem.normal
+        squares += weight * variance
+        effective += weight * sum(m.effective for m in drawn) / draws
         for b, block in enumerate(problem.blocks):
             if block.label in places:
-                given = problem.response[:, products.places([b])] @ np.linalg.pinv(problem.roots[b])
+                given = problem.response[:, problem.products.places([b])] @ np.linalg.pinv(problem.roots[b])
                 response[:, places[block.label][1]] = given
     covariance = second - np.outer(mean, mean)
     mean[:g] += base
@@ -117,7 +108,7 @@ def _width(block: Block) -> int:
 
 def _to_parameters(problem: Linearized, places: Mapping[str, tuple[Block, Index]], g: int, count: int) -> Array:
     """(P, C) from the coefficients of a problem's columns to the base's parameters and those of the blocks."""
-    turn = np.zeros((count, len(problem.products.right)))
+    turn = np.zeros((count, int(problem.products.starts[-1])))
     for b, block in enumerate(problem.blocks):
         own, parts, row = problem.products.places([b]), block.parts or (block,), 0
         for part in parts:

@@ -177,7 +177,7 @@ class Linearized:
         kept = list(blocks)
         return Linearized(
             tuple(self.blocks[b] for b in kept),
-            self.products.of(kept),
+            self.products.of_blocks(kept),
             tuple(self.roots[b] for b in kept),
             self.response[:, self.products.places(kept)],
             self.base,
@@ -439,7 +439,7 @@ def linearized(
         roots.append(share * np.asarray(block_diag(*(roots[k] for k in common))) @ clear)
         columns.append(np.concatenate([columns[k] for k in common], axis=2))
         blocks.append(Block(REST, REST, REST, 1.0, parts=tuple(blocks[k] for k in common)))
-    products = Products(
+    products = Products.of(
         np.concatenate(z, axis=1),
         left,
         len(target) - int(kept.sum()),

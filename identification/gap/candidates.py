@@ -105,21 +105,20 @@ def trial_list(found: Posterior) -> tuple[Trial, ...]:
     problem, shares = found.whole, block_probabilities(found)
     products = problem.products
     wrong = [problem.numbers[block.label] for block in found.best.blocks if block.row]
-    left, freedom = products.left(wrong, np.full(len(wrong), SIZES[-1])), products.freedom - len(products.places(wrong))
+    left = products.state([(block, len(SIZES) - 1) for block in wrong])
+    freedom = products.freedom - len(left.places)
     added = logsumexp(products.added(left), axis=1) - np.log(products.limits)
     total = sum(b.weight for b in problem.blocks if not b.row)
     best: dict[str, Trial] = {}
-    for k, block in enumerate(problem.blocks):
-        if block.named:
-            own = products.places([k])
-            gram = products.columns[:, own].T @ products.columns[:, own] - left.rows[:, own].T @ left.rows[:, own]
-            scores = products.right[own] - left.scores @ left.rows[:, own]
-            gain = float(scores @ np.linalg.pinv(gram) @ scores)
-            rest = max(freedom - len(own), 1)
-            f = gain / len(own) / (max(left.squares - gain, 1e-300) / rest)
-            odds = float(added[k] + np.log(block.weight / total))
-            p = float(fdtrc(len(own), rest, f))
-            trial = Trial(block.label, f, p, 1.0 - shares.get(block.key, 0.0), -2.0 * odds)
-            if block.key not in best or trial.delta_bic < best[block.key].delta_bic:
+    for (numbers, index), grams in zip(products.alike, left.within, strict=True):
+        scores, width = left.scores[index], index.shape[1]
+        gains = np.einsum("bi,bij,bj->b", scores, np.linalg.pinv(grams, hermitian=True), scores)
+        rest = max(freedom - width, 1)
+        f = gains / width / (np.maximum(left.squares - gains, 1e-300) / rest)
+        for k, ratio, p in zip(numbers.tolist(), f.tolist(), fdtrc(width, rest, f).tolist(), strict=True):
+            block = problem.blocks[k]
+            odds = float(added[k] + np.log(max(block.weight, 1e-300) / total))
+            trial = Trial(block.label, ratio, p, 1.0 - shares.get(block.key, 0.0), -2.0 * odds)
+            if block.named and (block.key not in best or trial.delta_bic < best[block.key].delta_bic):
                 best[block.key] = trial
     return tuple(sorted(best.values(), key=lambda t: (round(t.delta_bic, 9), t.effect)))

@@ -26,7 +26,7 @@ from scipy.special import ndtri, softmax, stdtr, stdtrit
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.average import PredictingModel
-from identification.gap.evidence import SIZES, Products
+from identification.gap.evidence import Products
 from identification.gap.fits.fit import Fit
 from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor
 from identification.gap.posterior import Posterior
@@ -512,14 +512,13 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
     part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
     columns = [table[kept] @ root for table, root in zip(part.columns, part.roots, strict=True)]
     x = np.concatenate([np.zeros((*y.shape, 0)), *columns], axis=2)
-    chosen, priors = [], []
-    for one in sets:
-        pairs = [(local[b], size) for b, size in zip(one.weighed.blocks, one.weighed.sizes, strict=True) if b in local]
-        chosen.append(([b for b, _ in pairs], SIZES[np.array([size for _, size in pairs], dtype=np.int64)]))
-        # the prior of the set is what its odds have beyond its likelihood with all rows
-        priors.append(
-            np.log(one.probability) - problem.products.ratio(one.weighed.blocks, SIZES[list(one.weighed.sizes)])
-        )
+    pairs = [
+        [(local[b], size) for b, size in zip(one.weighed.blocks, one.weighed.sizes, strict=True) if b in local]
+        for one in sets
+    ]
+    # the prior of a set is what its odds have beyond its likelihood with all rows
+    whole = [problem.products.state([*zip(one.weighed.blocks, one.weighed.sizes, strict=True)]) for one in sets]
+    priors = [np.log(o.probability) - problem.products.ratio(state) for o, state in zip(sets, whole, strict=True)]
     # of each part a table with the same products as its rows, and no more rows than columns
     white = rows.whiten(np.concatenate([own, x, y[:, :, None]], axis=2)).reshape(*y.shape, -1)
     tables = [np.linalg.qr(white[folds == k].reshape(-1, white.shape[2]), mode="r") for k in range(folds.max() + 1)]
@@ -534,14 +533,14 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
         rest = others[:, len(base) :] - basis @ inside
         freedom = max(np.count_nonzero(~test) * y.shape[1] - basis.shape[1], 1)
         signs, limits = part.products.signs, part.products.limits
-        products = Products(rest[:, :-1], rest[:, -1], freedom, part.products.starts, signs, limits)
-        shares = softmax([p + products.ratio(*a) for p, a in zip(priors, chosen, strict=True)])
+        products = Products.of(rest[:, :-1], rest[:, -1], freedom, part.products.starts, signs, limits)
+        states = [products.state(own_pairs) for own_pairs in pairs]
+        shares = softmax([prior + products.ratio(state) for prior, state in zip(priors, states, strict=True)])
         means, covariance, variance = np.zeros((len(sets), x.shape[2])), np.zeros((x.shape[2], x.shape[2])), 0.0
-        for share, mean, (own_blocks, sizes) in zip(shares, means, chosen, strict=True):
-            places = products.places(own_blocks)
-            mean[places], own_covariance = products.estimates(own_blocks, sizes)
-            covariance[np.ix_(places, places)] += share * own_covariance
-            variance += share * max(products.squares - float(mean @ products.right), 0.0) / freedom
+        for share, mean, state in zip(shares, means, states, strict=True):
+            mean[state.places] = state.mean
+            covariance[np.ix_(state.places, state.places)] += share * state.covariance * state.squares / freedom
+            variance += share * state.squares / freedom
         mean = shares @ means
         covariance += (means - mean).T @ (shares[:, None] * (means - mean))
         turned = own[test] @ back

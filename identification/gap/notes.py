@@ -48,7 +48,7 @@ def hidden_orders(found: Posterior) -> tuple[tuple[str, str, float], ...]:
             continue
         for k, other in enumerate(blocks):
             if other.member is not None and other.member.scanned and k != b and other.place == mine.place:
-                across = products.rows([b])[:, products.places([k])]
+                across = products.gram[np.ix_(products.places([b]), products.places([k]))]
                 # columns have orthonormal directions, over the root of their number
                 likeness = float(np.sqrt(np.sum(across**2) * across.shape[1]))
                 if likeness >= NEAR:

@@ -12,12 +12,12 @@ from scipy.special import logsumexp
 from identification.arrays import Array
 from identification.estimation.outlying import together
 from identification.gap.blocks import Block, Linearized, linearized
-from identification.gap.evidence import ROUNDING
+from identification.gap.evidence import State
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet
 from identification.gap.scatter import NoiseModel, log_likelihood, noises
-from identification.gap.search import Search, Weighed
+from identification.gap.search import ROUNDING, Moments, Search, Walked, Weighed
 from identification.gap.waves import with_further_orders
 from identification.progress import Tell, say_nothing
 
@@ -66,7 +66,8 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Posterior:
-    """explanations : likeliest first, with sum 1;  noises, problems : searched, with the blocks that are not negligible
+    """explanations : likeliest first, with sum 1
+    noises, problems, moments : searched, with the blocks that are not negligible, and what the walk among these drew
     whole : problem of the likeliest noise, with all blocks;  at : fit where it is linearized
     """
 
@@ -77,6 +78,7 @@ class Posterior:
     library: HypothesisSet
     rows: Rows
     at: Fit
+    moments: tuple[tuple[Moments, Moments], ...] = ()
 
     @property
     def best(self) -> Explanation:
@@ -103,7 +105,7 @@ class Climbed(NamedTuple):
     wrong: list[int]
     problem: Linearized
     search: Search
-    top: Weighed
+    top: State
     scores: Array
     offset: Array
 
@@ -159,11 +161,11 @@ def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
     tell("all rows")
     labels = frozenset(sample.problem.blocks[b].label for b in sample.search.near(sample.top))
     least = sample.scores.max() - UNLIKELY
-    names = {n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least}
+    chosen = sample.every[sample.noise]
+    names = {chosen.name, *(n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least)}
     library = replace(sample.library, members=tuple(h for h in sample.library.members if h.label in labels))
     at = fit(sample.at.model, rows, sample.at.by_name)
     every = [n for n in noises(rows, at) if n.name in names]
-    chosen = sample.every[sample.noise]
     number = next(k for k, n in enumerate(every) if (n.name, n.size) == (chosen.name, chosen.size))
     wrong = _striking(rows, at)
     problem = linearized(library, at, every[number].rows, wrong, labels)
@@ -172,11 +174,14 @@ def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
     return _with_noises(library, at, every, number, wrong, problem, search, top)
 
 
-def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> Weighed:
+def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> State:
     """A set, as far as another problem has its blocks."""
-    sizes = zip(climbed.labels, climbed.top.sizes, strict=True)
-    inside = {problem.numbers[label]: size for label, size in sizes if label in problem.numbers}
-    return search.weigh(tuple(sorted(inside)), tuple(inside[b] for b in sorted(inside)))
+    inside = [
+        (problem.numbers[label], size)
+        for label, (_, size) in zip(climbed.labels, climbed.top.key, strict=True)
+        if label in problem.numbers
+    ]
+    return search.products.state(inside)
 
 
 def _with_noises(
@@ -187,18 +192,18 @@ def _with_noises(
     wrong: list[int],
     problem: Linearized,
     search: Search,
-    top: Weighed,
+    top: State,
 ) -> Climbed:
     """A set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and with
     the outlying rows of the set alone, which noise of another kind may need, too."""
     first, there = _likelihoods(library, every, at, problem, top)
     prior = np.array([n.prior for n in every])
     offset = first - first[number] + prior
-    scores = np.maximum(offset, there - there[number] + top.log_odds + prior)
-    if outlying := [k for k, b in enumerate(top.blocks) if problem.blocks[b].row]:
-        rows_only = search.weigh(tuple(top.blocks[k] for k in outlying), tuple(top.sizes[k] for k in outlying))
+    scores = np.maximum(offset, there - there[number] + search.log_odds(top) + prior)
+    if outlying := [(b, size) for b, size in top.key if problem.blocks[b].row]:
+        rows_only = search.products.state(outlying)
         there = _likelihoods(library, every, at, problem, rows_only)[1]
-        scores = np.maximum(scores, there - there[number] + rows_only.log_odds + prior)
+        scores = np.maximum(scores, there - there[number] + search.log_odds(rows_only) + prior)
     return Climbed(library, at, every, number, wrong, problem, search, top, scores, offset)
 
 
@@ -225,22 +230,22 @@ def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: 
         near = search.near(top)
         problem = problem.of(near)
         place = {b: i for i, b in enumerate(near)}
-        inside_near = top._replace(blocks=tuple(place[b] for b in top.blocks))
         total = float(np.sum(search.weights[search.counted]))
-        sets = search_of(climbed.library, problem, total).walk(inside_near, generator)
-        models.append((noise, problem, sets, float(climbed.offset[k])))
+        walk = search_of(climbed.library, problem, total)
+        start = walk.products.state([(place[b], size) for b, size in top.key])
+        models.append((noise, problem, walk.walk(start, generator), float(climbed.offset[k])))
     return _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
 
 
 def _mixture(
-    models: Sequence[tuple[NoiseModel, Linearized, list[Weighed], float]],
+    models: Sequence[tuple[NoiseModel, Linearized, Walked, float]],
     whole: Linearized,
     library: HypothesisSet,
     rows: Rows,
     at: Fit,
 ) -> Posterior:
     """All explanations of all noise models, with their log prior odds and likelihoods, together."""
-    listed = [(number, one) for number, (_, _, sets, _) in enumerate(models) for one in sets]
+    listed = [(number, one) for number, (_, _, walked, _) in enumerate(models) for one in walked.sets]
     odds = np.array([models[number][3] + one.log_odds for number, one in listed])
     probabilities = np.exp(odds - logsumexp(odds))
     order = np.argsort(-np.round(probabilities, 9), kind="stable")
@@ -250,7 +255,8 @@ def _mixture(
         blocks = tuple(models[number][1].blocks[b] for b in one.blocks)
         explanations.append(Explanation(blocks, number, one, float(probabilities[k])))
     noises_, problems = tuple(m[0] for m in models), tuple(m[1] for m in models)
-    return Posterior(tuple(explanations), noises_, problems, whole, library, rows, at)
+    moments = tuple(m[2].moments for m in models)
+    return Posterior(tuple(explanations), noises_, problems, whole, library, rows, at, moments)
 
 
 def refit(found: Posterior, one: Explanation) -> Fit:
@@ -285,7 +291,7 @@ def _striking(rows: Rows, at: Fit) -> list[int]:
 
 
 def _likelihoods(
-    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, best: Weighed
+    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, best: State
 ) -> tuple[Array, Array]:
     """(K,) log likelihood of each noise, with nothing missing, and with the best set."""
     rows = every[0].rows

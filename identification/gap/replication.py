@@ -217,9 +217,9 @@ def _in_session(name: str, asked: Question, units: Array | None = None) -> InSes
     both, here = columns @ root, apart(asked.here) @ root
     blocks, width = np.hstack([here, both - here, both, SAME * here]), root.shape[1]
     starts, signs, limits = np.array([0, 1, 2, 4]) * width, np.zeros(3, dtype=bool), np.full(3, len(SIZES))
-    products = Products(blocks, apart(asked.target), freedom, starts, signs, limits)
-    single = products.added(products.left([], np.zeros(0)))  # (blocks, sizes)
-    second = [products.added(products.left([ELSEWHERE], np.array([size])))[HERE] for size in SIZES]
+    products = Products.of(blocks, apart(asked.target), freedom, starts, signs, limits)
+    single = products.added(products.nothing)  # (blocks, sizes)
+    second = [products.added(products.state([(ELSEWHERE, size)]))[HERE] for size in range(len(SIZES))]
     double = single[ELSEWHERE, :, None] + np.array(second)
     tables = single[BOTH], double, single[ELSEWHERE], single[HERE]
     same, own, absent, _ = softmax([logsumexp(table) - np.log(table.size) for table in tables]).tolist()
@@ -227,7 +227,8 @@ def _in_session(name: str, asked: Question, units: Array | None = None) -> InSes
     if units is None:
         return InSession(name, (), (), same, answer)
     elsewhere, alone = np.unravel_index(np.argmax(double), double.shape)
-    mean, covariance = products.estimates([HERE, ELSEWHERE], SIZES[[alone, elsewhere]])
+    apiece = products.state([(HERE, int(alone)), (ELSEWHERE, int(elsewhere))])
+    mean, covariance = apiece.mean, apiece.covariance * apiece.squares / freedom
     turn = root * units[:, None]
     deviations = np.sqrt(np.diag(turn @ covariance[:width, :width] @ turn.T))
     return InSession(name, tuple((turn @ mean[:width]).tolist()), tuple(deviations.tolist()), same, answer)
