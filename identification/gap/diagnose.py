@@ -11,26 +11,23 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.effects import Effect
 from identification.errors import InputError
 from identification.estimation.checks import check_measurements
 from identification.estimation.outlying import outlying, together
 from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.gap.average import PredictingModel, averaged
-from identification.gap.blocks import REST, Where
+from identification.gap.blocks import REST
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate_of, certainty, predicting_candidate, trial_list
-from identification.gap.confirmation.cross_validation import cross_validation
-from identification.gap.confirmation.holdout import (
+from identification.gap.confirmation import (
+    Gap,
     check_holdout,
     check_same_arm,
-    confirmation_of,
-    gap_of,
-    held_out,
+    confirmed_on,
+    cross_validation,
     other_set_up,
 )
 from identification.gap.curves.curve import Curve
-from identification.gap.evidence import SIZES
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses.detectability import assess, require_spare
 from identification.gap.hypotheses.hypotheses import hypotheses
@@ -39,11 +36,11 @@ from identification.gap.noise.repeats import noise_floor, repeat_finding
 from identification.gap.notes import alias_list, curve_notes, hidden_orders, notes, order_notes, unexplained_note
 from identification.gap.order_range import order_ranges
 from identification.gap.posterior import Explanation, Posterior, posterior, refit
+from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.scatter import Finding
-from identification.gap.sessions.replicate import replications
 from identification.gap.verdict import Names, Probabilities, likeliest_with, probabilities
-from identification.measurements import Measurements
+from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
 from identification.progress import Progress, Tell, silent
@@ -166,14 +163,14 @@ def diagnosis_of(
         worse = ["other rows are predicted better by the geometry alone: that is what --out writes"]
     else:
         worse = []
-    there = None if holdout is None else held_out(base, predicting, measurements, kept, holdout)
+    confirmation = None
+    if holdout is not None:
+        confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something)
     residuals = show_residuals(library.arm, measurements, base, left)
     before, after = residuals.before[kept], residuals.after[kept]
     unexplained = kept & unexplained_rows(best, found.rows)
-    gap = gap_of(before, after, there, noise_floor(left, measurements, kept, library.arm.sigma))
-    confirmation = None
-    if holdout is not None and there is not None:
-        confirmation = confirmation_of(measurements, holdout, there, something)
+    floor = noise_floor(left, measurements, kept, library.arm.sigma)
+    gap = Gap.of(rms_distance(before), rms_distance(after), floor, confirmation)
     shown = likeliest_of(found, likely)
     fitted = fit(library.model(shown.effects), found.noises[found.best.noise].rows.pick(kept), best.by_name)
     at_base = library.base.jacobian(base.rows.postures, base.values, base.rows.conditions)
@@ -203,7 +200,7 @@ def diagnosis_of(
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=tests,
-        warnings=(*fit_doubts(library.arm, measurements, best, after), *other_set_up(there)),
+        warnings=(*fit_doubts(library.arm, measurements, best, after), *other_set_up(confirmation)),
         notes=(
             *order_notes(hidden),
             *curve_notes(curves),
@@ -214,23 +211,10 @@ def diagnosis_of(
         unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
         shapes=order_ranges(fitted, fitted.rows, named.effects),
         replication=replications(
-            fitted, measurements, kept, named.effects, _shapes(found, likeliest_of(found, likely), fitted, predicting)
+            fitted, measurements.session_names, named.effects, curve_columns(found, shown, fitted, curves)
         ),
         curves=curves,
     )
-
-
-def _shapes(found: Posterior, one: Explanation, fitted: Fit, predicting: PredictingModel) -> list[tuple[Effect, Array]]:
-    """Error curves of an explanation, with their whitened columns in the rows of a fit in units of their prior."""
-    rows, problem = fitted.rows, found.problems[one.noise]
-    where = Where.of(fitted.model, fitted.values, rows.postures, rows.conditions)
-    of_joint = {effect.joint: effect for effect in predicting.model.effects if effect.curve is not None}
-    shapes = []
-    for block, number, size in zip(one.blocks, one.weighed.blocks, one.weighed.sizes, strict=True):
-        if block.basis is not None and block.columns is not None and (joint := block.basis.joint + 1) in of_joint:
-            columns = rows.whiten(block.columns(where) @ problem.roots[number]) * SIZES[size]
-            shapes.append((of_joint[joint], columns.reshape(len(rows), rows.dimension, -1)))
-    return shapes
 
 
 def guarded(

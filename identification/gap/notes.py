@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array, rows_in_words
 from identification.gap.candidate import Candidate
-from identification.gap.confirmation.holdout import Gap
+from identification.gap.confirmation import Gap
 from identification.gap.curves.curve import Curve
 from identification.gap.fit import Fit
 from identification.gap.hypotheses.detectability import EXACT, NEAR, Detectability

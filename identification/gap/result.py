@@ -13,15 +13,13 @@ from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
 from identification.gap import notebook, summary
 from identification.gap.candidate import Candidate
-from identification.gap.confirmation.confirmation import Confirmation
-from identification.gap.confirmation.holdout import Gap
-from identification.gap.confirmation.offered import Offered
+from identification.gap.confirmation import Confirmation, Gap, Offered
 from identification.gap.curves.curve import Curve
 from identification.gap.hypotheses.detectability import Detectability, Size
 from identification.gap.noise.misfit import Misfit
 from identification.gap.order_range import OrderRange
+from identification.gap.replication import Replication
 from identification.gap.scatter import Finding
-from identification.gap.sessions.replication import Replication
 from identification.gap.verdict import Probabilities
 from identification.model.minimal import placed_calibration
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from identification.gap.order_range import order_clauses
-from identification.gap.sessions.replication import replication_clauses
+from identification.gap.replication import replication_clauses
 
 if TYPE_CHECKING:
     from identification.gap.candidate import Candidate
@@ -108,7 +108,7 @@ def unexplained(found: Diagnosis) -> list[str]:
 
 def rests_on(found: Diagnosis) -> list[str]:
     """Evidence for the verdict: the gap, the tests on other rows, properties of the noise, and outliers."""
-    lines = [str(found.gap).splitlines()[0], *map(str, found.tests)]
+    lines = [str(found.gap), *map(str, found.tests)]
     lines += [f"scatter: {finding}" for finding in found.scatter]
     if found.outlier_rows:
         lines.append(f"left out as outliers: rows {', '.join(map(str, found.outlier_rows))}")
