@@ -16,7 +16,7 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.gap.blocks import WAVES, Block, Linearized, Where
-from identification.gap.curves.curve import Curve
+from identification.gap.curve import Curve
 from identification.gap.evidence import SIZES, Index
 from identification.gap.posterior import Posterior
 from identification.kinematics.base_axes import along, planar_axes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from identification.gap.confirmation.confirmation import (
 )
 from identification.gap.confirmation.set_up import Predicted, SetUp, point_names, set_up_of
 from identification.gap.fits.fit import Fit
-from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor
+from identification.gap.noise import NoiseFloor
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 
 SESSION = "another session"
@@ -40,7 +40,7 @@ class Gap:
 
     rms_before: float
     rms_after: float
-    floor: NoiseFloor = NOTHING_KNOWN
+    floor: NoiseFloor = field(default_factory=NoiseFloor)
     held_out_before: float | None = None
     held_out_after: float | None = None
     predicted: float | None = None

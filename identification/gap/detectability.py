@@ -1,0 +1,289 @@
+"""What the columns of effects show beside the base model: how visible an effect is, at which size, and what it is like.
+
+All of it follows from the columns of `gap.blocks`, projected off the base model. Two effects of likeness 1 cannot be
+told apart by these rows, whatever their sizes (identification/README.md, "Gap workflow").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import betaincinv, ncfdtr, nctdtr, stdtrit
+
+from identification.arm import Arm
+from identification.arrays import Array, readonly
+from identification.errors import InputError
+from identification.gap.blocks import RANK, Linearized, linearized
+from identification.gap.evidence import SIZES
+from identification.gap.fits.fit import Fit, fit
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import HypothesisSet, hypotheses
+from identification.gap.noise import SPARE
+from identification.information import column_space
+from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
+from identification.model import Model
+from identification.threads import single_thread
+
+# reasons: identification/README.md, "Constants"
+POWER, LEVEL = 0.9, 0.05  # convention
+NEAR = 0.9  # likeness: the odds of two effects stay below 20 up to lambda = 5.6
+LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test
+
+
+class Size(NamedTuple):
+    """Size of a parameter in the unit of files and tables, an entry of `excluded` (identification/files/README.md,
+    "JSON keys"); None if no size can be detected.
+
+    tip_mm : by how much an effect of this size moves the tip, RMS over the rows [mm]
+    """
+
+    value: float | None
+    unit: str
+    tip_mm: float | None = None
+
+    def order(self) -> float:
+        """Sort key: the value, infinite where no size can be detected."""
+        return np.inf if self.value is None else self.value
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return "invisible"
+        return f"{self.value:.3g}" if self.unit == "1" else f"{self.value:.3g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Detectability:
+    """Detectability of each effect in a plan.
+
+    names : H effects without scanned settings
+    norm_fractions : (H,) fraction of the columns' norm left after projection off the base model (worst direction)
+    likeness : (H, H) root mean square fraction of effect h (row) that effect g (column) explains after projection
+    detectable : effect -> smallest size, of its least visible combination of parameters, found with 90 % power
+    freedom : residual degrees of freedom of the base model
+    skipped : effect -> why it cannot be tested;  aliases : effect -> base parameters it cannot be distinguished from
+    """
+
+    names: tuple[str, ...]
+    norm_fractions: Array
+    likeness: Array
+    detectable: Mapping[str, Size]
+    freedom: int
+    skipped: Mapping[str, str]
+    aliases: Mapping[str, str]
+
+    def pairs(self, level: float = NEAR) -> list[tuple[str, str, float]]:
+        """Pairs (effect, effect like it, likeness) with a likeness of at least `level`, strongest first."""
+        return pairs_of(self.names, self.likeness, level)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for `--json`."""
+        return {
+            "effects": [
+                {
+                    "effect": name,
+                    "share": float(fraction),
+                    "detectable": self.detectable[name].value,
+                    "unit": self.detectable[name].unit,
+                }
+                for name, fraction in zip(self.names, self.norm_fractions, strict=True)
+            ],
+            "alias_pairs": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.pairs()],
+            "degrees_of_freedom": self.freedom,
+            "skipped": dict(self.skipped),
+            "never_visible": dict(self.aliases),
+        }
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.freedom} residual degrees of freedom",
+            f"{'effect':32} fraction  smallest detectable size (90 % power)",
+        ]
+        for name, fraction in zip(self.names, self.norm_fractions, strict=True):
+            lines.append(f"{name:32} {fraction:8.2f}  {self.detectable[name]}")
+        return "\n".join(lines)
+
+
+@single_thread()  # the same bits, whatever the number of threads
+def detectability(arm: Arm, postures: Array, conditions: Conditions | None = None) -> Detectability:
+    """Which effects measurements at (m, n) postures [rad] could detect, and at which size: with the noise of the arm's
+    data sheet, else per millimetre of noise.
+
+    conditions : of the rows; thermal effects are included only if it has temperatures
+
+    Raises `InputError` with fewer than 4 residual degrees of freedom.
+    """
+    q, model = np.atleast_2d(np.asarray(postures, dtype=float)), Model(arm)
+    order = np.arange(len(q), dtype=float)
+    by_order = {"time": session_time(order), "directions": directions_from_order(q), "past": past_from_order(q)}
+    given = {} if conditions is None else {k: v for k, v in vars(conditions).items() if v is not None}
+    filled = Conditions(**(by_order | given))
+    rows = Rows(q, model.position(q, None, filled), filled, order)
+    library = hypotheses(arm, frozenset({"temperature"} & {*given}), rows)
+    exact = fit(library.base, rows, {})
+    require_spare(exact.freedom, len(q))
+    return assess(library, linearized(library, exact, rows, outside=frozenset()), rows, arm.sigma or 1.0)
+
+
+def require_spare(freedom: int, rows: int) -> None:
+    """Raise `InputError` with fewer than `SPARE` residual degrees of freedom."""
+    if freedom < SPARE:
+        raise InputError(
+            f"measurements: {rows} rows leave {freedom} residual degrees of freedom for tests, "
+            f"allowed: at least {SPARE}; measure more postures"
+        )
+
+
+def assess(
+    library: HypothesisSet, problem: Linearized, rows: Rows, sigma: float, wrong: Sequence[int] = ()
+) -> Detectability:
+    """Detectability of the library's effects in the rows of a problem.
+
+    sigma : noise of one whitened coordinate [mm];  wrong : blocks of rows that are left out
+    """
+    products, plain = problem.products, list[tuple[str, float, Array]]()
+    left, freedom = products.left(wrong, np.full(len(wrong), SIZES[-1])), products.freedom - len(products.places(wrong))
+    level = LEVEL / sum(member.weight for member in library.members)
+    detectable: dict[str, Size] = {}
+    for member in filter(library.acts, library.members):
+        parameter, count, number = member.effect.parameters[0], member.size, problem.numbers.get(member.label)
+        size, fraction, own = Size(None, parameter.file_unit), 0.0, products.places([] if number is None else [number])
+        if number is not None and len(own) == count:  # else a combination of its parameters cannot be seen
+            root, columns, hidden = problem.roots[number], products.columns[:, own], left.rows[:, own]
+            back = np.linalg.inv(root)  # from the parameters to the coefficients of the columns
+            gram = back.T @ (columns.T @ columns - hidden.T @ hidden) @ back
+            moving = problem.columns[number]
+            lengths = np.maximum(np.linalg.norm(rows.whiten(moving), axis=0), 1e-150)
+            least, fraction = np.sqrt([_least(gram), _least(gram / np.outer(lengths, lengths))]).tolist()
+            if count < freedom and least > RANK * lengths.max():
+                needed = detectable_lambda(count, freedom - count, level * member.weight, member.one_sided)
+                moved = needed * sigma / least * float(np.linalg.norm(moving, axis=(0, 1)).max()) / np.sqrt(len(rows))
+                if moved <= LARGEST * library.base.reach:
+                    value = needed * sigma / least * parameter.to_file
+                    size = Size(float(value), parameter.file_unit, float(moved))
+        # of several settings the one that is hardest to see
+        detectable[member.key] = max(detectable.get(member.key, size), size, key=Size.order)
+        if not member.scanned:
+            plain.append((member.key, fraction, products.columns[:, own]))
+    return Detectability(
+        tuple(key for key, _, _ in plain),
+        readonly(np.array([fraction for _, fraction, _ in plain])),
+        readonly(likenesses([columns for _, _, columns in plain])),
+        detectable,
+        freedom,
+        library.skipped,
+        library.aliases,
+    )
+
+
+def _least(gram: Array) -> float:
+    """The smallest eigenvalue, not negative."""
+    return max(float(gram[0, 0] if len(gram) == 1 else np.linalg.eigvalsh(gram)[0]), 0.0)
+
+
+@lru_cache(4096)  # hundreds of hypotheses share a few cases
+def detectable_lambda(size: int, freedom: int, level: float, one_sided: bool = False) -> float:
+    """Length lambda, in standard deviations, of a projected effect that a test at `level` detects with 90 % power.
+
+    size : parameters of the effect;  freedom : residual degrees of freedom with it in the model
+
+    The power of an F test is the tail of the noncentral F distribution with noncentrality lambda^2, that of a
+    one-sided t test the tail of the noncentral t with lambda; both increase with lambda, so bisection finds it. (The
+    inverses in `scipy.special` are accurate to 1e-5 only; importing `brentq` takes longer than the whole computation.)
+    """
+    # quantiles of the upper tail, as the level may be far below the rounding of 1; F by the incomplete beta function
+    tail = betaincinv(0.5 * freedom, 0.5 * size, level)
+    limit = -stdtrit(freedom, level) if one_sided else freedom / size * (1.0 - tail) / tail
+
+    def missed(length: float) -> bool:
+        missing = nctdtr(freedom, length, limit) if one_sided else ncfdtr(size, freedom, length**2, limit)
+        return bool(missing > 1.0 - POWER)
+
+    low, high = 0.0, 16.0
+    while missed(high):  # one or two degrees of freedom take hundreds of standard deviations
+        low, high = high, 2.0 * high
+    while (middle := 0.5 * (low + high)) not in (low, high):
+        low, high = (middle, high) if missed(middle) else (low, middle)
+    return high
+
+
+def likenesses(columns: Sequence[Array]) -> Array:
+    """(H, H) root mean square fraction of the one's columns (row) that another's explain, each (N, w), projected."""
+    bases = [column_space(own, np.ones(own.shape[1])) for own in columns]
+    if not bases:
+        return np.zeros((0, 0))
+    widths = np.array([basis.shape[1] for basis in bases])
+    owner, stacked = np.repeat(np.eye(len(bases)), widths, axis=0), np.concatenate(bases, axis=1)  # (W, H), (N, W)
+    squares = owner.T @ np.square(stacked.T @ stacked) @ owner
+    return np.minimum(np.sqrt(squares / np.maximum(widths, 1)[:, None]), 1.0)
+
+
+def pairs_of(names: Sequence[str], likeness: Array, level: float = NEAR) -> list[tuple[str, str, float]]:
+    """Pairs (effect, effect like it, likeness) with a likeness of at least `level`, strongest first."""
+    rows, columns = np.nonzero((likeness >= level) & ~np.eye(len(names), dtype=bool))
+    pairs = [(names[i], names[j], float(likeness[i, j])) for i, j in zip(rows.tolist(), columns.tolist(), strict=True)]
+    return sorted(pairs, key=lambda pair: -round(pair[2], 9))
+
+
+def look_alikes(problem: Linearized, labels: Sequence[str]) -> list[tuple[str, str, float]]:
+    """Pairs (named effect, wave like it, likeness): gear ripples that these rows cannot tell from effects of their
+    joint. On a grid of angles a ripple of 15 periods per turn can have the same column as an eccentric encoder.
+
+    labels : of the named effects
+    """
+    places = {block.place for block in problem.blocks if block.label in labels}
+    near = [
+        (k, block.label)
+        for k, block in enumerate(problem.blocks)
+        if block.member is not None and block.place in places and (block.member.scanned or block.label in labels)
+    ]
+    products, names = problem.products, [label for _, label in near]
+    pairs = pairs_of(names, likenesses([products.columns[:, products.places([k])] for k, _ in near]))
+    return [pair for pair in pairs if pair[0] in labels and pair[1] not in labels]
+
+
+class OrderRange(NamedTuple):
+    """A named wave whose order the range of its joint does not determine: a shape, not a cause. An entry of `shapes`
+    (identification/files/README.md, "JSON keys").
+
+    joint : from 1;  range_deg : of its angle;  orders : lowest and highest of the whole orders that fit [per turn]
+    """
+
+    effect: str
+    joint: int
+    range_deg: tuple[float, float]
+    orders: tuple[int, int]
+
+
+def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
+    """The named waves of a fit whose next whole order has a likeness of at least `NEAR`, beside the rest of the model.
+
+    labels : of the named effects
+
+    Over a range of W rad two waves whose orders differ by less than 2 pi / W drift apart by less than one period, and
+    beside other waves they cannot be separated: the named order is one of many that fit.
+    """
+    model, rows, found = fitted.model, fitted.rows, list[OrderRange]()
+    levers, jacobian = model.joint_levers(rows.postures, fitted.values, rows.conditions), fitted.jacobian
+    for effect in model.effects:
+        harmonics = {"encoder_eccentricity": 1.0, "encoder_second_harmonic": 2.0}
+        order = effect.chosen.get("k", harmonics.get(effect.name))
+        if effect.label not in labels or effect.joint is None or order is None:
+            continue
+        q, names = rows.postures[:, effect.joint_index], {p.name for p in effect.parameters}
+        rest = [k for k, name in enumerate(model.names) if name not in names]
+        basis = column_space(jacobian[:, rest], model.scales[rest])
+        waves = []
+        for k in (order, *(k for k in (order - 1.0, order + 1.0) if k > 0.0)):
+            turns = np.stack([np.cos(k * q), np.sin(k * q)], axis=1)
+            columns = rows.whiten(levers[:, :, effect.joint_index, None] * turns[:, None, :])
+            waves.append(columns - basis @ (basis.T @ columns))
+        if likenesses(waves)[0, 1:].max() >= NEAR:
+            apart = 2.0 * np.pi / (np.sqrt(12.0) * np.std(q))  # the range of even angles with this standard deviation
+            span = float(np.degrees(q.min())), float(np.degrees(q.max()))
+            orders = max(1, int(np.ceil(order - apart))), int(np.floor(order + apart))
+            found.append(OrderRange(effect.label, effect.joint, span, orders))
+    return tuple(found)
