@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -162,13 +162,12 @@ def as_calibration(
     return Calibration(model.parameters.mapping(values), model.names, covariance, MappingProxyType(origin))
 
 
-def trials(found: Posterior) -> tuple[Trial, ...]:
+def trials(found: Posterior, wrong: Sequence[int]) -> tuple[Trial, ...]:
     """Every effect alone against the base model, likeliest first; of a scanned setting only the best value.
 
-    Rows that are left out have shifts of their own, too large for anything else to explain them.
+    wrong : blocks of rows that are left out: shifts of their own, too large for anything else to explain them
     """
     problem, products, shares = found.whole, found.whole.products, block_probabilities(found)
-    wrong = [problem.numbers[block.label] for block in found.best.blocks if block.row]
     left, freedom = products.left(wrong, np.full(len(wrong), SIZES[-1])), products.freedom - len(products.places(wrong))
     ratios = logsumexp(products.added(left), axis=1) - np.log(products.limits)
     total = sum(block.weight for block in problem.blocks if not block.row)

@@ -6,7 +6,7 @@ told apart by these rows, whatever their sizes (identification/README.md, "Gap w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -228,21 +228,23 @@ def pairs_of(names: Sequence[str], likeness: Array, level: float = NEAR) -> list
     return sorted(pairs, key=lambda pair: -round(pair[2], 9))
 
 
-def look_alikes(problem: Linearized, labels: Sequence[str]) -> list[tuple[str, str, float]]:
-    """Pairs (named effect, wave like it, likeness): gear ripples that these rows cannot tell from effects of their
-    joint. On a grid of angles a ripple of 15 periods per turn can have the same column as an eccentric encoder.
+def look_alikes(problem: Linearized, sees: Detectability, labels: Set[str]) -> tuple[tuple[str, str, float], ...]:
+    """Pairs (effect, what it is like, likeness) of the effects with these labels: scanned ones of the same joint, then
+    others, then those that no data can tell from base parameters.
 
-    labels : of the named effects
+    On a grid of angles a ripple of 15 periods per turn can have the same column as an eccentric encoder.
     """
-    places = {block.place for block in problem.blocks if block.label in labels}
+    places = {b.place for b in problem.blocks if b.label in labels and b.place.startswith("joint:")}
     near = [
         (k, block.label)
         for k, block in enumerate(problem.blocks)
         if block.member is not None and block.place in places and (block.member.scanned or block.label in labels)
     ]
     products, names = problem.products, [label for _, label in near]
-    pairs = pairs_of(names, likenesses([products.columns[:, products.places([k])] for k, _ in near]))
-    return [pair for pair in pairs if pair[0] in labels and pair[1] not in labels]
+    waves = pairs_of(names, likenesses([products.columns[:, products.places([k])] for k, _ in near]))
+    scanned = [pair for pair in waves if pair[0] in labels and "[" in pair[1]]
+    never = [(name, like, 1.0) for name, like in sees.aliases.items()]
+    return (*scanned, *(pair for pair in sees.pairs() if pair[0] in labels), *never)
 
 
 class OrderRange(NamedTuple):

@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
@@ -35,7 +36,7 @@ from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.noise import Misfit, misfit, noise_floor, repeat_finding
-from identification.gap.posterior import Explanation, Posterior, posterior, refit
+from identification.gap.posterior import Explanation, Posterior, posterior
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.scatter import Finding
 from identification.gap.sessions.replicate import replications
@@ -115,36 +116,34 @@ def diagnosis_of(
     found: Posterior, measurements: Measurements, holdout: Measurements | None, generator: np.random.Generator
 ) -> Diagnosis:
     """Everything that is read off the posterior."""
-    library, noise, conditions = found.library, found.noises[found.best.noise].rows, measurements.conditions
-    kept = np.ones(len(found.rows), dtype=bool)
+    library, conditions, rows = found.library, measurements.conditions, found.rows
+    kept = np.ones(len(rows), dtype=bool)
     kept[list(found.best.wrong)] = False
-    base = fit(library.base, found.rows.pick(kept))
-    best = refit(found, found.best)
+    base = fit(library.base, rows.pick(kept))
 
     # what predicts best, and what it leaves
-    predicting = averaged(found, int(kept.sum()) * found.rows.dimension)
-    left = predicting.position_residuals(measurements, conditions)
-    rank = left[kept].size - predicting.freedom
-    repeats = repeat_finding(left, rank, measurements, kept)
-    over_sigma = misfit(left, rank, measurements, library.arm.sigma, kept)
+    predicting = averaged(found, int(kept.sum()) * rows.dimension)
+    after = predicting.position_residuals(measurements, conditions)
+    rank = after[kept].size - predicting.freedom
+    repeats = repeat_finding(after, rank, measurements, kept)
+    over_sigma = misfit(after, rank, measurements, library.arm.sigma, kept)
     if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
-        scale = len(left.T) * predicting.sigma**2
+        scale = rows.dimension * predicting.sigma**2
         predicting = predicting.allowing(scale * (1.0 - over_sigma.ratio**-2))
 
-    # the verdict, and the models that it speaks of
+    # the verdict, and the sets that it speaks of, each fitted once more
     likely = guarded(probabilities(found), repeats, over_sigma, measurements)
-    verdict, something = likely.verdict, likely.verdict != "none"
-    shown = likeliest_of(found, likely)
+    something, shown = likely.verdict != "none", likeliest_of(found, likely)
     rivals = [likeliest_with(found, names) for names in likely.rivals]
-    sets = [candidate_in(found, base, likely, one) for one in rivals or [shown]]
-    candidates = tuple(sets) if rivals or (verdict == "unknown" and sets[0].effects) else ()
-    fitted = fit(library.model(shown.effects), noise.pick(kept), best.by_name)
+    fits = [refit(found, one, kept) for one in rivals or [shown]]
+    sets = [candidate_in(found, base, likely, *pair) for pair in zip(rivals or [shown], fits, strict=True)]
+    named, fitted = sets[0], fits[0]
 
     # tests on other rows
     tests = cross_validation(found, measurements, kept, generator, something)
     if tests[0].shrinks is False and tests[0].after > tests[0].before:
         predicting = geometry(base)
-        left = predicting.position_residuals(measurements, conditions)
+        after = predicting.position_residuals(measurements, conditions)
     there = None if holdout is None else held_out(base, predicting, measurements, kept, holdout)
     confirmation = None
     if holdout is not None and there is not None:
@@ -152,52 +151,54 @@ def diagnosis_of(
 
     # what these rows show
     before = base.position_residuals(measurements, conditions)
-    wrong = [found.whole.numbers[b.label] for b in found.best.blocks if b.row]
-    detectable = assess(library, found.whole, noise, predicting.sigma, wrong)
-    labels = sorted({label for one in sets for label in one.effects})
-    alike = [pair for pair in detectable.pairs() if pair[0] in labels]
-    never = [(name, like, 1.0) for name, like in library.aliases.items()]
-    place = likely.place if verdict == "unknown" and likely.place != REST else None
+    wrong = [found.whole.numbers[block.label] for block in found.best.blocks if block.row]
+    sees = assess(library, found.whole, found.noises[0].rows, predicting.sigma, wrong)
+    place = likely.place if likely.verdict == "unknown" and likely.place != REST else None
     joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
     curves = tuple(curve for curve in predicting.curves if curve.joint in joints)
-    predicted, jacobian = best.model.linearize(found.rows.postures, best.values, conditions)
-    residual = found.rows.whiten(found.rows.positions - predicted).reshape(predicted.shape)
-    far = outlying(residual, found.rows.whiten(jacobian / best.model.scales))
-    unexplained = kept & together(far, found.rows.postures, found.rows.posture_numbers)
+    error = rows.whiten(fitted.position_residuals(rows, conditions)).reshape(before.shape)
+    jacobian = fitted.model.jacobian(rows.postures, fitted.values, conditions) / fitted.model.scales
+    far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
     freedom = np.full(len(predicting.values), float(predicting.freedom))
     average = as_calibration(
         predicting.model, predicting.values, predicting.covariance, freedom, predicting.sigma, base.rows.postures
     )
     result = Diagnosis(
         arm=library.arm,
-        verdict=verdict,
-        candidates=candidates,
-        named=sets[0],
-        predicting=replace(sets[0], specs=predicting.specs, calibration=average, freedom=tuple(freedom.tolist())),
-        aliases=(*look_alikes(found.whole, labels), *alike, *never),
+        verdict=likely.verdict,
+        candidates=tuple(sets) if rivals or (likely.verdict == "unknown" and named.effects) else (),
+        named=named,
+        predicting=replace(named, specs=predicting.specs, calibration=average, freedom=tuple(freedom.tolist())),
+        aliases=look_alikes(found.whole, sees, {label for one in sets for label in one.effects}),
         where=place,
         shape=shape_of(place, curves, shown),
         scatter=noise_findings(found, repeats),
         outlier_rows=tuple((np.flatnonzero(~kept) + 1).tolist()),
-        gap=gap_of(before[kept], left[kept], there, noise_floor(left, measurements, kept, library.arm.sigma)),
-        trials=trials(found),
-        detectability=detectable,
-        residuals=Residuals.of(library.arm, measurements, before, left),
+        unexplained_rows=tuple((np.flatnonzero(far) + 1).tolist()),
+        gap=gap_of(before[kept], after[kept], there, noise_floor(after, measurements, kept, library.arm.sigma)),
+        trials=trials(found, wrong),
+        detectability=sees,
+        residuals=Residuals.of(library.arm, measurements, before, after),
         sigma=fitted.sigma,
         probabilities=likely,
         data=MappingProxyType({k: v for k, v in measurements.origin.items() if k != "rows"}),
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=tests,
-        warnings=(*fit_doubts(library.arm, measurements, best, left[kept]), *other_set_up(there)),
-        unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
-        shapes=order_ranges(fitted, sets[0].effects),
+        warnings=(*fit_doubts(library.arm, measurements, fitted, after[kept]), *other_set_up(there)),
+        shapes=order_ranges(fitted, named.effects),
         replication=replications(
-            fitted, measurements, kept, sets[0].effects, error_curves(found, shown, fitted, predicting)
+            fitted, measurements, kept, named.effects, error_curves(found, shown, fitted, predicting)
         ),
         curves=curves,
     )
-    return replace(result, notes=tuple(words.notes(result, found, measurements, best, holdout)))
+    return replace(result, notes=tuple(words.notes(result, found, measurements, fitted, holdout)))
+
+
+def refit(found: Posterior, one: Explanation, kept: NDArray[np.bool_]) -> Fit:
+    """The nonlinear fit of one explanation's effects with its noise to the rows that are kept (m,)."""
+    rows = found.noises[one.noise].rows.pick(kept)
+    return fit(found.library.model(one.effects), rows, found.at.by_name)
 
 
 def guarded(
@@ -219,9 +220,8 @@ def likeliest_of(found: Posterior, likely: Probabilities) -> Explanation:
     return likeliest_with(found, likely.best)
 
 
-def candidate_in(found: Posterior, base: Fit, likely: Probabilities, one: Explanation) -> Candidate:
-    """An explanation's effects, fitted once more, with their probability."""
-    fitted = refit(found, one)
+def candidate_in(found: Posterior, base: Fit, likely: Probabilities, one: Explanation, fitted: Fit) -> Candidate:
+    """A fitted explanation with its probability."""
     plain = fit(found.library.base, fitted.rows, base.by_name) if one.effects else None
     noisy = bool(found.noises[one.noise].name)
     candidate = candidate_of(fitted, len(one.effects), found.library.arm.sigma, noisy, plain)
