@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import fdtrc, logsumexp
+from scipy.special import logsumexp
 
 from identification.arm import Calibration, EffectSpec
 from identification.arrays import Array
 from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.uncertainty import FittedRows, uncertainty
-from identification.gap.evidence import SIZES
+from identification.gap.detectability import Beside
 from identification.gap.fits.fit import Fit
 from identification.gap.posterior import Posterior
 from identification.gap.verdict import block_probabilities
@@ -123,11 +123,10 @@ class Trial(NamedTuple):
     delta_bic: float
 
 
-def candidate_of(fitted: Fit, added: int, given: float | None, doubtful: bool, base: Fit | None = None) -> Candidate:
+def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: bool = False) -> Candidate:
     """The last `added` effects of a fitted model as a result, with intervals as if no bound were active.
 
     given : sigma of the arm file;  doubtful : a noise model was estimated, so that the sandwich covariance is used
-    base : the base model fitted to the same rows
     """
     model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
     jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
@@ -139,7 +138,6 @@ def candidate_of(fitted: Fit, added: int, given: float | None, doubtful: bool, b
     deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
     limits = limits_95(model.parameters, fitted.values, deviations, sure.freedom)
     figures = zip(model.parameters, np.column_stack([fitted.values, deviations, limits]), strict=True)
-    gain, size = (0.0, 1) if base is None else (base.squares - fitted.squares, max(fitted.rank - base.rank, 1))
     return Candidate(
         tuple(effect.label for effect in effects),
         tuple(sorted({effect.family for effect in effects})),
@@ -149,7 +147,6 @@ def candidate_of(fitted: Fit, added: int, given: float | None, doubtful: bool, b
         tuple(sure.freedom.tolist()),
         sure.kind,
         sure.sentence,
-        max(gain / size / max(fitted.sigma**2, 1e-300), 0.0),
     )
 
 
@@ -162,26 +159,15 @@ def as_calibration(
     return Calibration(model.parameters.mapping(values), model.names, covariance, MappingProxyType(origin))
 
 
-def trials(found: Posterior, wrong: Sequence[int]) -> tuple[Trial, ...]:
-    """Every effect alone against the base model, likeliest first; of a scanned setting only the best value.
-
-    wrong : blocks of rows that are left out: shifts of their own, too large for anything else to explain them
-    """
-    problem, products, shares = found.whole, found.whole.products, block_probabilities(found)
-    left, freedom = products.left(wrong, np.full(len(wrong), SIZES[-1])), products.freedom - len(products.places(wrong))
-    ratios = logsumexp(products.added(left), axis=1) - np.log(products.limits)
-    total = sum(block.weight for block in problem.blocks if not block.row)
+def trials(found: Posterior, beside: Beside) -> tuple[Trial, ...]:
+    """Every effect alone against the base model, likeliest first; of a scanned setting only the best value."""
+    blocks, limits, shares = found.whole.blocks, found.whole.products.limits, block_probabilities(found)
+    ratios = logsumexp(found.whole.products.added(beside.left), axis=1) - np.log(limits)
+    total = sum(block.weight for block in blocks if not block.row)
     best: dict[str, Trial] = {}
-    for k, block in enumerate(problem.blocks):
+    for k, block in enumerate(blocks):
         if block.named:
-            own = products.places([k])
-            gram = products.columns[:, own].T @ products.columns[:, own] - left.rows[:, own].T @ left.rows[:, own]
-            scores = products.right[own] - left.scores @ left.rows[:, own]
-            gram[np.diag_indices_from(gram)] += 1e-12  # of columns of unit size, which a row left out may have alone
-            gain, spare = float(scores @ np.linalg.solve(gram, scores)), max(freedom - len(own), 1)
-            f = gain / len(own) / (max(left.squares - gain, 1e-300) / spare)
             odds = float(ratios[k] + np.log(block.weight / total))
-            p = float(fdtrc(len(own), spare, f))
-            trial = Trial(block.label, f, p, 1.0 - shares.get(block.key, 0.0), -2.0 * odds)
+            trial = Trial(block.label, *beside.f_test([k]), 1.0 - shares.get(block.key, 0.0), -2.0 * odds)
             best[block.key] = min(best.get(block.key, trial), trial, key=lambda one: one.delta_bic)
     return tuple(sorted(best.values(), key=lambda one: (round(one.delta_bic, 9), one.effect)))

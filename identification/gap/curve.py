@@ -46,17 +46,22 @@ class Wave(NamedTuple):
 class Curve:
     """The error of a joint, real less commanded angle, over the range of the measured angles.
 
-    joint : from 1;  table : the function;  angles : (a,) every half node [rad]
-    error, std : (a,) values of the function and their standard deviations [rad]
-    length : correlation length of the prior [rad]
+    joint : from 1;  table : the function;  std : (a,) standard deviations of its values at `angles` [rad]
     """
 
     joint: int
     table: ErrorCurve
-    angles: Array
-    error: Array
     std: Array
-    length: float
+
+    @property
+    def angles(self) -> Array:
+        """(a,) every half node [rad]."""
+        return np.linspace(self.table.start, self.table.stop, len(self.std))
+
+    @property
+    def error(self) -> Array:
+        """(a,) values of the function [rad]."""
+        return self.table.at(self.angles)
 
     @property
     def key(self) -> str:
@@ -98,7 +103,7 @@ class Curve:
             "joint": self.joint,
             "from_deg": float(np.degrees(self.table.start)),
             "to_deg": float(np.degrees(self.table.stop)),
-            "length_deg": float(np.degrees(self.length)),
+            "length_deg": float(np.degrees(self.table.spacing)),
             "shape": self.shape,
             "waves": [wave._asdict() for wave in self.waves],
             **{name: list(column) for name, column in zip(COLUMNS, columns, strict=True)},

@@ -12,13 +12,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import betaincinv, ncfdtr, nctdtr, stdtrit
+from scipy.special import betaincinv, fdtrc, ncfdtr, nctdtr, stdtrit
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.gap.blocks import RANK, Linearized, linearized
-from identification.gap.evidence import SIZES
+from identification.gap.evidence import SIZES, Index
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import HypothesisSet, hypotheses
@@ -125,7 +125,8 @@ def detectability(arm: Arm, postures: Array, conditions: Conditions | None = Non
     library = hypotheses(arm, frozenset({"temperature"} & {*given}), rows)
     exact = fit(library.base, rows, {})
     require_spare(exact.freedom, len(q))
-    return assess(library, linearized(library, exact, rows, outside=frozenset()), rows, arm.sigma or 1.0)
+    problem = linearized(library, exact, rows, outside=frozenset())
+    return assess(library, problem, Beside(problem), rows, arm.sigma or 1.0)
 
 
 def require_spare(freedom: int, rows: int) -> None:
@@ -137,25 +138,47 @@ def require_spare(freedom: int, rows: int) -> None:
         )
 
 
-def assess(
-    library: HypothesisSet, problem: Linearized, rows: Rows, sigma: float, wrong: Sequence[int] = ()
-) -> Detectability:
-    """Detectability of the library's effects in the rows of a problem.
+class Beside:
+    """The columns of a problem beside the base model, and beside shifts of the rows that are left out, too large for
+    anything else to explain them.
 
-    sigma : noise of one whitened coordinate [mm];  wrong : blocks of rows that are left out
+    wrong : blocks of these rows
+
+    left : what they leave of the products;  freedom : residual degrees of freedom
     """
-    products, plain = problem.products, list[tuple[str, float, Array]]()
-    left, freedom = products.left(wrong, np.full(len(wrong), SIZES[-1])), products.freedom - len(products.places(wrong))
+
+    def __init__(self, problem: Linearized, wrong: Sequence[int] = ()) -> None:
+        self.products = problem.products
+        self.left = self.products.left(wrong, np.full(len(wrong), SIZES[-1]))
+        self.freedom = self.products.freedom - len(self.products.places(wrong))
+
+    def gram(self, own: Index) -> Array:
+        """(k, k) products of these columns."""
+        columns, hidden = self.products.columns[:, own], self.left.rows[:, own]
+        return np.asarray(columns.T @ columns - hidden.T @ hidden)
+
+    def f_test(self, blocks: Sequence[int]) -> tuple[float, float]:
+        """F statistic of a few blocks against the base model, and its p-value."""
+        own = self.products.places(blocks)
+        count, spare = max(len(own), 1), max(self.freedom - len(own), 1)
+        scores = self.products.right[own] - self.left.scores @ self.left.rows[:, own]
+        # of unit size; a row that is left out may have a column alone
+        gain = float(scores @ np.linalg.solve(self.gram(own) + 1e-12 * np.eye(len(own)), scores))
+        f = gain / count / (max(self.left.squares - gain, 1e-300) / spare)
+        return f, float(fdtrc(count, spare, f))
+
+
+def assess(library: HypothesisSet, problem: Linearized, beside: Beside, rows: Rows, sigma: float) -> Detectability:
+    """Detectability of the library's effects in the rows of a problem;  sigma : of one whitened coordinate [mm]"""
+    products, freedom, plain = problem.products, beside.freedom, list[tuple[str, float, Array]]()
     level = LEVEL / sum(member.weight for member in library.members)
     detectable: dict[str, Size] = {}
     for member in filter(library.acts, library.members):
         parameter, count, number = member.effect.parameters[0], member.size, problem.numbers.get(member.label)
         size, fraction, own = Size(None, parameter.file_unit), 0.0, products.places([] if number is None else [number])
         if number is not None and len(own) == count:  # else a combination of its parameters cannot be seen
-            root, columns, hidden = problem.roots[number], products.columns[:, own], left.rows[:, own]
-            back = np.linalg.inv(root)  # from the parameters to the coefficients of the columns
-            gram = back.T @ (columns.T @ columns - hidden.T @ hidden) @ back
-            moving = problem.columns[number]
+            back = np.linalg.inv(problem.roots[number])  # from the parameters to the coefficients of the columns
+            gram, moving = back.T @ beside.gram(own) @ back, problem.columns[number]
             lengths = np.maximum(np.linalg.norm(rows.whiten(moving), axis=0), 1e-150)
             least, fraction = np.sqrt([_least(gram), _least(gram / np.outer(lengths, lengths))]).tolist()
             if count < freedom and least > RANK * lengths.max():

@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
@@ -30,7 +29,7 @@ from identification.gap.confirmation.holdout import (
     other_set_up,
 )
 from identification.gap.curve import Curve
-from identification.gap.detectability import assess, look_alikes, order_ranges, require_spare
+from identification.gap.detectability import Beside, assess, look_alikes, order_ranges, require_spare
 from identification.gap.evidence import SIZES
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
@@ -120,6 +119,7 @@ def diagnosis_of(
     kept = np.ones(len(rows), dtype=bool)
     kept[list(found.best.wrong)] = False
     base = fit(library.base, rows.pick(kept))
+    beside = Beside(found.whole, [found.whole.numbers[block.label] for block in found.best.blocks if block.row])
 
     # what predicts best, and what it leaves
     predicting = averaged(found, int(kept.sum()) * rows.dimension)
@@ -135,8 +135,11 @@ def diagnosis_of(
     likely = guarded(probabilities(found), repeats, over_sigma, measurements)
     something, shown = likely.verdict != "none", likeliest_of(found, likely)
     rivals = [likeliest_with(found, names) for names in likely.rivals]
-    fits = [refit(found, one, kept) for one in rivals or [shown]]
-    sets = [candidate_in(found, base, likely, *pair) for pair in zip(rivals or [shown], fits, strict=True)]
+    fits = [
+        fit(library.model(one.effects), found.noises[one.noise].rows.pick(kept), found.at.by_name)
+        for one in rivals or [shown]
+    ]
+    sets = [candidate_in(found, beside, likely, *pair) for pair in zip(rivals or [shown], fits, strict=True)]
     named, fitted = sets[0], fits[0]
 
     # tests on other rows
@@ -151,8 +154,7 @@ def diagnosis_of(
 
     # what these rows show
     before = base.position_residuals(measurements, conditions)
-    wrong = [found.whole.numbers[block.label] for block in found.best.blocks if block.row]
-    sees = assess(library, found.whole, found.noises[0].rows, predicting.sigma, wrong)
+    sees = assess(library, found.whole, beside, found.noises[0].rows, predicting.sigma)
     place = likely.place if likely.verdict == "unknown" and likely.place != REST else None
     joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
     curves = tuple(curve for curve in predicting.curves if curve.joint in joints)
@@ -176,7 +178,7 @@ def diagnosis_of(
         outlier_rows=tuple((np.flatnonzero(~kept) + 1).tolist()),
         unexplained_rows=tuple((np.flatnonzero(far) + 1).tolist()),
         gap=gap_of(before[kept], after[kept], there, noise_floor(after, measurements, kept, library.arm.sigma)),
-        trials=trials(found, wrong),
+        trials=trials(found, beside),
         detectability=sees,
         residuals=Residuals.of(library.arm, measurements, before, after),
         sigma=fitted.sigma,
@@ -185,7 +187,15 @@ def diagnosis_of(
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=tests,
-        warnings=(*fit_doubts(library.arm, measurements, fitted, after[kept]), *other_set_up(there)),
+        warnings=(
+            *misread(library.arm, measurements).sentences,
+            *far_off(after[kept], fitted.model),
+            *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
+            *another_frame(library.arm, measurements),
+            *outside_limits(library.arm, measurements),
+            *copied_rows(measurements),
+            *other_set_up(there),
+        ),
         shapes=order_ranges(fitted, named.effects),
         replication=replications(
             fitted, measurements, kept, named.effects, error_curves(found, shown, fitted, predicting)
@@ -193,12 +203,6 @@ def diagnosis_of(
         curves=curves,
     )
     return replace(result, notes=tuple(words.notes(result, found, measurements, fitted, holdout)))
-
-
-def refit(found: Posterior, one: Explanation, kept: NDArray[np.bool_]) -> Fit:
-    """The nonlinear fit of one explanation's effects with its noise to the rows that are kept (m,)."""
-    rows = found.noises[one.noise].rows.pick(kept)
-    return fit(found.library.model(one.effects), rows, found.at.by_name)
 
 
 def guarded(
@@ -220,11 +224,11 @@ def likeliest_of(found: Posterior, likely: Probabilities) -> Explanation:
     return likeliest_with(found, likely.best)
 
 
-def candidate_in(found: Posterior, base: Fit, likely: Probabilities, one: Explanation, fitted: Fit) -> Candidate:
+def candidate_in(found: Posterior, beside: Beside, likely: Probabilities, one: Explanation, fitted: Fit) -> Candidate:
     """A fitted explanation with its probability."""
-    plain = fit(found.library.base, fitted.rows, base.by_name) if one.effects else None
-    noisy = bool(found.noises[one.noise].name)
-    candidate = candidate_of(fitted, len(one.effects), found.library.arm.sigma, noisy, plain)
+    noisy, numbers = bool(found.noises[one.noise].name), [found.whole.numbers[h.label] for h in one.effects]
+    candidate = candidate_of(fitted, len(numbers), found.library.arm.sigma, noisy)
+    candidate = replace(candidate, f=beside.f_test(numbers)[0])
     if likely.verdict == "unknown":
         return candidate
     p, best = (max(likely.of(names), 1e-300) for names in ([h.key for h in one.effects], likely.best))
@@ -274,10 +278,3 @@ def error_curves(
             columns = rows.whiten(block.columns(where) @ problem.roots[number]) * SIZES[size]
             shapes.append((of_joint[joint], columns.reshape(len(rows), rows.dimension, -1)))
     return shapes
-
-
-def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) -> tuple[str, ...]:
-    """Warnings about the data and about a model fitted to them, one sentence each;  left : (m, d) residuals [mm]."""
-    bad = [*far_off(left, found.model), *flipped(found.model, found.values, np.ones(len(found.values), dtype=bool))]
-    place = (*another_frame(arm, measurements), *outside_limits(arm, measurements))
-    return (*misread(arm, measurements).sentences, *bad, *place, *copied_rows(measurements))
