@@ -19,7 +19,7 @@ from identification.error_curve import ErrorCurve
 
 # reasons: identification/README.md, "Constants"
 SHAPED = 0.8  # of a curve's variance, that makes a shape its name
-WAVE, MOST_WAVES = 0.03, 6  # of a curve's variance: a wave that explains less is not listed; nor are further ones
+MOST_WAVES = 6  # that are listed; what any of them explains is not less than a sixth of what `SHAPED` allows to lack
 COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")
 
 
@@ -124,29 +124,24 @@ def waves(angles: Array, error: Array, std: Array) -> tuple[Wave, ...]:
     Whole numbers of periods per turn are tried, up to the Nyquist limit of nodes at every other angle.
     Orders that differ by less than one period over the range are not distinguished.
     """
-    weights = np.sqrt(_weights(std))
     half = np.pi / float(np.ptp(angles))  # orders that differ by less part by less than half a period over the range
     tried = np.arange(max(1.0, np.ceil(half)), half * (len(angles) - 1) / 2.0)
 
     def fitted(orders: Sequence[float]) -> tuple[float, Array]:
-        """Squares that waves of these orders leave, and their (K, 2) coefficients."""
-        parts = [wave(k * angles) for k in orders for wave in (np.cos, np.sin)]
-        columns = np.column_stack([np.ones(len(angles)), *parts]) * weights[:, None]
-        values = np.linalg.lstsq(columns, error * weights, rcond=1e-6)[0]
-        return float(np.sum((error * weights - columns @ values) ** 2)), values[1:].reshape(-1, 2)
+        return _fitted([wave(k * angles) for k in orders for wave in (np.cos, np.sin)], error, std)
 
     chosen: list[float] = []
     left = [fitted(())[0]]
     while left[0] > 0.0 and len(tried) and len(chosen) < MOST_WAVES:
         trials = [fitted((*chosen, k))[0] for k in tried]
         best = int(np.argmin(trials))
-        if left[-1] - trials[best] < WAVE * left[0]:
+        if left[-1] - trials[best] < (1.0 - SHAPED) / MOST_WAVES * left[0]:
             break
         chosen.append(float(tried[best]))
         left.append(trials[best])
         tried = tried[np.abs(tried - chosen[-1]) >= 2.0 * half]
     found = []
-    for k, (a, b), gain in zip(chosen, fitted(chosen)[1], -np.diff(left), strict=True):
+    for k, (a, b), gain in zip(chosen, fitted(chosen)[1].reshape(-1, 2), -np.diff(left), strict=True):
         amplitude, phase = np.degrees([np.hypot(a, b), np.arctan2(b, a)]).tolist()
         found.append(Wave(k, (max(k - half, 0.0), k + half), amplitude, phase, float(gain / left[0])))
     return tuple(found)
@@ -155,10 +150,12 @@ def waves(angles: Array, error: Array, std: Array) -> tuple[Wave, ...]:
 def shape_text(angles: Array, error: Array, std: Array, found: Sequence[Wave]) -> str:
     """Description of a curve in words, by name or by its waves."""
     where = f"over {np.degrees(angles[0]):.0f} to {np.degrees(angles[-1]):.0f} deg"
-    at, size, explained = _step(angles, error, std)
-    share = sum(wave.share for wave in found)
-    if explained >= max(SHAPED, share):
-        return f"step of {np.degrees(size):.2g} deg at {np.degrees(at):.0f} deg {where}"
+    share, whole = sum(wave.share for wave in found), _fitted([], error, std)[0]
+    steps = [_fitted([np.sign(angles - at)], error, std) for at in (angles[1:] + angles[:-1]) / 2.0]
+    best = min(range(len(steps)), key=lambda k: steps[k][0])
+    if whole > 0.0 and 1.0 - steps[best][0] / whole >= max(SHAPED, share):
+        at, size = np.degrees([angles[best : best + 2].mean(), 2.0 * steps[best][1][0]])
+        return f"step of {size:.2g} deg at {at:.0f} deg {where}"
     if not found:
         return f"smooth curve {where}"
     amplitudes = {wave.order: wave.amplitude_deg for wave in found}
@@ -170,17 +167,9 @@ def shape_text(angles: Array, error: Array, std: Array, found: Sequence[Wave]) -
     return f"{'waves' if share >= SHAPED else 'in part waves'}: {listed} ({100.0 * share:.0f} %) {where}"
 
 
-def _step(angles: Array, error: Array, std: Array) -> tuple[float, float, float]:
-    """Angle and size of the best step, and the fraction of the variance that it explains."""
-    weights = _weights(std)
-    off = error - np.average(error, weights=weights)
-    below, sums = np.cumsum(weights)[:-1], np.cumsum(weights * off)[:-1]
-    jumps = -sums * (1.0 / below + 1.0 / (weights.sum() - below))
-    k = int(np.argmax(-sums * jumps))
-    total = max(float(np.sum(weights * off**2)), 1e-300)
-    return float(angles[k] + angles[k + 1]) / 2.0, float(jumps[k]), float(-sums[k] * jumps[k]) / total
-
-
-def _weights(std: Array) -> Array:
-    """(a,) weights of values with standard deviations (a,), none of them certain."""
-    return np.maximum(std, 1e-3 * float(np.max(std)) + 1e-150) ** -2.0
+def _fitted(columns: Sequence[Array], error: Array, std: Array) -> tuple[float, Array]:
+    """Weighted squares that a fit of functions (a,) beside a constant leaves of a curve, and their coefficients."""
+    weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-150)
+    table = np.column_stack([np.ones(len(error)), *columns]) * weights[:, None]
+    values = np.linalg.lstsq(table, error * weights, rcond=1e-6)[0]
+    return float(np.sum((error * weights - table @ values) ** 2)), np.asarray(values[1:])

@@ -34,7 +34,7 @@ from identification.gap.evidence import SIZES
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import hypotheses
-from identification.gap.noise import Misfit, misfit, noise_floor, repeat_finding
+from identification.gap.noise import misfit, noise_floor, repeat_finding
 from identification.gap.posterior import Explanation, Posterior, posterior
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.scatter import Finding
@@ -132,15 +132,17 @@ def diagnosis_of(
         predicting = predicting.allowing(scale * (1.0 - over_sigma.ratio**-2))
 
     # the verdict, and the sets that it speaks of, each fitted once more
-    likely = guarded(probabilities(found), repeats, over_sigma, measurements)
-    something, shown = likely.verdict != "none", likeliest_of(found, likely)
-    rivals = [likeliest_with(found, names) for names in likely.rivals]
-    fits = [
-        fit(library.model(one.effects), found.noises[one.noise].rows.pick(kept), found.at.by_name)
-        for one in rivals or [shown]
-    ]
-    sets = [candidate_in(found, beside, likely, *pair) for pair in zip(rivals or [shown], fits, strict=True)]
-    named, fitted = sets[0], fits[0]
+    likely = probabilities(found)
+    trusted = [] if measurements.sigma is None or over_sigma is None else [over_sigma.p_value]
+    if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < IMPOSSIBLE:
+        likely = likely.not_none(p)
+    unknown, something = likely.verdict == "unknown", likely.verdict != "none"
+    sets = [likeliest_with(found, names) for names in likely.rivals]
+    sets = sets or [likeliest_with(found, (), outside=unknown and likely.place is not None)]
+    fits = [fit(library.model(one.effects), found.noises[one.noise].rows.pick(kept), found.at.by_name) for one in sets]
+    shown, fitted = sets[0], fits[0]
+    candidates = [candidate_in(found, likely, beside, *pair) for pair in zip(sets, fits, strict=True)]
+    named = candidates[0]
 
     # tests on other rows
     tests = cross_validation(found, measurements, kept, generator, something)
@@ -155,7 +157,7 @@ def diagnosis_of(
     # what these rows show
     before = base.position_residuals(measurements, conditions)
     sees = assess(library, found.whole, beside, found.noises[0].rows, predicting.sigma)
-    place = likely.place if likely.verdict == "unknown" and likely.place != REST else None
+    place = likely.place if unknown and likely.place != REST else None
     joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
     curves = tuple(curve for curve in predicting.curves if curve.joint in joints)
     error = rows.whiten(fitted.position_residuals(rows, conditions)).reshape(before.shape)
@@ -168,10 +170,10 @@ def diagnosis_of(
     result = Diagnosis(
         arm=library.arm,
         verdict=likely.verdict,
-        candidates=tuple(sets) if rivals or (likely.verdict == "unknown" and named.effects) else (),
+        candidates=tuple(candidates) if likely.rivals or (unknown and named.effects) else (),
         named=named,
         predicting=replace(named, specs=predicting.specs, calibration=average, freedom=tuple(freedom.tolist())),
-        aliases=look_alikes(found.whole, sees, {label for one in sets for label in one.effects}),
+        aliases=look_alikes(found.whole, sees, {label for one in candidates for label in one.effects}),
         where=place,
         shape=shape_of(place, curves, shown),
         scatter=noise_findings(found, repeats),
@@ -205,29 +207,10 @@ def diagnosis_of(
     return replace(result, notes=tuple(words.notes(result, found, measurements, fitted, holdout)))
 
 
-def guarded(
-    likely: Probabilities, repeats: Sequence[Finding], over_sigma: Misfit | None, measurements: Measurements
-) -> Probabilities:
-    """The probabilities where the noise may be known: of its rows, or from repeats of one posture. More than it can be
-    is left by something."""
-    trusted = [] if measurements.sigma is None or over_sigma is None else [over_sigma.p_value]
-    p = min([1.0, *trusted, *(finding.p for finding in repeats)])
-    return likely.not_none(p) if p < IMPOSSIBLE else likely
-
-
-def likeliest_of(found: Posterior, likely: Probabilities) -> Explanation:
-    """The likeliest explanation with what is named."""
-    if likely.verdict == "unknown" and likely.place is not None:
-        return likeliest_with(found, (), outside=True)
-    if likely.verdict in ("unknown", "none"):
-        return next((e for e in found.explanations if not e.effects and not e.outside), found.best)
-    return likeliest_with(found, likely.best)
-
-
-def candidate_in(found: Posterior, beside: Beside, likely: Probabilities, one: Explanation, fitted: Fit) -> Candidate:
+def candidate_in(found: Posterior, likely: Probabilities, beside: Beside, one: Explanation, fitted: Fit) -> Candidate:
     """A fitted explanation with its probability."""
-    noisy, numbers = bool(found.noises[one.noise].name), [found.whole.numbers[h.label] for h in one.effects]
-    candidate = candidate_of(fitted, len(numbers), found.library.arm.sigma, noisy)
+    numbers, noise = [found.whole.numbers[h.label] for h in one.effects], found.noises[one.noise].name
+    candidate = candidate_of(fitted, len(numbers), found.library.arm.sigma, doubtful=bool(noise))
     candidate = replace(candidate, f=beside.f_test(numbers)[0])
     if likely.verdict == "unknown":
         return candidate

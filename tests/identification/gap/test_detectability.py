@@ -9,9 +9,11 @@ from scipy import stats
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
-from identification.gap.detectability import NEAR, detectability, detectable_lambda, order_ranges
+from identification.gap.blocks import linearized
+from identification.gap.detectability import NEAR, Beside, assess, detectability, detectable_lambda, order_ranges
 from identification.gap.fits.fit import fit
 from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.words import order_clauses
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -101,6 +103,41 @@ def test_no_size_listed_moves_the_tip_out_of_linear_theory() -> None:
             model = Model(ARM.with_effects(EffectSpec(name[:-2], joint)))
             column = model.jacobian(postures)[:, :, 6] * (np.radians(size) if "encoder" in name else size)
             assert np.sqrt(np.mean(np.sum(column**2, axis=1))) <= 0.1 * 560.0 * 1.01
+
+
+@pytest.mark.parametrize("effects", [("gear_ratio:2",), ("encoder_eccentricity:1",), ("gear_ratio:2", "backlash:3")])
+def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None:
+    """Least squares of the other rows, by numpy alone."""
+    rng, out = np.random.default_rng(6), [3, 17]
+    exact = Model(ARM.with_effects(EffectSpec("gear_ratio", 2))).position(POSTURES, np.r_[np.zeros(6), 4e-4])
+    noisy = exact + 0.1 * rng.standard_normal(exact.shape)
+    noisy[out] += 5.0
+    rows, kept = Rows.of(Measurements(POSTURES, noisy)), np.setdiff1d(np.arange(30), out)
+    library = hypotheses(ARM, frozenset(), rows)
+    at = fit(library.base, rows.pick(kept))
+    problem = linearized(library, at, rows, out, frozenset())
+    beside = Beside(problem, [problem.numbers[f"row:{k}"] for k in out])
+    blocks = [problem.numbers[label] for label in effects]
+    base = library.base.jacobian(POSTURES, at.values, rows.conditions)[kept].reshape(56, -1)
+    own = np.concatenate([problem.columns[k] @ problem.roots[k] for k in blocks], axis=2)[kept].reshape(56, -1)
+
+    def left(y: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        return y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+
+    projected = left(own, base)
+    np.testing.assert_allclose(beside.gram(problem.products.places(blocks)), projected.T @ projected, atol=1e-6)
+    y = (noisy - library.base.position(POSTURES, at.values, rows.conditions))[kept].ravel()
+    without, there = (np.sum(left(y, columns) ** 2) for columns in (base, np.hstack([base, own])))
+    freedom = 56 - 6 - own.shape[1]
+    f = (without - there) / own.shape[1] / (there / freedom)
+    assert beside.freedom == 50
+    assert beside.f_test(blocks) == pytest.approx((f, stats.f.sf(f, own.shape[1], freedom)), rel=1e-4)
+    sees = assess(library, problem, beside, rows, 0.1)
+    assert sees.freedom == 50
+    size = sees.detectable["gear_ratio:2"].value
+    column = problem.columns[problem.numbers["gear_ratio:2"]][kept].reshape(56, 1)
+    least = 0.1 * detectable_lambda(1, 49, 0.05 / sum(h.weight for h in library.members) / np.sqrt(3.0))
+    assert size == pytest.approx(least / np.linalg.norm(left(column, base)), rel=1e-6)
 
 
 LENGTHS = np.array([300.0, 200.0])
