@@ -101,7 +101,7 @@ def parts(
     """The measurements to diagnose, and those held out."""
     import numpy as np
 
-    from identification.gap.confirmation.holdout import split
+    from identification.gap.confirmation import split
 
     measurements = read_sessions(data, arm)
     if isinstance(holdout, float):

@@ -130,8 +130,8 @@ def sessions_section(diagnosis: Diagnosis) -> list[Section]:
     """What each named effect is in each session, where there are several."""
     lead = (
         "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
-        "session alone. Explained: the share of the session's squares that the values of the other sessions explain, "
-        "with only the base of this one adapted. An effect replicates where that is more than chance."
+        "session alone. P(the same): how likely it is that they are those of the other sessions. An effect replicates "
+        "where that is 0.9 or more."
     )
     return [Section("Across sessions", lead, [replication_sheet(diagnosis)])] if diagnosis.replication else []
 

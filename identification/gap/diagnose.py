@@ -9,38 +9,34 @@ from types import MappingProxyType
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import Array
-from identification.effects import Effect
 from identification.errors import InputError
 from identification.estimation.checks import check_measurements
 from identification.estimation.outlying import outlying, together
 from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.gap import words
 from identification.gap.average import PredictingModel, averaged
-from identification.gap.blocks import REST, Where
+from identification.gap.blocks import REST
 from identification.gap.candidate import Candidate, as_calibration, candidate_of, trials
-from identification.gap.confirmation.cross_validation import cross_validation
-from identification.gap.confirmation.holdout import (
+from identification.gap.confirmation import (
+    Gap,
     check_holdout,
     check_same_arm,
-    confirmation_of,
-    gap_of,
-    held_out,
+    confirmed_on,
+    cross_validation,
     other_set_up,
 )
 from identification.gap.curve import Curve
 from identification.gap.detectability import Beside, assess, look_alikes, order_ranges, require_spare
-from identification.gap.evidence import SIZES
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.noise import misfit, noise_floor, repeat_finding
 from identification.gap.posterior import Explanation, Posterior, posterior
+from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.scatter import Finding
-from identification.gap.sessions.replicate import replications
 from identification.gap.verdict import Probabilities, likeliest_with, probabilities
-from identification.measurements import Measurements
+from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
 from identification.progress import Progress, silent
@@ -149,13 +145,13 @@ def diagnosis_of(
     if tests[0].shrinks is False and tests[0].after > tests[0].before:
         predicting = geometry(base)
         after = predicting.position_residuals(measurements, conditions)
-    there = None if holdout is None else held_out(base, predicting, measurements, kept, holdout)
     confirmation = None
-    if holdout is not None and there is not None:
-        confirmation = confirmation_of(measurements, holdout, there, something)
+    if holdout is not None:
+        confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something)
 
     # what these rows show
     before = base.position_residuals(measurements, conditions)
+    floor = noise_floor(after, measurements, kept, library.arm.sigma)
     sees = assess(library, found.whole, beside, found.noises[0].rows, predicting.sigma)
     place = likely.place if unknown and likely.place != REST else None
     joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
@@ -179,7 +175,7 @@ def diagnosis_of(
         scatter=noise_findings(found, repeats),
         outlier_rows=tuple((np.flatnonzero(~kept) + 1).tolist()),
         unexplained_rows=tuple((np.flatnonzero(far) + 1).tolist()),
-        gap=gap_of(before[kept], after[kept], there, noise_floor(after, measurements, kept, library.arm.sigma)),
+        gap=Gap.of(rms_distance(before[kept]), rms_distance(after[kept]), floor, confirmation),
         trials=trials(found, beside),
         detectability=sees,
         residuals=Residuals.of(library.arm, measurements, before, after),
@@ -196,11 +192,11 @@ def diagnosis_of(
             *another_frame(library.arm, measurements),
             *outside_limits(library.arm, measurements),
             *copied_rows(measurements),
-            *other_set_up(there),
+            *other_set_up(confirmation),
         ),
         shapes=order_ranges(fitted, named.effects),
         replication=replications(
-            fitted, measurements, kept, named.effects, error_curves(found, shown, fitted, predicting)
+            fitted, measurements.session_names, named.effects, curve_columns(found, shown, fitted, curves)
         ),
         curves=curves,
     )
@@ -246,18 +242,3 @@ def shape_of(place: str | None, curves: Sequence[Curve], one: Explanation) -> st
     if place is None:
         return words.KINDS[REST] if any(b.parts for b in one.outside) else None
     return next(filter(None, kinds), None) or next(there, None)
-
-
-def error_curves(
-    found: Posterior, one: Explanation, fitted: Fit, predicting: PredictingModel
-) -> list[tuple[Effect, Array]]:
-    """Error curves of an explanation, with their whitened columns in the rows of a fit in units of their prior."""
-    rows, problem = fitted.rows, found.problems[one.noise]
-    where = Where.of(fitted.model, fitted.values, rows.postures, rows.conditions)
-    of_joint = {effect.joint: effect for effect in predicting.model.effects if effect.curve is not None}
-    shapes = []
-    for block, number, size in zip(one.blocks, one.weighed.blocks, one.weighed.sizes, strict=True):
-        if block.basis is not None and block.columns is not None and (joint := block.basis.joint + 1) in of_joint:
-            columns = rows.whiten(block.columns(where) @ problem.roots[number]) * SIZES[size]
-            shapes.append((of_joint[joint], columns.reshape(len(rows), rows.dimension, -1)))
-    return shapes

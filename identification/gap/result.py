@@ -15,14 +15,12 @@ from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
 from identification.gap import words
 from identification.gap.candidate import Candidate, Trial
-from identification.gap.confirmation.confirmation import Confirmation
-from identification.gap.confirmation.holdout import Gap
-from identification.gap.confirmation.offered import Offered
+from identification.gap.confirmation import Confirmation, Gap, Offered
 from identification.gap.curve import Curve
 from identification.gap.detectability import Detectability, OrderRange, Size
 from identification.gap.noise import Misfit
+from identification.gap.replication import Replication
 from identification.gap.scatter import Finding
-from identification.gap.sessions.replication import Replication
 from identification.gap.verdict import Probabilities
 from identification.measurements import Measurements
 from identification.model import Model

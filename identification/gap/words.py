@@ -10,7 +10,7 @@ import numpy as np
 from identification.arrays import rows_in_words
 from identification.gap.blocks import REST
 from identification.gap.posterior import MOST_ROWS
-from identification.gap.sessions.replication import replication_clauses
+from identification.gap.replication import replication_clauses
 from identification.html_tables import html_folded, html_lines, html_table, in_symbols
 from identification.inspection.data_checks import gap_notes
 from identification.measurements import Measurements, distances
