@@ -7,7 +7,7 @@ told apart by these rows, whatever their sizes (identification/README.md, "Gap w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import HypothesisSet, hypotheses
 from identification.gap.noise import SPARE
 from identification.information import column_space
-from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
+from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.threads import single_thread
 
@@ -116,17 +116,15 @@ def detectability(arm: Arm, postures: Array, conditions: Conditions | None = Non
 
     Raises `InputError` with fewer than 4 residual degrees of freedom.
     """
-    q, model = np.atleast_2d(np.asarray(postures, dtype=float)), Model(arm)
-    order = np.arange(len(q), dtype=float)
-    by_order = {"time": session_time(order), "directions": directions_from_order(q), "past": past_from_order(q)}
+    model = Model(arm)
+    rows = Rows.of(Measurements(np.atleast_2d(postures), np.zeros((len(np.atleast_2d(postures)), model.dimension))))
     given = {} if conditions is None else {k: v for k, v in vars(conditions).items() if v is not None}
-    filled = Conditions(**(by_order | given))
-    rows = Rows(q, model.position(q, None, filled), filled, order)
+    filled = replace(rows.conditions, **given)
+    rows = replace(rows, positions=model.position(rows.postures, None, filled), conditions=filled)
     library = hypotheses(arm, frozenset({"temperature"} & {*given}), rows)
     exact = fit(library.base, rows, {})
-    require_spare(exact.freedom, len(q))
-    problem = linearized(library, exact, rows, outside=frozenset())
-    return assess(library, problem, Beside(problem), rows, arm.sigma or 1.0)
+    require_spare(exact.freedom, len(rows))
+    return assess(library, Beside(linearized(library, exact, rows, outside=frozenset())), rows, arm.sigma or 1.0)
 
 
 def require_spare(freedom: int, rows: int) -> None:
@@ -148,7 +146,7 @@ class Beside:
     """
 
     def __init__(self, problem: Linearized, wrong: Sequence[int] = ()) -> None:
-        self.products = problem.products
+        self.problem, self.products = problem, problem.products
         self.left = self.products.left(wrong, np.full(len(wrong), SIZES[-1]))
         self.freedom = self.products.freedom - len(self.products.places(wrong))
 
@@ -168,9 +166,10 @@ class Beside:
         return f, float(fdtrc(count, spare, f))
 
 
-def assess(library: HypothesisSet, problem: Linearized, beside: Beside, rows: Rows, sigma: float) -> Detectability:
+def assess(library: HypothesisSet, beside: Beside, rows: Rows, sigma: float) -> Detectability:
     """Detectability of the library's effects in the rows of a problem;  sigma : of one whitened coordinate [mm]"""
-    products, freedom, plain = problem.products, beside.freedom, list[tuple[str, float, Array]]()
+    problem, products, freedom = beside.problem, beside.products, beside.freedom
+    plain: list[tuple[str, float, Array]] = []
     level = LEVEL / sum(member.weight for member in library.members)
     detectable: dict[str, Size] = {}
     for member in filter(library.acts, library.members):

@@ -152,7 +152,7 @@ def diagnosis_of(
     # what these rows show
     before = base.position_residuals(measurements, conditions)
     floor = noise_floor(after, measurements, kept, library.arm.sigma)
-    sees = assess(library, found.whole, beside, found.noises[0].rows, predicting.sigma)
+    sees = assess(library, beside, found.noises[0].rows, predicting.sigma)
     place = likely.place if unknown and likely.place != REST else None
     joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
     curves = tuple(curve for curve in predicting.curves if curve.joint in joints)

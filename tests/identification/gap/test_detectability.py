@@ -132,7 +132,7 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
     f = (without - there) / own.shape[1] / (there / freedom)
     assert beside.freedom == 50
     assert beside.f_test(blocks) == pytest.approx((f, stats.f.sf(f, own.shape[1], freedom)), rel=1e-4)
-    sees = assess(library, problem, beside, rows, 0.1)
+    sees = assess(library, beside, rows, 0.1)
     assert sees.freedom == 50
     size = sees.detectable["gear_ratio:2"].value
     column = problem.columns[problem.numbers["gear_ratio:2"]][kept].reshape(56, 1)
