@@ -159,10 +159,10 @@ def as_calibration(
     return Calibration(model.parameters.mapping(values), model.names, covariance, MappingProxyType(origin))
 
 
-def trials(found: Posterior, beside: Beside) -> tuple[Trial, ...]:
+def trials(posterior: Posterior, beside: Beside) -> tuple[Trial, ...]:
     """Every effect alone against the base model, likeliest first; of a scanned setting only the best value."""
-    blocks, limits, shares = found.whole.blocks, found.whole.products.limits, block_probabilities(found)
-    ratios = logsumexp(found.whole.products.added(beside.left), axis=1) - np.log(limits)
+    blocks, limits, shares = posterior.whole.blocks, posterior.whole.products.limits, block_probabilities(posterior)
+    ratios = logsumexp(posterior.whole.products.added(beside.left), axis=1) - np.log(limits)
     total = sum(block.weight for block in blocks if not block.row)
     best: dict[str, Trial] = {}
     for k, block in enumerate(blocks):

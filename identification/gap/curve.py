@@ -140,30 +140,30 @@ def waves(angles: Array, error: Array, std: Array) -> tuple[Wave, ...]:
         chosen.append(float(tried[best]))
         left.append(trials[best])
         tried = tried[np.abs(tried - chosen[-1]) >= 2.0 * half]
-    found = []
+    listed = []
     for k, (a, b), gain in zip(chosen, fitted(chosen)[1].reshape(-1, 2), -np.diff(left), strict=True):
         amplitude, phase = np.degrees([np.hypot(a, b), np.arctan2(b, a)]).tolist()
-        found.append(Wave(k, (max(k - half, 0.0), k + half), amplitude, phase, float(gain / left[0])))
-    return tuple(found)
+        listed.append(Wave(k, (max(k - half, 0.0), k + half), amplitude, phase, float(gain / left[0])))
+    return tuple(listed)
 
 
-def shape_text(angles: Array, error: Array, std: Array, found: Sequence[Wave]) -> str:
+def shape_text(angles: Array, error: Array, std: Array, parts: Sequence[Wave]) -> str:
     """Description of a curve in words, by name or by its waves."""
     where = f"over {np.degrees(angles[0]):.0f} to {np.degrees(angles[-1]):.0f} deg"
-    share, whole = sum(wave.share for wave in found), _fitted([], error, std)[0]
+    share, whole = sum(wave.share for wave in parts), _fitted([], error, std)[0]
     steps = [_fitted([np.sign(angles - at)], error, std) for at in (angles[1:] + angles[:-1]) / 2.0]
     best = min(range(len(steps)), key=lambda k: steps[k][0])
     if whole > 0.0 and 1.0 - steps[best][0] / whole >= max(SHAPED, share):
         at, size = np.degrees([angles[best : best + 2].mean(), 2.0 * steps[best][1][0]])
         return f"step of {size:.2g} deg at {at:.0f} deg {where}"
-    if not found:
+    if not parts:
         return f"smooth curve {where}"
-    amplitudes = {wave.order: wave.amplitude_deg for wave in found}
+    amplitudes = {wave.order: wave.amplitude_deg for wave in parts}
     first = min(amplitudes)  # a sawtooth has waves of orders k, 2k, 3k with amplitudes as 1, 1/2, 1/3
     ratios = [amplitudes.get(n * first, 0.0) * n / amplitudes[first] for n in (2, 3)]
     if share >= SHAPED and np.allclose(ratios, 1.0, atol=1.0 / 3.0):
         return f"sawtooth, {first:g} per turn, {where}"
-    listed = "; ".join(map(str, found))
+    listed = "; ".join(map(str, parts))
     return f"{'waves' if share >= SHAPED else 'in part waves'}: {listed} ({100.0 * share:.0f} %) {where}"
 
 

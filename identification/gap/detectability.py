@@ -290,7 +290,7 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
     Over a range of W rad two waves whose orders differ by less than 2 pi / W drift apart by less than one period, and
     beside other waves they cannot be separated: the named order is one of many that fit.
     """
-    model, rows, found = fitted.model, fitted.rows, list[OrderRange]()
+    model, rows, ranges = fitted.model, fitted.rows, list[OrderRange]()
     levers, jacobian = model.joint_levers(rows.postures, fitted.values, rows.conditions), fitted.jacobian
     for effect in model.effects:
         harmonics = {"encoder_eccentricity": 1.0, "encoder_second_harmonic": 2.0}
@@ -309,5 +309,5 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
             apart = 2.0 * np.pi / (np.sqrt(12.0) * np.std(q))  # the range of even angles with this standard deviation
             span = float(np.degrees(q.min())), float(np.degrees(q.max()))
             orders = max(1, int(np.ceil(order - apart))), int(np.floor(order + apart))
-            found.append(OrderRange(effect.label, effect.joint, span, orders))
-    return tuple(found)
+            ranges.append(OrderRange(effect.label, effect.joint, span, orders))
+    return tuple(ranges)
