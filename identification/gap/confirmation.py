@@ -191,21 +191,10 @@ class Confirmation:
 
     def to_json(self) -> dict[str, object]:
         """An entry of `confirmation.tests` (identification/files/README.md, "JSON keys")."""
-        names = [
-            "transfer",
-            "file",
-            "by",
-            "rows",
-            "groups",
-            "p_shrinks",
-            "p_exceeds",
-            "shrinks",
-            "as_predicted",
-            "confirmed",
-        ]
-        lengths = {f"{name}_mm": getattr(self, name) for name in ("before", "after", "predicted")}
-        largest = {"max_before_mm": self.largest_before, "max_after_mm": self.largest_after}
-        return {name: getattr(self, name) for name in names} | lengths | largest | {"refitted": [*self.refitted]}
+        lengths = {"before": "before_mm", "after": "after_mm", "predicted": "predicted_mm"}
+        lengths |= {"largest_before": "max_before_mm", "largest_after": "max_after_mm"}
+        entry = {lengths.get(name, name): value for name, value in vars(self).items() if name != "named"}
+        return entry | {"confirmed": self.confirmed, "refitted": [*self.refitted]}
 
 
 def confirm(
@@ -308,9 +297,9 @@ class Offered:
 
     def to_json(self) -> dict[str, Any]:
         """Key `offered` (identification/files/README.md, "JSON keys")."""
-        lengths = {"rms_mm": self.rms, "max_mm": self.largest}
-        lengths |= {"rms_geometry_mm": self.rms_geometry, "max_geometry_mm": self.largest_geometry}
-        return {"by": self.by, "rows": self.rows} | lengths | {"p_value": self.p_value, "better": self.better}
+        lengths = {"rms": "rms_mm", "largest": "max_mm"}
+        lengths |= {"rms_geometry": "rms_geometry_mm", "largest_geometry": "max_geometry_mm"}
+        return {lengths.get(name, name): value for name, value in vars(self).items()} | {"better": self.better}
 
 
 @dataclass(frozen=True)
@@ -340,11 +329,7 @@ class Gap:
         return self.floor.value
 
     def __str__(self) -> str:
-        line = f"gap: {self.rms_before:.4g} mm before, {self.rms_after:.4g} mm after, {self.floor}"
-        if self.held_out_after is None:
-            return line
-        then = f"{self.held_out_before:.4g} mm before, {self.held_out_after:.4g} mm after"
-        return f"{line}\nheld out: {then}, {self.predicted:.4g} mm predicted"
+        return f"gap: {self.rms_before:.4g} mm before, {self.rms_after:.4g} mm after, {self.floor}"
 
     def to_json(self) -> dict[str, float | str | None]:
         """Keys of `gap` (identification/files/README.md, "JSON keys")."""
@@ -523,6 +508,7 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
     # of each part a table with the same products as its rows, and no more rows than columns
     white = rows.whiten(np.concatenate([own, x, y[:, :, None]], axis=2)).reshape(*y.shape, -1)
     tables = [np.linalg.qr(white[folds == k].reshape(-1, white.shape[2]), mode="r") for k in range(folds.max() + 1)]
+    # expected square of the noise of a row, for unit sigma
     spread = np.eye(y.shape[1])[None] if rows.spread is None else rows.spread
     noise = float(np.sum(np.square(spread[:, POINT]))) / len(spread) * (1.0 + rows.shared)
     before, after, expected = np.empty_like(y), np.empty_like(y), 0.0

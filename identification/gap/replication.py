@@ -203,8 +203,8 @@ def _common(angles: Array, here: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _in_session(name: str, asked: Question, units: Array | None = None) -> InSession:
     """An effect in one session;  units : (w,) from its parameters to those of files, None: an error curve"""
     basis = column_space(asked.rest, np.ones(asked.rest.shape[1]))
-    freedom = asked.coordinates - basis.shape[1]
-    if freedom < 1:
+    freedom = max(asked.coordinates - basis.shape[1], 1)
+    if not asked.columns.any():  # of a curve, without common angles
         return InSession(name, (), (), 0.25, None)
 
     def apart(columns: Array) -> Array:

@@ -137,7 +137,7 @@ def evidence(result: Diagnosis) -> list[str]:
 def text(result: Diagnosis) -> str:
     """The whole diagnosis as text."""
     lines = [*(f"warning: {warning}" for warning in result.warnings), *findings(result)]
-    lines += [str(result.gap).splitlines()[0], *map(str, result.tests)]
+    lines += [str(result.gap), *map(str, result.tests)]
     for one in explanations(result):
         probability = "" if one.probability is None else f"probability {one.probability:.2f}, "
         lines.append(f"{one.title}: {probability}F = {one.f:.1f}, -2 log odds = {one.delta_bic:.1f}")

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from identification.gap.confirmation import split
 from identification.gap.set_up import Predicted, SetUp, held_out_conditions, point_names, set_up_of, transfer_of
 from identification.measurements import Measurements
+from tests.identification.gap.test_confirmation import DATA
 
 ROWS, NOISE, REACH = 60, 0.1, 1300.0
 SHIFT, TURN = np.array([300.0, -80.0, 40.0]), Rotation.from_rotvec([0.2, -1.1, 0.5]).as_matrix()
@@ -92,16 +93,6 @@ def test_points_have_the_numbers_of_the_data() -> None:
     assert numbers is not None
     assert (numbers.tolist(), fresh) == ([0.0] * 4, ())
     assert point_names(data, replace(data, marker=None, marker_names=())) == (None, ())
-
-
-RNG = np.random.default_rng(1)
-NUMBER = np.repeat(np.arange(50), 2)
-DATA = Measurements(
-    RNG.uniform(-3.0, 3.0, (50, 3))[NUMBER],
-    RNG.normal(size=(100, 2)),
-    np.arange(100.0),
-    temperature=20.0 + RNG.random(100),
-)
 
 
 def test_the_order_of_measurement_says_what_is_tested() -> None:
