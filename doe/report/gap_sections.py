@@ -27,9 +27,9 @@ from doe.report.page import Section, Sheet, page
 from doe.report.terminal import number
 from doe.report.verdict import diagnosis_actions, diagnosis_verdict, expected_elsewhere
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
-from identification.gap.notebook import tests_of
 from identification.gap.result import Diagnosis
 from identification.gap.scatter import Finding
+from identification.gap.words import tests_of
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.validate import DRAWN, drawing_residuals

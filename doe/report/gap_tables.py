@@ -11,10 +11,9 @@ from rich.text import Text
 
 from doe.report.page import Sheet
 from doe.report.terminal import estimate_text, number, table, unit_or_dash
-from identification.gap.hypotheses.detectability import Size
-from identification.gap.notebook import gap_rows
+from identification.gap.detectability import Size
 from identification.gap.result import Diagnosis
-from identification.gap.summary import findings, headline
+from identification.gap.words import findings, gap_rows, headline
 
 MOST_TRIALS = 12
 LEFT = ("unit", "change", "shape", "joints", "session", "fitted there")  # columns of words

@@ -17,7 +17,7 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.gap.blocks import WAVES, Block, Linearized, Where
-from identification.gap.curves.curve import Curve
+from identification.gap.curve import Curve
 from identification.gap.evidence import Index
 from identification.gap.posterior import WRITTEN, Posterior
 from identification.kinematics.base_axes import along, planar_axes
@@ -217,7 +217,7 @@ def _curve(found: Posterior, mixed: Moments, block: Block, part: Index, values: 
     table = basis.table(np.radians(np.round(np.degrees(error[::2]), TIDY)))
     table = replace(table, geometry=_tied(model, geometry, values))
     std = np.sqrt(np.maximum(variance, 0.0))
-    return Curve(basis.joint + 1, table, angles, table.at(angles), std, table.spacing)
+    return Curve(basis.joint + 1, table, std)
 
 
 def _tied(model: Model, geometry: Mapping[str, float], values: Array) -> dict[str, float]:

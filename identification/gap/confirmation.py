@@ -16,7 +16,7 @@ never less than that of white Gaussian noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ from identification.errors import InputError
 from identification.gap.average import PredictingModel
 from identification.gap.evidence import Products
 from identification.gap.fit import Fit
-from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor
+from identification.gap.noise import NoiseFloor
 from identification.gap.posterior import Posterior
 from identification.gap.set_up import SESSION, held_out_conditions, placed_residuals, transfer_of
 from identification.gap.verdict import MOST
@@ -313,7 +313,7 @@ class Gap:
 
     rms_before: float
     rms_after: float
-    floor: NoiseFloor = NOTHING_KNOWN
+    floor: NoiseFloor = field(default_factory=NoiseFloor)
     held_out_before: float | None = None
     held_out_after: float | None = None
     predicted: float | None = None

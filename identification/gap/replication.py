@@ -25,7 +25,7 @@ from scipy.special import logsumexp, softmax
 
 from identification.arrays import Array
 from identification.gap.blocks import Where
-from identification.gap.curves.curve import Curve
+from identification.gap.curve import Curve
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
 from identification.gap.posterior import Explanation, Posterior
