@@ -27,7 +27,9 @@ from identification.model import Model
 from identification.sessions import SESSIONS
 
 # reasons: identification/README.md, "Constants"
-LIKELY = 0.5  # of the rest of the library, below which the average is over the sets without it
+LIKELY = float(
+    __import__("os").environ.get("LIKELY", "0.5")
+)  # of the rest of the library, below which the average is over the sets without it
 TIDY = 7  # decimals of a value in degrees, in files
 
 

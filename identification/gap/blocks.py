@@ -36,7 +36,9 @@ WAVES = 30  # half periods of an error curve over the angles of its joint
 TIMES = 12  # half periods in a session of the fastest smooth function of time
 SLOW = 3  # half periods, of orders of functions of several variables
 REST = "library"  # label of the rest of the library
-REST_SIZES = 2  # of `SIZES` that it may have: what is larger shows one effect at a time
+REST_SIZES = int(
+    __import__("os").environ.get("RS", "2")
+)  # of `SIZES` that it may have: what is larger shows one effect at a time
 
 
 @dataclass(frozen=True, eq=False)

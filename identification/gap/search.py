@@ -32,9 +32,10 @@ from identification.gap.evidence import SIZES, Products, State
 SOME = 1.0  # prior odds of something missing to nothing
 TAIL = 3.0  # p(K) ~ K^-TAIL
 WRONG = 0.0005  # prior odds of a row to be outlying
-REST_ODDS = 0.1  # prior odds of the rest of the library
+REST_ODDS = float(__import__("os").environ.get("REST", "0.1"))  # prior odds of the rest of the library
 NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
 MOVES = 1000  # effort: of the walk
+ROUNDS = 10  # effort: of the climb
 PAIRS = 10  # effort: of the climb, blocks that are tried in pairs
 LEAST = 1e-5  # probability of a set that is kept
 ROUNDING = 1e-6  # of a log likelihood
@@ -150,36 +151,27 @@ class Search:
     def _up(self, state: State, barred: frozenset[int] = frozenset()) -> State:
         """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each;
         and so on, round after round, until nothing changes;  barred : blocks that are not added"""
-        changed = True
-
-        def likelier(fewer: State, least: float) -> State | None:
-            """A set with the likeliest block beside it, or alone, where its log odds grow by more than `least`."""
-            table = self._each(fewer, barred)
-            alone = 0.0 if np.isfinite(self.log_prior(fewer.blocks)) else -np.inf
-            if max(np.max(table), alone) <= least + ROUNDING:
-                return None
-            new = self._put(fewer, table) if np.max(table) > alone else fewer
-            return new if self.log_odds(new) > self.log_odds(state) + ROUNDING else None  # signs are of all together
-
-        while changed:
-            changed = False
+        for _ in range(ROUNDS):
+            before = state.key
             for block in (-1, *state.blocks):
                 if block in state.blocks:
                     fewer = self.products.without(state, block)
-                    size = dict(state.order)[block]
-                    stays = float(self._each(fewer, barred - {block})[block, size])
-                    if (new := likelier(fewer, stays)) is not None:
-                        state, changed = new, True
-                while (new := likelier(state, 0.0)) is not None:
-                    state, changed = new, True
+                    table = self._each(fewer, barred - {block})
+                    nothing = np.isfinite(self.log_prior(fewer.blocks)) and np.max(logsumexp(table, axis=1)) <= 0.0
+                    state = fewer if nothing else self._put(fewer, table, block)
+                while np.max(logsumexp(table := self._each(state, barred), axis=1)) > ROUNDING:
+                    state = self._put(state, table)
+            if state.key == before:
+                break
         return state
 
-    def _put(self, state: State, table: Array) -> State:
-        """A set with the block and size that are likeliest in a table."""
-        if not np.isfinite(np.max(table, initial=-np.inf)):
+    def _put(self, state: State, table: Array, first: int = -1) -> State:
+        """A set with the block that is likeliest in a table, at its likeliest size;  first : of those equally likely"""
+        odds = logsumexp(table, axis=1)
+        if not np.isfinite(np.max(odds, initial=-np.inf)):
             return state
-        block, size = np.unravel_index(int(np.argmax(np.round(table, 9))), table.shape)
-        return self.products.with_block(state, int(block), int(size))
+        best = first if first >= 0 and odds[first] >= np.max(odds) - ROUNDING else int(np.argmax(np.round(odds, 9)))
+        return self.products.with_block(state, best, int(np.argmax(np.round(table[best], 9))))
 
     def near(self, top: State) -> list[int]:
         """All blocks but those that are together negligible beside a set and in place of one of its blocks."""
