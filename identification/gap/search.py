@@ -32,7 +32,7 @@ from identification.gap.evidence import SIZES, Products, State
 SOME = 1.0  # prior odds of something missing to nothing
 TAIL = 3.0  # p(K) ~ K^-TAIL
 WRONG = 0.0005  # prior odds of a row to be outlying
-REST_ODDS = float(__import__("os").environ.get("REST", "0.1"))  # prior odds of the rest of the library
+REST_ODDS = 0.1  # prior odds of the rest of the library
 NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
 MOVES = 1000  # effort: of the walk
 ROUNDS = 10  # effort: of the climb
