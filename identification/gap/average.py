@@ -27,14 +27,12 @@ from identification.model import Model
 from identification.sessions import SESSIONS
 
 # reasons: identification/README.md, "Constants"
-LIKELY = float(
-    __import__("os").environ.get("LIKELY", "0.5")
-)  # of the rest of the library, below which the average is over the sets without it
+LIKELY = 0.5  # of the rest of the library, below which the average is over the sets without it
 TIDY = 7  # decimals of a value in degrees, in files
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
+class Mixture:
     """Mixture over explanations of the base's g parameters, and of those of the blocks behind them.
 
     places : label of each block -> it and the (k,) places of its parameters
@@ -52,7 +50,7 @@ class Moments:
     effective: float
 
 
-def mixture_of(found: Posterior) -> Moments:
+def mixture_of(found: Posterior) -> Mixture:
     """Mean and covariance of the parameters of the base and of the blocks that are likely enough.
 
     The base's are those beside what an arm file can have: what it cannot have stays with the base.
@@ -100,7 +98,7 @@ def mixture_of(found: Posterior) -> Moments:
     covariance = second - np.outer(mean, mean)
     mean[:g] += base
     best = found.problems[found.best.noise].normal
-    return Moments(places, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
+    return Mixture(places, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
 
 
 def _width(block: Block) -> int:
@@ -205,7 +203,7 @@ def _mean_trace(columns: Array, covariance: Array) -> float:
     return float(np.sum((columns @ covariance) * columns)) / len(columns)
 
 
-def _curve(found: Posterior, mixed: Moments, block: Block, part: Index, values: Array, model: Model) -> Curve:
+def _curve(found: Posterior, mixed: Mixture, block: Block, part: Index, values: Array, model: Model) -> Curve:
     """The error curve of a joint."""
     basis = block.basis
     assert basis is not None

@@ -28,17 +28,14 @@ from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 ALIKE = 0.3  # relative scatter of one family's parameters over the joints
-RANK = 1e-6  # of the largest eigenvalue of unit columns: combinations that the data do not determine
+RANK = 1e-6  # of a square: less left of columns beside the base model, or beside each other, cannot be seen
 FAINT = 0.03  # expected square of a combination of columns at the block's largest size, below which it is left out
-VISIBLE = 1e-6  # share of a block's square that the base model must leave
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect
 WAVES = 30  # half periods of an error curve over the angles of its joint
 TIMES = 12  # half periods in a session of the fastest smooth function of time
 SLOW = 3  # half periods, of orders of functions of several variables
 REST = "library"  # label of the rest of the library
-REST_SIZES = int(
-    __import__("os").environ.get("RS", "2")
-)  # of `SIZES` that it may have: what is larger shows one effect at a time
+REST_SIZES = 2  # of `SIZES` that it may have: what is larger shows one effect at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -471,7 +468,7 @@ def _root(gram: Array, before: float, block: Block) -> Array:
     An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
     of `ALIKE`; what is outside the library has its own columns scaled alone.
     """
-    if not np.trace(gram) > VISIBLE * before:
+    if not np.trace(gram) > RANK * before:
         return np.zeros((len(gram), 0))
     if block.member is None:
         values, vectors = np.linalg.eigh(gram / np.trace(gram))

@@ -302,14 +302,6 @@ def _mixture(
     return Posterior(tuple(explanations), noises_, problems, whole, library, rows, at, moments)
 
 
-def refit(found: Posterior, one: Explanation) -> Fit:
-    """The nonlinear fit of one explanation's effects, to the rows that it takes for right, with its noise."""
-    kept = np.ones(len(found.rows), dtype=bool)
-    kept[list(one.wrong)] = False
-    rows = found.noises[one.noise].rows.pick(kept)
-    return fit(found.library.model(one.effects), rows, found.at.by_name)
-
-
 def search_of(library: HypothesisSet, problem: Linearized, total: float | None = None) -> Search:
     """The search of a linearized problem;  total : weight of all blocks, where the problem has not all of them"""
     blocks = problem.blocks
