@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import betaincinv, fdtrc, ncfdtr, nctdtr, stdtrit
 
 from identification.arm import Arm
@@ -235,18 +236,17 @@ def likenesses(gram: Array, parts: Sequence[Index]) -> Array:
 
     gram : (P, P) products of projected columns;  parts : of each one the indices of its columns
     """
-    bases, owner = np.zeros((len(gram), 0)), np.zeros((0, len(parts)))
-    for k, part in enumerate(parts):
+    bases, ends = [], np.cumsum([0, *map(len, parts)])
+    for part in parts:
         own = gram[np.ix_(part, part)]
         lengths = np.sqrt(np.maximum(np.diag(own), 1e-300))
         values, vectors = np.linalg.eigh(own / np.outer(lengths, lengths))
         seen = values > RANK * values.max(initial=0.0)
-        basis = np.zeros((len(gram), int(seen.sum())))
-        basis[part] = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
-        bases = np.concatenate([bases, basis], axis=1)
-        owner = np.concatenate([owner, np.tile(np.eye(len(parts))[k], (basis.shape[1], 1))])
-    squares = owner.T @ np.square(bases.T @ gram @ bases) @ owner
-    return np.asarray(np.minimum(np.sqrt(squares / np.maximum(owner.sum(axis=0), 1.0)[:, None]), 1.0))
+        bases.append(vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None])
+    widths, every = np.array([basis.shape[1] for basis in bases], dtype=np.int64), np.concatenate([ends[:0], *parts])
+    owner, turn = np.repeat(np.eye(len(parts)), widths, axis=0), block_diag(*bases) if bases else np.zeros((0, 0))
+    squares = owner.T @ np.square(turn.T @ gram[np.ix_(every, every)] @ turn) @ owner
+    return np.asarray(np.minimum(np.sqrt(squares / np.maximum(widths, 1)[:, None]), 1.0))
 
 
 def pairs_of(names: Sequence[str], likeness: Array, level: float = NEAR) -> list[tuple[str, str, float]]:
