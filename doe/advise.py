@@ -18,7 +18,6 @@ from doe.bounds.bound import Bound
 from doe.bounds.every_run import bounds_of_runs
 from doe.design import Design
 from doe.plan.addition import with_additions
-from doe.plan.ascent import climbs
 from doe.plan.plan import Plan
 from doe.plan.tip_error import TipError, robust_or_none, tip_error
 from doe.problem.prior import NEEDS_SIGMA
@@ -192,7 +191,7 @@ def next_design(
         problem,
         runs,
         seed=seed,
-        starts=FRESH if climbs(problem) and begin is not None else None,
+        starts=FRESH if problem.many_parameters and begin is not None else None,
         seconds=seconds,
         bound=bound or Bound(np.inf, "continuous"),  # none is computed
         begin=begin,

@@ -13,9 +13,8 @@ from doe.bounds.column_generation import column_generation, continuous_design
 from doe.bounds.continuous import ContinuousSet
 from doe.bounds.multiplicative import POWERS, multiplicative
 from doe.bounds.planar_theorem import closed_form_bound
-from doe.plan.ascent import IN_TIME, WIDE
 from doe.problem.candidates import listed_candidates
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.errors import JobError
 from identification.kinematics.parameters import EFFECT
@@ -27,7 +26,7 @@ SUPPORT = 64  # of the postures that carry most weight: starts of the search ove
 ROUGH = 1e-3  # the same for models of many parameters: some seconds instead of half a minute
 
 
-def best_known_bound(problem: DesignProblem, runs: int, stop: Callable[[], bool] = IN_TIME) -> Bound | None:
+def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> Bound | None:
     """The closed form if it applies and is tight, otherwise the lower of it and the numerical bound.
 
     None where the continuous problem cannot be solved; the bound over a list of choices is the relaxation's. Without a
@@ -47,7 +46,7 @@ def best_known_bound(problem: DesignProblem, runs: int, stop: Callable[[], bool]
 
 
 def best_design(
-    problem: DesignProblem, runs: int, *, also: Array | None = None, stop: Callable[[], bool] = IN_TIME
+    problem: DesignProblem, runs: int, *, also: Array | None = None, stop: Stop = never
 ) -> ApproximateDesign:
     """Over the choices, exact, within a percent with a prior over many effects, within 0.001 where many parameters are
     measured by one number a run; or over all postures within limits and constraints, of many parameters within the
@@ -58,7 +57,7 @@ def best_design(
     if problem.choices is not None:
         listed = _over_choices(problem, problem.choices, runs, stop)
         return _over_all(problem, listed, runs, also, stop) if problem.sampled else listed
-    wide = problem.parameters > WIDE
+    wide = problem.many_parameters
     free = replace(problem, constraints=()) if wide else problem
     gap = ROUGH if wide else EXACT
     return continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
@@ -69,7 +68,7 @@ def _over_choices(problem: DesignProblem, choices: Array, runs: int, stop: Calla
     missing = any(p.kind == EFFECT and p.name in problem.deviations for p in problem.model.parameters)
     if missing and problem.criterion.name in POWERS:
         return multiplicative(problem, candidates, runs=runs, stop=stop)
-    exact = problem.model.dimension > 1 or problem.parameters <= WIDE  # one number a run: weights hardly settle
+    exact = problem.model.dimension > 1 or not problem.many_parameters  # one number a run: weights hardly settle
     options = {} if exact else {"tolerance": ROUGH}
     return column_generation(problem, candidates, runs=runs, stop=stop, **options)
 
@@ -100,7 +99,7 @@ def _over_all(
 
 
 def bound_that_holds(
-    problem: DesignProblem, bound: Bound | None, postures: Array, value: float, stop: Callable[[], bool] = IN_TIME
+    problem: DesignProblem, bound: Bound | None, postures: Array, value: float, stop: Stop = never
 ) -> Bound | None:
     """The bound, unless a plan (m, n) with this value beats it: then one that its postures helped to find, or None.
 

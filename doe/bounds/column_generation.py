@@ -7,7 +7,7 @@ the model allows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from time import perf_counter
 
 import numpy as np
@@ -20,11 +20,10 @@ from doe.bounds.equivalence import largest_sensitivity, last_pass
 from doe.bounds.pricing import Shortlist, candidate_price, continuous_price
 from doe.bounds.restricted_master import Stage, generate_columns
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
-from doe.plan.ascent import IN_TIME, WIDE, climbs
-from doe.plan.constrained_ascent import ascent
+from doe.plan.ascent import PlanAscent
 from doe.problem.candidates import Candidates, PostureList, well_spread
 from doe.problem.feasible import random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.errors import JobError
 
@@ -44,7 +43,7 @@ def column_generation(
     *,
     runs: int | None = None,
     tolerance: float = 1e-9,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> ApproximateDesign:
     """Optimal weights over a finite candidate set of any size, in the memory of one chunk of it.
 
@@ -58,7 +57,7 @@ def column_generation(
     tolerance = _attainable(problem, tolerance)
     stages = [Stage(candidate_price(problem, candidates, prior), tolerance)]
     if len(candidates) > 4 * SAMPLE:
-        tolerance = max(tolerance, MILLIONTH) if problem.parameters > WIDE else tolerance
+        tolerance = max(tolerance, MILLIONTH) if problem.many_parameters else tolerance
         sample, few = PostureList(well_spread(candidates, SAMPLE)), Shortlist(problem, candidates, prior)
         first = Stage(candidate_price(problem, sample, prior), max(COARSE, tolerance))
         stages = [first, Stage(few.best, tolerance), Stage(few.everything, tolerance, back=1)]
@@ -75,7 +74,7 @@ def continuous_design(
     tolerance: float = 1e-10,
     proof: float = 1e-10,
     also: Array | None = None,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> ApproximateDesign:
     """Optimal weights over ALL postures within limits and constraints: no grid at all.
 
@@ -89,7 +88,7 @@ def continuous_design(
     prior = problem.prior.per_new_run(runs)
     tolerance = _attainable(problem, tolerance)
     everything = ContinuousSet(problem, prior, also)
-    if climbs(problem):
+    if problem.many_parameters:
         stages = [Stage(continuous_price(everything, np.random.default_rng(0), stop), tolerance)]
         start = climbed(problem, runs, stop) if also is None else also
     else:
@@ -98,7 +97,7 @@ def continuous_design(
         stages.insert(0, Stage(candidate_price(problem, starts, prior), COARSE))
         start = well_spread(starts, 6 * problem.parameters)
     ended, gap = generate_columns(problem, prior, start, stages, stop)
-    thorough = np.random.default_rng(0) if stop() and not climbs(problem) else None
+    thorough = np.random.default_rng(0) if stop() and not problem.many_parameters else None
     largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures, thorough)[1][0]))
     jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
     rigorous = False
@@ -108,13 +107,13 @@ def continuous_design(
     return with_certificate(ended, largest, None, max(tolerance, proof), began, rigorous=rigorous, cut=stop())
 
 
-def climbed(problem: DesignProblem, runs: int | None, stop: Callable[[], bool] = IN_TIME) -> Array:
+def climbed(problem: DesignProblem, runs: int | None, stop: Stop = never) -> Array:
     """(k, n) postures of a long plan that was climbed on gradients: nearly the support of the best weights."""
     postures = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
-    return ascent(problem, runs or len(postures))(postures[None], stop=stop)[0]
+    return PlanAscent(problem, runs or len(postures))(postures, stop=stop)
 
 
-def ascents(everything: ContinuousSet, tolerance: float, stop: Callable[[], bool] = IN_TIME) -> list[Stage]:
+def ascents(everything: ContinuousSet, tolerance: float, stop: Stop = never) -> list[Stage]:
     """The pricing stages: a cheap multistart, then a thorough one, to a relative gap of `tolerance`."""
     climb = continuous_price(everything, stop=stop)
     thorough = continuous_price(everything, np.random.default_rng(0), stop)
@@ -149,7 +148,7 @@ def prove(
     largest: float,
     stages: Sequence[Stage],
     tolerance: float,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> tuple[SparseDesign, float, bool]:
     """Branch and bound on the sensitivity; a posture that the multistart missed starts the loop again.
 

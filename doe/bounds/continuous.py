@@ -16,11 +16,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.plan.ascent import IN_TIME
-from doe.problem.derivatives import Derivatives, JacobianDerivatives, constraint_derivatives, constraint_values
+from doe.problem.derivatives import ConstraintDerivatives, JacobianDerivatives
 from doe.problem.feasible import random_postures
 from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.newton_ascent import Rows, newton_ascent
 
@@ -51,12 +50,8 @@ class ContinuousSet:
         return JacobianDerivatives(self.problem, range(self.problem.joints))
 
     @cached_property
-    def _walls(self) -> Derivatives:
-        return constraint_derivatives(self.problem, range(self.problem.joints))
-
-    @cached_property
-    def _margins(self) -> Callable[[Array], Array]:
-        return constraint_values(self.problem)
+    def _walls(self) -> ConstraintDerivatives:
+        return ConstraintDerivatives(self.problem, range(self.problem.joints))
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
@@ -104,7 +99,7 @@ class ContinuousSet:
         gradient: Array,
         near: Array,
         generator: np.random.Generator | None = None,
-        stop: Callable[[], bool] = IN_TIME,
+        stop: Stop = never,
     ) -> tuple[Array, Array]:
         """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
 
@@ -126,7 +121,7 @@ class ContinuousSet:
         values = self.sensitivities(fresh, gradient)
         return np.concatenate([fresh[np.argsort(-values)[: 4 * CLIMBERS]], fresh[: 4 * CLIMBERS]])
 
-    def climb(self, postures: Array, gradient: Array, stop: Callable[[], bool] = IN_TIME) -> Array:
+    def climb(self, postures: Array, gradient: Array, stop: Stop = never) -> Array:
         """Every posture moved uphill to a local maximum, within limits and constraints."""
         q = self.problem.clip(postures)
         if not self.problem.constraints:
@@ -157,7 +152,7 @@ class ContinuousSet:
         values = self.sensitivities(q, gradient)
         if not barrier.any():
             return values
-        margins = self._margins(q)
+        margins = self._walls.values(q)
         inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(q)
         logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
         return np.where(inside, values + barrier * logarithms, -np.inf)
@@ -166,11 +161,10 @@ class ContinuousSet:
         slope, hessian = self.slopes(q, gradient)
         if not barrier.any():
             return slope, hessian
-        margins, first, second = self._walls(q)
+        margins, first = self._walls.first(q)
         relative = first / margins[..., None]
-        bend = second / margins[..., None, None]
-        slope = slope + barrier[:, None] * relative.sum(axis=1)
-        return slope, hessian + barrier[:, None, None] * (bend.sum(axis=1) - np.swapaxes(relative, 1, 2) @ relative)
+        bend = self._walls.bend(q, 1.0 / margins) - np.swapaxes(relative, 1, 2) @ relative
+        return slope + barrier[:, None] * relative.sum(axis=1), hessian + barrier[:, None, None] * bend
 
 
 def distinct(postures: Array, tolerance: float = SAME) -> NDArray[np.intp]:

@@ -16,10 +16,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.plan.ascent import IN_TIME
 from doe.problem.candidates import CHUNK, Candidates, chunks
 from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
@@ -121,7 +120,7 @@ def largest_sensitivity(
     candidates: Candidates,
     gradient: Array,
     prior: PriorInformation,
-    give_up: Callable[[], bool] = IN_TIME,
+    give_up: Stop = never,
 ) -> float:
     """max over the candidates of g = tr(G F), all of them visited, their Jacobians computed afresh.
 

@@ -11,7 +11,7 @@ square of the change of log m elsewhere: certificates are added where it is far 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,8 +19,7 @@ import numpy as np
 from doe.bounds.approximate_design import SparseDesign
 from doe.bounds.best_known import best_design, best_known_bound
 from doe.bounds.bound import Bound
-from doe.plan.ascent import IN_TIME
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.errors import JobError
 from identification.information import information_matrix
@@ -45,7 +44,7 @@ class EveryRunCertificate:
 
     @classmethod
     def of(
-        cls, problem: DesignProblem, runs: int, also: Array | None = None, stop: Callable[[], bool] = IN_TIME
+        cls, problem: DesignProblem, runs: int, also: Array | None = None, stop: Stop = never
     ) -> EveryRunCertificate:
         """Of the optimal design. Raises `JobError` where it was not reached."""
         found = best_design(problem, runs, also=also, stop=stop)
@@ -65,9 +64,7 @@ class EveryRunCertificate:
         return float(problem.criterion.value(prior.information(self.new))), upper
 
 
-def bounds_of_runs(
-    problem: DesignProblem, runs: Sequence[int], stop: Callable[[], bool] = IN_TIME
-) -> dict[int, Bound | None]:
+def bounds_of_runs(problem: DesignProblem, runs: Sequence[int], stop: Stop = never) -> dict[int, Bound | None]:
     """Number of runs -> bound, None where none was found; looser ones where `stop` ended the search early."""
     if problem.prior.empty and problem.searched_joints:
         return dict.fromkeys(runs, best_known_bound(problem, runs[0], stop))
@@ -80,9 +77,7 @@ def bounds_of_runs(
     return {m: lowest(problem, made, m) for m in runs}
 
 
-def certificates(
-    problem: DesignProblem, fewest: int, most: int, stop: Callable[[], bool] = IN_TIME
-) -> list[EveryRunCertificate]:
+def certificates(problem: DesignProblem, fewest: int, most: int, stop: Stop = never) -> list[EveryRunCertificate]:
     """Of the most runs, the fewest, and of numbers in between, until bounds are near to designs all the way."""
     made = [EveryRunCertificate.of(problem, most, stop=stop)]
     waiting = [(fewest, most)] if fewest < most else []

@@ -11,7 +11,6 @@ candidates are weighted in parts: a sample, then the postures of it that carry w
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
@@ -20,11 +19,10 @@ from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certi
 from doe.bounds.equivalence import REMEMBERED, last_pass, level
 from doe.bounds.pricing import candidate_price
 from doe.bounds.restricted_master import check_identified
-from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.candidates import Candidates, well_spread
 from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.vectorize import PART
@@ -42,7 +40,7 @@ def multiplicative(
     *,
     runs: int | None = None,
     gap: float = GAP,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> ApproximateDesign:
     """Weights over a finite candidate set, with a bound that holds whatever the gap.
 
@@ -81,7 +79,7 @@ def _most(problem: DesignProblem) -> int:
 
 
 def weighted(
-    problem: DesignProblem, prior: PriorInformation, postures: Array, gap: float, stop: Callable[[], bool] = IN_TIME
+    problem: DesignProblem, prior: PriorInformation, postures: Array, gap: float, stop: Stop = never
 ) -> SparseDesign:
     """Weights on postures (k, n) to a relative gap among them, heaviest first; those that carry nothing are left out.
 
@@ -97,7 +95,7 @@ def weighted(
 
 
 def improved_weights(
-    problem: DesignProblem, prior: PriorInformation, jacobians: Array, gap: float, stop: Callable[[], bool] = IN_TIME
+    problem: DesignProblem, prior: PriorInformation, jacobians: Array, gap: float, stop: Stop = never
 ) -> Array:
     """(k,) weights on scaled Jacobians (k, d, p) from equal ones, until max tr(G F) is within `gap` of tr(G M)."""
     k, d, p = jacobians.shape

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from doe.bounds.continuous import ContinuousSet, distinct
 from doe.bounds.equivalence import CandidateJacobians, candidate_sensitivities
 from doe.bounds.restricted_master import Price
-from doe.plan.ascent import IN_TIME
 from doe.problem.candidates import Candidates, PostureList
 from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 
 NEAR = 0.2  # [rad] times the root of the relative gap
@@ -24,7 +21,7 @@ def candidate_price(
     problem: DesignProblem,
     candidates: Candidates,
     prior: PriorInformation,
-    give_up: Callable[[], bool] = IN_TIME,
+    give_up: Stop = never,
 ) -> Price:
     """Price of a candidate set: every candidate is evaluated, and each chunk offers its best.
 
@@ -82,7 +79,7 @@ def _highest(offers: list[tuple[Array, Array]]) -> tuple[Array, Array]:
 
 
 def continuous_price(
-    everything: ContinuousSet, generator: np.random.Generator | None = None, stop: Callable[[], bool] = IN_TIME
+    everything: ContinuousSet, generator: np.random.Generator | None = None, stop: Stop = never
 ) -> Price:
     """The local maxima that a multistart ascent finds; a thorough one with fresh starts where a generator is given."""
 

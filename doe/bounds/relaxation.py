@@ -18,12 +18,11 @@ from doe.bounds.convex_program import solve_program
 from doe.bounds.equivalence import largest_sensitivity
 from doe.bounds.multiplicative import multiplicative
 from doe.bounds.weights import proper_weights
-from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.candidates import Candidates, PostureList, chunks, grid, listed_candidates
 from doe.problem.candidates import Grid as CandidateGrid
 from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
 from identification.status import Status
@@ -51,7 +50,7 @@ def relax(
     solver: str = "column_generation",
     *,
     runs: int | None = None,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> ApproximateDesign:
     """Optimal weights over candidate postures, with a certificate recomputed from the weights.
 

@@ -21,10 +21,9 @@ from doe.bounds.equivalence import level
 from doe.bounds.interior_point import solve_weights
 from doe.bounds.weights import Weights, sparsest
 from doe.criteria import Criterion
-from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.errors import JobError
 
@@ -113,7 +112,7 @@ def generate_columns(
     prior: PriorInformation,
     start: Array,
     stages: Sequence[Stage],
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> tuple[SparseDesign, float]:
     """Optimal weights, and the gap (absolute) that the last pricing, of the last stage unless `stop` said so, found."""
     accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain, takewhile
+from itertools import chain, islice, takewhile
 from time import perf_counter
 
 import numpy as np
@@ -22,11 +22,10 @@ from doe.criteria import D
 from doe.design import Design
 from doe.discrimination.effect_library import EffectLibrary, effect_library
 from doe.discrimination.swaps import ExtendedProblem, extended_problem, has_repeats, improving_swaps, pool_of
-from doe.plan.replicate_spacing import spread_free_joints
+from doe.plan.replicate_spacing import allowed_value, spread_free_joints
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, solve
-from doe.solvers.driver import feasible_value
-from doe.solvers.planar_theory import Analytic
+from doe.solvers.planar_theory import optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
 from identification.arm import Arm
 from identification.arrays import Array
@@ -170,7 +169,7 @@ def partly_random(problem: DesignProblem, postures: Array, least: float, generat
     for row, drawn in zip(generator.permutation(len(plan)), pool_of(problem, len(plan), generator), strict=True):
         trial = np.array(plan)
         trial[row] = drawn
-        if feasible_value(problem, trial) >= least:
+        if allowed_value(problem, trial) >= least:
             plan = trial
     return plan
 
@@ -189,7 +188,7 @@ def start(
     problem, runs = extended.base, len(best.plan.postures)
     plans = [np.array(best.plan.postures)]
     offered = takewhile(lambda _: not budget.out_of_time, theory_plans(problem, runs, generator))
-    plans += [plan for plan in offered if feasible_value(problem, plan) >= least]
+    plans += [plan for plan in offered if allowed_value(problem, plan) >= least]
     chosen = min(plans, key=extended.wrong)
     moved = off_the_limits(problem, chosen, least, generator) if narrow(problem) else chosen
     if has_repeats(problem, moved):
@@ -204,10 +203,9 @@ def theory_plans(problem: DesignProblem, runs: int, generator: np.random.Generat
     """
     if problem.choices is not None:
         return
-    offers = Analytic().offers(problem, runs, generator, Budget(1))
     free = [joint for joint in range(problem.joints) if joint not in problem.active_joints]
-    for offer, _ in zip(offers, range(THEORY_PLANS), strict=False):
-        postures = problem.clip(off_the_grid(problem, offer.postures, TURN / runs, generator))
+    for plan in islice(optimal_plans(problem, runs, generator), THEORY_PLANS):
+        postures = problem.clip(off_the_grid(problem, plan, TURN / runs, generator))
         for joint in free:
             postures[:, joint] = generator.uniform(problem.lower[joint], problem.upper[joint], runs)
         yield postures
@@ -238,7 +236,7 @@ def off_the_limits(problem: DesignProblem, postures: Array, least: float, genera
             angle = postures[:, joints] + generator.uniform(-step, step, (len(postures), len(joints)))
             moved = np.array(postures)
             moved[:, joints] = np.clip(high - np.abs(high - (low + np.abs(angle - low))), low, high)
-            if feasible_value(problem, moved) >= least:
+            if allowed_value(problem, moved) >= least:
                 return moved
     return postures
 

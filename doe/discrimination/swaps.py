@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from doe.discrimination.effect_library import EffectLibrary
 from doe.discrimination.misidentification import MisidentificationBound
-from doe.plan.replicate_spacing import ROUNDING, beside_earlier, gaps
+from doe.plan.replicate_spacing import ROUNDING, allowed_value, gaps, neighbor_counts
 from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.solvers.driver import feasible_value
 from doe.solvers.solver import Budget
 from identification.arrays import Array
 from identification.information import information_matrix
@@ -82,7 +81,7 @@ def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) 
 def repeats(problem: DesignProblem, posture: Array, others: Array) -> bool:
     """True if a posture (n,) is within the minimum distance of one of the others (k, n) or of those kept.
 
-    Unlike `feasible_value`, which leaves it to joints that play no part in the base model to set such postures apart:
+    Unlike `allowed_value`, which leaves it to joints that play no part in the base model to set such postures apart:
     here these joints are chosen too. Out of a list only one and the same posture of the plan is a repeat.
     """
     if problem.minimum_distance == 0.0:
@@ -99,10 +98,8 @@ def has_repeats(problem: DesignProblem, plan: Array) -> bool:
         return False
     if problem.choices is not None:
         return len(np.unique(plan, axis=0)) < len(plan)
-    kept = len(problem.kept)
-    return bool(
-        np.any(beside_earlier(problem.comparable(np.vstack([problem.kept, plan])), problem.minimum_distance) >= kept)
-    )
+    points = problem.comparable(np.vstack([plan, problem.kept]))
+    return bool(np.any(neighbor_counts(points, problem.minimum_distance / ROUNDING)[: len(plan)]))
 
 
 def improving_swaps(
@@ -146,7 +143,7 @@ class Swaps:
         self.total = len(self.postures) + self.problem.prior.runs
         self.information = self.extended.problem.information(self.postures)
         self.value = float(self.misidentification.value(self.information))
-        self.slack = feasible_value(self.problem, self.postures) - self.least
+        self.slack = allowed_value(self.problem, self.postures) - self.least
 
     def draw(self, generator: np.random.Generator) -> None:
         """Draw a new pool of postures."""
@@ -219,7 +216,7 @@ class Swaps:
             return False
         trial = np.array(self.postures)
         trial[run] = self.pool[place]
-        value = feasible_value(self.problem, trial)
+        value = allowed_value(self.problem, trial)
         if value < self.least:
             return False
         self.postures, self.slack = trial, value - self.least

@@ -15,16 +15,14 @@ candidates may be wrong: the bound is multiplied by their probability together.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
 
-from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.feasible import random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from doe.problem.spatial import refuse_contacts
 from identification.arm import Arm
 from identification.arrays import Array, readonly
@@ -100,7 +98,7 @@ def discriminate(
     seed: int = 0,
     payloads: tuple[float, ...] | None = None,
     pool: Array | None = None,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> NextPostures:
     """The `runs` measurements most likely to resolve an ambiguous diagnosis.
 
@@ -125,7 +123,7 @@ def discriminate(
     return replace(found, status=Status.time_limit) if stop() else found
 
 
-def t_optimal(rivals: RivalPredictions, runs: int, stop: Callable[[], bool] = IN_TIME) -> list[int]:
+def t_optimal(rivals: RivalPredictions, runs: int, stop: Stop = never) -> list[int]:
     """Rows of the pool, added one at a time and then exchanged, that distinguish the rivals best.
 
     Where `stop` comes before the last is added, those that are there are taken again, in turn.

@@ -27,6 +27,13 @@ from identification.model import Model
 from identification.vectorize import PART, vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
+MANY = 16  # parameters above which gradients pay: exchanges and second derivatives of plans cost the cube of them
+Stop = Callable[[], bool]  # is asked now and then in a search, which ends where it says True
+
+
+def never() -> bool:
+    """A `Stop` that lets a search come to its end."""
+    return False
 
 
 class InformationModel(Protocol):
@@ -160,6 +167,11 @@ class DesignProblem:
     def parameters(self) -> int:
         """p, parameters to identify."""
         return len(self.model.parameters)
+
+    @property
+    def many_parameters(self) -> bool:
+        """True where climbing on gradients is the best there is."""
+        return self.parameters > MANY
 
     @property
     def fewest_runs(self) -> int:
