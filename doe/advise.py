@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from doe.bounds.best_known import bound_that_holds
+from doe.bounds.best_known import bound_that_holds, bounds_of_runs
 from doe.bounds.bound import Bound
-from doe.bounds.every_run import bounds_of_runs
 from doe.design import Design
 from doe.plan.addition import with_additions
 from doe.plan.plan import Plan

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from doe.bounds.bound import Bound
-from doe.bounds.equivalence import certify, level
+from doe.bounds.equivalence import certify
 from doe.criteria import D
 from doe.plan.plan import Plan
 from doe.problem.prior import PriorInformation
@@ -56,20 +56,17 @@ class ApproximateDesign:
 
         Where a joint is prismatic, `posture` and `joint_units` stand for `posture_deg`.
         """
-        key = "posture" if PRISMATIC in self.plan.joint_types else "posture_deg"
+        prismatic = PRISMATIC in self.plan.joint_types
+        key = "posture" if prismatic else "posture_deg"
+        carried = zip(self.plan.displayed.tolist(), self.plan.shares.tolist(), strict=True)
+        numbers = {name: getattr(self, name) for name in ("value", "log_det", "gap", "efficiency_lower_bound")}
         return {
             "candidates": self.candidates,
             "criterion": self.criterion,
-            "value": _finite(self.value),
-            "log_det": _finite(self.log_det),
+            **{name: number if np.isfinite(number) else None for name, number in numbers.items()},
             "bound": None if self.bound is None else self.bound.as_dict(),
-            "gap": _finite(self.gap),
-            "efficiency_lower_bound": _finite(self.efficiency_lower_bound),
-            "support": [
-                {key: posture, "weight": weight}
-                for posture, weight in zip(self.plan.displayed.tolist(), self.plan.shares.tolist(), strict=True)
-            ],
-            **({"joint_units": list(self.plan.units)} if PRISMATIC in self.plan.joint_types else {}),
+            "support": [{key: posture, "weight": weight} for posture, weight in carried],
+            **({"joint_units": list(self.plan.units)} if prismatic else {}),
             "solver": self.solver,
             "status": self.status.name,
             "solver_status": self.solver_status,
@@ -88,10 +85,6 @@ class ApproximateDesign:
         return self.plan.to_html(self, "weight", (f"{weight:.4f}" for weight in self.plan.shares))
 
 
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
 @dataclass(frozen=True)
 class SparseDesign:
     """Weights on few postures, as a solver found them: what is proven is proven of this plan.
@@ -106,6 +99,20 @@ class SparseDesign:
     plan: Plan
     dual: Array | None = None
 
+    @classmethod
+    def heaviest_first(
+        cls,
+        problem: DesignProblem,
+        prior: PriorInformation,
+        postures: Array,
+        weights: Array,
+        dual: Array | None = None,
+    ) -> SparseDesign:
+        """The plan of postures (k, n) with weights (k,), made to sum to one, without those that carry none."""
+        order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
+        plan = Plan(postures[order], weights[order] / weights[order].sum(), problem.model.joint_types)
+        return cls(problem, prior, plan, dual)
+
     @cached_property
     def information(self) -> Array:
         """(p, p) M of the plan."""
@@ -118,8 +125,8 @@ class SparseDesign:
 
     @cached_property
     def level(self) -> float:
-        """tr(G M)."""
-        return level(self.gradient, self.information)
+        """tr(G M), what the largest sensitivity is compared with."""
+        return float(np.sum(self.gradient * self.information))
 
 
 def how_it_ended(largest: float, *, solved: bool, cut: bool) -> tuple[Status, str]:
@@ -131,7 +138,7 @@ def how_it_ended(largest: float, *, solved: bool, cut: bool) -> tuple[Status, st
 
 
 def certified_design(
-    found: SparseDesign,
+    design: SparseDesign,
     largest: float,
     *,
     candidates: int | None,
@@ -149,15 +156,15 @@ def certified_design(
     Since a mean is no larger than the largest, a gap below zero is rounding in a matrix that is nearly singular, and
     proves nothing either.
     """
-    proven = certify(found.problem, found.information, largest, found.gradient)
+    proven = certify(design.problem, design.information, largest, design.gradient)
     status = status if status is not Status.converged or proven.gap >= -ROUNDED else Status.almost_solved
     cut = status is Status.time_limit and -ROUNDED <= proven.gap < np.inf
     source = "continuous" if candidates is None else "grid"
     return ApproximateDesign(
-        found.plan,
-        found.problem.criterion.name,
+        design.plan,
+        design.problem.criterion.name,
         proven.value,
-        float(D().value(found.information)),
+        float(D().value(design.information)),
         proven.gap,
         Bound(proven.bound, source, rigorous, cut, candidates) if cut or status is Status.converged else None,
         proven.efficiency,
@@ -166,5 +173,5 @@ def certified_design(
         solver,
         candidates,
         seconds,
-        found.dual,
+        design.dual,
     )

@@ -15,12 +15,12 @@ magnitudes are those before anything cancels.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from doe.bounds.trigonometric import TrigonometricPolynomial
+from doe.problem.problem import Stop, never
 from identification.arrays import Array
 
 BATCH = 2048  # boxes examined together
@@ -50,7 +50,7 @@ def maximum(
     known: Array,
     tolerance: float = 1e-10,
     most_boxes: int = 100_000,
-    stop: Callable[[], bool] = lambda: False,
+    stop: Stop = never,
 ) -> Maximum:
     """The largest value over lower <= q <= upper, to `tolerance` (absolute).
 
