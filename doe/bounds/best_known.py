@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design
+from doe.bounds.approximate_design import ApproximateDesign
 from doe.bounds.bound import Bound
 from doe.bounds.column_generation import column_generation, continuous_design, rough_design
 from doe.bounds.continuous import ContinuousSet
@@ -81,22 +81,10 @@ def best_design(
         listed = column_generation(problem, candidates, runs=runs, stop=stop, **options)
     if not problem.sampled or listed.bound is None or stop():
         return listed
-    design = SparseDesign(problem, problem.prior.per_new_run(runs), listed.plan, listed.dual)
     starts = np.concatenate([listed.plan.postures[:SUPPORT], *([] if also is None else [also])])
-    everything = ContinuousSet(replace(problem, choices=None, sampled=False), design.prior)
-    largest = max(listed.gap + design.level, float(everything.best(design.gradient, starts, stop=stop)[1][0]))
-    if stop():
-        return listed
-    return certified_design(
-        design,
-        largest,
-        candidates=None,
-        rigorous=False,
-        status=listed.status,
-        solver=listed.solver,
-        solver_status=listed.solver_status,
-        seconds=listed.seconds,
-    )
+    everything = ContinuousSet(replace(problem, choices=None, sampled=False), listed.prior)
+    largest = max(listed.largest, float(everything.best(listed.gradient, starts, stop=stop)[1][0]))
+    return listed if stop() else replace(listed, largest=largest, candidates=None, rigorous=False)
 
 
 def bound_that_holds(
@@ -176,10 +164,9 @@ class EveryRunCertificate:
         if optimum.bound is None:
             raise JobError(f"bound: {optimum.status.name}, gap {optimum.gap:.2g}; {optimum.status.value}")
         prior, plan = problem.prior.per_new_run(runs), optimum.plan
-        design = SparseDesign(problem, prior, plan)
-        largest = (design.level + max(optimum.gap, 0.0)) / prior.new_fraction - np.sum(design.gradient * prior.total)
+        largest = (optimum.level + max(optimum.gap, 0.0)) / prior.new_fraction - np.sum(optimum.gradient * prior.total)
         new = information_matrix(problem.scaled_jacobians(plan.postures), plan.shares)
-        return cls(plan.postures, new, design.information, design.gradient, float(largest), optimum.bound)
+        return cls(plan.postures, new, optimum.information, optimum.gradient, float(largest), optimum.bound)
 
     def at(self, problem: DesignProblem, runs: int) -> tuple[float, float]:
         """Value of the design, and upper bound, for another number of runs."""

@@ -16,7 +16,7 @@ from time import perf_counter
 
 import numpy as np
 
-from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design, how_it_ended
+from doe.bounds.approximate_design import ApproximateDesign
 from doe.bounds.bound import Bound
 from doe.bounds.branch_and_bound import maximum
 from doe.bounds.continuous import SAME, ContinuousSet, distinct
@@ -97,7 +97,8 @@ def column_generation(
     start = well_spread(candidates, 6 * problem.parameters)
     design, _ = generate_columns(problem, prior, start, stages, stop)
     largest = largest_sensitivity(problem, candidates, design.gradient, prior, last_pass(stop, began))
-    return _with_certificate(design, largest, len(candidates), 10.0 * tolerance, began, rigorous=True, cut=stop())
+    settings = {"candidates": len(candidates), "rigorous": True, "solver": "column_generation"}
+    return design.certified(largest, 10.0 * tolerance, cut=stop(), seconds=perf_counter() - began, **settings)
 
 
 def rough_design(
@@ -128,16 +129,15 @@ def rough_design(
         check_identified(problem, prior, jacobians)
         weights = multiplicative_weights(jacobians, problem.criterion, prior, tolerance, stop)
         carried = np.where(weights > CARRIED * weights.max(), weights, 0.0)
-        design = SparseDesign.heaviest_first(problem, prior, working, carried)
+        design = ApproximateDesign.heaviest_first(problem, prior, working, carried)
         price = CandidatePrice(problem, candidates, prior, last_pass(stop, began))
         offers, largest = price(design.gradient, design.level, working)
         goal = 2.0 * tolerance  # postures were left out
         if largest - design.level <= goal * abs(design.level) or stop() or len(working) == len(candidates):
             break
         working = np.unique(np.concatenate([design.plan.postures, offers]), axis=0)
-    return _with_certificate(
-        design, largest, len(candidates), goal, began, rigorous=True, cut=stop(), solver="multiplicative"
-    )
+    settings = {"candidates": len(candidates), "rigorous": True, "solver": "multiplicative"}
+    return design.certified(largest, goal, cut=stop(), seconds=perf_counter() - began, **settings)
 
 
 def continuous_design(
@@ -176,7 +176,8 @@ def continuous_design(
     if jacobians is not None and not stop():
         stages = ascents(everything, tolerance)
         design, largest, rigorous = prove(everything, jacobians, design, largest, stages, goal, stop)
-    return _with_certificate(design, largest, None, 10.0 * goal, began, rigorous=rigorous, cut=stop())
+    settings = {"rigorous": rigorous, "solver": "column_generation"}
+    return design.certified(largest, 10.0 * goal, cut=stop(), seconds=perf_counter() - began, **settings)
 
 
 def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8) -> Bound:
@@ -226,12 +227,12 @@ def _attainable(problem: DesignProblem, tolerance: float) -> float:
 def prove(
     everything: ContinuousSet,
     jacobians: TrigonometricJacobian,
-    design: SparseDesign,
+    design: ApproximateDesign,
     largest: float,
     stages: Sequence[Stage],
     tolerance: float,
     stop: Stop = never,
-) -> tuple[SparseDesign, float, bool]:
+) -> tuple[ApproximateDesign, float, bool]:
     """Branch and bound on the sensitivity; a posture that the multistart missed starts the loop again.
 
     Returns the design, its largest sensitivity, and whether that is proven.
@@ -255,32 +256,6 @@ def prove(
     return design, top.upper, True
 
 
-def _with_certificate(
-    design: SparseDesign,
-    largest: float,
-    candidates: int | None,
-    goal: float,
-    began: float,
-    *,
-    rigorous: bool,
-    cut: bool = False,
-    solver: str = "column_generation",
-) -> ApproximateDesign:
-    """The certificate: `largest` >= max tr(G F) over the design space;  goal : relative gap that counts as solved."""
-    solved = largest - design.level <= goal * abs(design.level)
-    status, in_words = how_it_ended(largest, solved=solved, cut=cut)
-    return certified_design(
-        design,
-        largest,
-        candidates=candidates,
-        rigorous=rigorous,
-        status=status,
-        solver=solver,
-        solver_status=in_words,
-        seconds=perf_counter() - began,
-    )
-
-
 # -- the loop ----------------------------------------------------------------------------------------------------------
 def generate_columns(
     problem: DesignProblem,
@@ -288,7 +263,7 @@ def generate_columns(
     start: Array,
     stages: Sequence[Stage],
     stop: Stop = never,
-) -> tuple[SparseDesign, float]:
+) -> tuple[ApproximateDesign, float]:
     """Optimal weights, and the gap (absolute) that the last pricing, of the last stage unless `stop` said so, found.
 
     Raises `JobError` where the postures to start from (k, n) do not identify all parameters.
@@ -332,7 +307,7 @@ def generate_columns(
             continue
         weights, gradient = optimal_weights(jacobians, criterion, prior, accuracy)
     dual = gradient if criterion.name == "E" else None
-    return SparseDesign.heaviest_first(problem, prior, postures, _sparse(jacobians, weights), dual), gap
+    return ApproximateDesign.heaviest_first(problem, prior, postures, _sparse(jacobians, weights), dual), gap
 
 
 def _sparse(jacobians: Array, weights: Array) -> Array:

@@ -5,13 +5,14 @@ The value and the bound are recomputed from the weights, whoever computed them; 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design
+from doe.bounds.approximate_design import ApproximateDesign
 from doe.bounds.column_generation import column_generation, rough_design
 from doe.bounds.convex_program import solve_program
 from doe.bounds.equivalence import largest_sensitivity
@@ -88,10 +89,10 @@ def _one_program(
             "works at this size"
         )
     weights = proper_weights(weights)
-    design = SparseDesign.heaviest_first(problem, prior, postures, np.where(weights > CARRIED, weights, 0.0), dual)
-    return certified_design(
+    design = ApproximateDesign.heaviest_first(problem, prior, postures, np.where(weights > CARRIED, weights, 0.0), dual)
+    return replace(
         design,
-        largest_sensitivity(problem, candidates, design.gradient, prior),
+        largest=largest_sensitivity(problem, candidates, design.gradient, prior),
         candidates=len(candidates),
         rigorous=True,
         status=STATUS.get(solver_status, Status.solver_failed),
