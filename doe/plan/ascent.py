@@ -2,8 +2,8 @@
 
     df/dq_ia = (2 r / (k N)) tr(G B_i^T dB_i/dq_a),   M = ((r / k) sum_i B_i^T B_i + K) / N,   N = r + runs of K
 
-of a plan of k postures that stand for r runs (an exact plan: r = k), with G = dPhi/dM; joints are in half their ranges.
-Under constraints a penalty is climbed with,
+of a plan of k postures that stand for r runs (an exact plan: r = k), with G = dPhi/dM. Under constraints a penalty is
+climbed with,
 
     f(q) - s / 2 * sum over runs and constraints max(0, -c(q))^2,
 
@@ -23,6 +23,7 @@ from identification.arrays import Array
 from identification.information import information_matrix
 
 STEPS = 400
+FIRST = 0.1  # of half the ranges, length of the first step: a longer one ends on limits
 MEMORY = 12  # pairs of steps and slopes that stand for the Hessian
 SINGULAR = 1e10  # what takes the place of -Phi where M is singular: no step leads there
 FIRMNESS = (10.0, 100.0, 1000.0)  # s in units of the mean slope: a tenth, hundredth, thousandth of a radian outside
@@ -82,23 +83,23 @@ class PlanAscent:
     def _climbed(self, plan: Array, tolerance: float, stop: Stop) -> Array:
         from scipy.optimize import minimize  # 0.1 s to import
 
-        half = np.tile(0.5 * (self.problem.upper - self.problem.lower)[self.joints], len(plan))
-        limits = [np.tile(limit[self.joints], len(plan)) / half for limit in (self.problem.lower, self.problem.upper)]
+        unit = np.tile(FIRST * 0.5 * (self.problem.upper - self.problem.lower)[self.joints], len(plan))
+        limits = [np.tile(limit[self.joints], len(plan)) / unit for limit in (self.problem.lower, self.problem.upper)]
 
         def postures(point: Array) -> Array:
             moved = np.array(plan)
-            moved[:, self.joints] = (point * half).reshape(len(plan), -1)
+            moved[:, self.joints] = (point * unit).reshape(len(plan), -1)
             return self.problem.clip(moved)
 
         def fall(point: Array) -> tuple[float, Array]:
             value, slopes = self.rise(postures(point))
-            return (-value if np.isfinite(value) else SINGULAR), -slopes.ravel() * half
+            return (-value if np.isfinite(value) else SINGULAR), -slopes.ravel() * unit
 
         def ended(_: Array) -> None:
             if stop():
                 raise StopIteration
 
-        start = np.clip(plan[:, self.joints].ravel() / half, *limits)
+        start = np.clip(plan[:, self.joints].ravel() / unit, *limits)
         if not start.size or stop():
             return plan
         options = {"ftol": tolerance, "gtol": 0.0, "maxcor": MEMORY, "maxiter": STEPS}
