@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -129,6 +130,10 @@ def advise(
     bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + SHARE * budget)
     designs: dict[int, Design] = {}
     fewer: Design | None = None
+
+    def keeps(most: Array, postures: Array) -> bool:
+        return bool(np.all(promised(problem, postures, wide, poses) <= most))
+
     try:
         for done, m in enumerate(sorted(set(runs))):
             progress(done, len(runs), f"{m} runs")
@@ -145,7 +150,7 @@ def advise(
                 seconds=None if seconds is None else max(began + seconds - perf_counter(), 0.0) / (len(runs) - done),
                 bound=bounds[m] or Bound(np.inf, "continuous"),  # none is computed
                 begin=begin,
-                accepted=lambda q, most=most: bool(np.all(promised(problem, q, wide, poses) <= most)),
+                accepted=partial(keeps, most),
             )
             held = bound_that_holds(problem, bounds[m], design.plan.postures, design.value)
             designs[m] = fewer = replace(design, bound=held)

@@ -26,7 +26,7 @@ ROUNDED = 1e-8  # gap below zero that says more of rounding than of the weights;
 
 @dataclass(frozen=True)
 class ApproximateDesign:
-    """Weights on postures: the plan, what a search over a design space found about it, and what that proves.
+    """Weights on postures: the plan, what a search over a design space says of it, and what that proves.
 
     prior : per new run;  plan : the support and its weights
     dual : (p, p) gradient from a dual problem, None: the criterion's own at the plan. E-optimality needs one: any
@@ -68,11 +68,11 @@ class ApproximateDesign:
 
         goal : relative gap that counts as solved;  cut : whether time ended the search
         """
-        found = replace(self, largest=largest, **changes)
-        if largest - found.level <= goal * abs(found.level):
-            return replace(found, status=Status.converged, solver_status="gap reached")
+        design = replace(self, largest=largest, **changes)
+        if largest - design.level <= goal * abs(design.level):
+            return replace(design, status=Status.converged, solver_status="gap reached")
         in_words = "gap not reached" if np.isfinite(largest) else "no bound: no time to visit every candidate"
-        return replace(found, status=Status.time_limit if cut else Status.almost_solved, solver_status=in_words)
+        return replace(design, status=Status.time_limit if cut else Status.almost_solved, solver_status=in_words)
 
     def __post_init__(self) -> None:
         # a mean is no larger than the largest: a gap below zero is rounding in a matrix that is nearly singular

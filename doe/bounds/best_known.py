@@ -28,7 +28,6 @@ from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.errors import JobError
 from identification.information import information_matrix
-from identification.kinematics.parameters import EFFECT
 from identification.threads import single_thread
 
 BEATEN = 1e-8  # relative excess over a bound that is not rounding
@@ -72,8 +71,7 @@ def best_design(
         free, gap = (replace(problem, constraints=()), ROUGH) if many else (problem, EXACT)
         return continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
     candidates = listed_candidates(problem, problem.choices)
-    missing = any(p.kind == EFFECT and p.name in problem.deviations for p in problem.model.parameters)
-    if missing and problem.criterion.name in POWERS:
+    if problem.missing and problem.criterion.name in POWERS:
         listed = rough_design(problem, candidates, runs=runs, stop=stop)
     else:
         rough = many and problem.model.dimension == 1  # one number a run: weights hardly settle
