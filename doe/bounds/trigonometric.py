@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from doe.bounds.branch_and_bound import TrigonometricPolynomial
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 
@@ -30,25 +31,6 @@ class Angle:
 
     frequency: Frequency
     constant: float
-
-
-@dataclass(frozen=True)
-class TrigonometricPolynomial:
-    """constant + sum_t Re(coefficients_t exp(i frequencies_t . q)); frequencies (T, n) whole, coefficients (T,).
-
-    magnitude, operations : sum of magnitudes that went into the coefficients before anything cancelled, and the number
-        of operations in a row, for a bound on the rounding error; 0: the coefficients are exact
-    """
-
-    constant: float
-    frequencies: NDArray[np.int64]
-    coefficients: NDArray[np.complex128]
-    magnitude: float = 0.0
-    operations: int = 0
-
-    def value(self, q: Array) -> Array:
-        """(...) at postures (..., n)."""
-        return self.constant + (np.exp(1j * (q @ self.frequencies.T)) @ self.coefficients).real
 
 
 @dataclass(frozen=True)
