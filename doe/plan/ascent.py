@@ -61,14 +61,16 @@ class PlanAscent:
         slopes[outside] += self.walls.slope(plan[outside], forces[outside] / self.steepness)
         return value - float(np.sum(forces**2)) / (2.0 * self.firmness), slopes
 
-    def __call__(self, plan: Array, tolerance: float = 1e-8, stop: Stop = never) -> Array:
+    def __call__(self, plan: Array, tolerance: float | None = None, stop: Stop = never) -> Array:
         """(k, n) a plan at least as good as the one given, and feasible if that is, climbed until steps gain less than
         `tolerance` (relative).
 
+        tolerance : None: 1e-8, and 1e-6 under constraints, where the last digits are the penalty's
         stop : asked after every step
         """
         if not self.problem.constraints:
-            return self._climbed(plan, tolerance, stop)
+            return self._climbed(plan, 1e-8 if tolerance is None else tolerance, stop)
+        tolerance = 1e-6 if tolerance is None else tolerance
         self.firmness = 0.0
         slope = float(np.sqrt(np.mean(self.rise(plan)[1] ** 2)))
         steepness = np.sqrt(np.mean(np.sum(self.walls.first(plan)[1] ** 2, axis=2), axis=0))
