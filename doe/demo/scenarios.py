@@ -1,13 +1,54 @@
-"""A six-axis arm before a laser tracker, with axes a little off and an encoder that sits off centre."""
+"""What the demo simulates: the paper's 4-link arm, and a six-axis arm before a laser tracker."""
 
 from __future__ import annotations
 
+import tomllib
+
 import numpy as np
 
-from doe.demo.lines_in_space import LinesInSpace, displaced_lines
 from doe.demo.run import Scenario
+from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
 from identification.arrays import Array
+from identification.files.arm import arm_from_tables
+from identification.model import Model
 
+PLANAR_ARM = """\
+# The 4-link arm of Klimchik, Wu, Caro, Pashkevich, with joint limits
+name = "paper-4-link"
+links_mm = [260.0, 180.0, 120.0, 100.0]
+
+[joint_limits_deg]
+lower = [-180.0, -120.0, -100.0, -90.0]
+upper = [180.0, 120.0, 60.0, 90.0]
+
+[measurement]
+sigma_mm = 0.1
+"""
+
+PLANAR_TRUTH = """
+# What the demo hides: the paper's errors (Section VI), and an encoder that sits off centre on joint 1
+[calibration]
+length_errors_mm = [1.5, -0.6, -0.4, 0.7]
+joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
+
+[[effects]]
+name = "encoder_eccentricity"
+joint = 1
+a_deg = 0.06
+b_deg = -0.04
+"""
+
+
+def planar() -> Scenario:
+    """The paper's arm, with the paper's errors and an encoder that sits off centre."""
+    model = Model(arm_from_tables(tomllib.loads(PLANAR_ARM + PLANAR_TRUTH)))
+    values = model.best_known
+    hidden = {p.name: values[p.name] * p.to_file for p in model.all_parameters}
+    files = {"arm.toml": PLANAR_ARM, "truth.toml": PLANAR_ARM + PLANAR_TRUTH}
+    return Scenario("the paper's 4-link arm", files, model.position, hidden, every_parameter=True, runs=20)
+
+
+# -- six axes ----------------------------------------------------------------------------------------------------------
 # axes at home, stretched out along x: point [mm] and direction of each, in the frame of the base; then the flange
 POINTS = np.array(
     [[0, 0, 130], [0, 190, 130], [610, 60, 130], [1180, 60, 130], [1180, 170, 130], [1180, 170, 20]], dtype=float
@@ -46,8 +87,6 @@ REFLECTOR = FLANGE + np.array([55.0, 60.0, -50.0])  # [mm] at home
 HIDDEN_JOINT, HIDDEN_WAVE = 2, (0.03, -0.025)  # encoder off centre: joint from 1; cosine, sine [deg]
 SHIFT, LEAN, OFFSET = 0.4, 1.5e-3, 4e-3  # errors of the lines [mm], [rad], of the joints' zeros [rad]: as machined
 SEED = 2026  # of these errors
-RUNS = 36
-EFFORT = {"starts": 1}
 
 
 def urdf() -> str:
@@ -59,34 +98,36 @@ def urdf() -> str:
         between = (
             f'<parent link="{links[j]}"/><child link="{links[j + 1]}"/><origin xyz="{_three(place)}" rpy="0 0 0"/>'
         )
-        kind, rest = ("fixed", "") if j == len(NAMES) else ("revolute", _motion(j))
+        kind, rest = "fixed", ""
+        if j < len(NAMES):
+            limit = f'<limit lower="-{LIMITS[j]:.6f}" upper="{LIMITS[j]:.6f}" effort="100" velocity="3"/>'
+            kind, rest = "revolute", f'<axis xyz="{_three(AXES[j])}"/>{limit}'
         name = (*NAMES, "flange_mount")[j]
         lines.append(f'  <joint name="{name}" type="{kind}">{between}{rest}</joint>')
     return "\n".join([*lines, "</robot>\n"])
-
-
-def _motion(j: int) -> str:
-    limit = f"{LIMITS[j]:.6f}"
-    return f'<axis xyz="{_three(AXES[j])}"/><limit lower="-{limit}" upper="{limit}" effort="100" velocity="3"/>'
 
 
 def _three(values: Array) -> str:
     return " ".join(f"{value:g}" for value in values)
 
 
-def hidden_arm() -> LinesInSpace:
-    """The real arm, with errors that the fits do not know."""
+def hidden_arm() -> TrueArm:
+    """The real arm, its lines in space a little off and its encoder off centre: errors that the fits do not know."""
     generator = np.random.default_rng(SEED)
-    points, axes = displaced_lines(POINTS, AXES, generator, SHIFT, LEAN)
+    points = POINTS + SHIFT * generator.standard_normal(POINTS.shape)
+    axes = AXES + LEAN * generator.standard_normal(AXES.shape)
     offsets = OFFSET * generator.standard_normal(len(POINTS))
-    cosine, sine = np.cos(np.radians(160.0)), np.sin(np.radians(160.0))
-    orientation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    origin = orientation @ [-2590.0, -410.0, -495.0]  # about where arm.toml has the tracker
-    wave = tuple(np.radians(HIDDEN_WAVE).tolist())
-    return LinesInSpace(points, axes, offsets, REFLECTOR, origin, orientation, HIDDEN_JOINT - 1, wave)
+    base = np.eye(4)
+    base[:3, :3] = turn(np.array([0.0, 0.0, np.radians(160.0)]))
+    base = base @ shift(np.array([-2590.0, -410.0, -495.0]))  # about where arm.toml has the tracker
+    zero, wave = np.zeros((6, 3)), dict(zip("ab", np.radians(HIDDEN_WAVE).tolist(), strict=True))
+    loads = {"masses": zero[:, 0], "payload": 0.0, "lower": -LIMITS, "upper": LIMITS, "sigma": 0.05}
+    lines = axes / np.linalg.norm(axes, axis=1, keepdims=True), points
+    effects = [("encoder_eccentricity", HIDDEN_JOINT, wave)]
+    return TrueArm(zero, *lines, offsets, base, REFLECTOR[None], effects=effects, **loads)
 
 
-def hidden_text(real: LinesInSpace) -> str:
+def hidden_text(real: TrueArm) -> str:
     """What is hidden, to look at: no arm file can say it, since the fitted model has other parameters."""
     lines = [
         "# What the demo hides. Joints as lines in space at home, in the frame of the base; drawn beside them.",
@@ -103,15 +144,18 @@ def hidden_text(real: LinesInSpace) -> str:
         ]
     lines += ["[encoder_eccentricity]", f"joint = {HIDDEN_JOINT}"]
     lines += [f"{key}_deg = {value}" for key, value in zip("ab", HIDDEN_WAVE, strict=True)]
-    lines += ["", "[reflector]", f"at_home_mm = {real.reflector.tolist()}"]
-    return "\n".join([*lines, "", "[base]", f"in_the_tracker_mm = {np.round(real.origin, 4).tolist()}\n"])
+    lines += ["", "[reflector]", f"at_home_mm = {REFLECTOR.tolist()}"]
+    return "\n".join([*lines, "", "[base]", f"in_the_tracker_mm = {np.round(real.base[:3, 3], 4).tolist()}\n"])
 
 
-def spatial(runs: int = RUNS) -> Scenario:
+def spatial(runs: int = 36) -> Scenario:
     """The scenario of the six-axis demo."""
-    real = hidden_arm()
+    real, generator = hidden_arm(), np.random.default_rng(SEED)
     files = {"robot.urdf": urdf(), "arm.toml": ARM, "hidden.toml": hidden_text(real)}
-    effect = f"encoder_eccentricity:{HIDDEN_JOINT}."
-    hidden = {effect + key: value for key, value in zip("ab", HIDDEN_WAVE, strict=True)}
+    hidden = {f"encoder_eccentricity:{HIDDEN_JOINT}.{key}": value for key, value in zip("ab", HIDDEN_WAVE, strict=True)}
+
+    def positions(postures: Array) -> Array:
+        return position(real, session(real, postures, generator))
+
     title = "a six-axis arm before a laser tracker"
-    return Scenario(title, files, real.positions, hidden, every_parameter=False, runs=runs, effort=EFFORT)
+    return Scenario(title, files, positions, hidden, every_parameter=False, runs=runs, effort={"starts": 1})
