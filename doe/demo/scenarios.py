@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 
@@ -121,10 +122,9 @@ def hidden_arm() -> TrueArm:
     base[:3, :3] = turn(np.array([0.0, 0.0, np.radians(160.0)]))
     base = base @ shift(np.array([-2590.0, -410.0, -495.0]))  # about where arm.toml has the tracker
     zero, wave = np.zeros((6, 3)), dict(zip("ab", np.radians(HIDDEN_WAVE).tolist(), strict=True))
-    loads = {"masses": zero[:, 0], "payload": 0.0, "lower": -LIMITS, "upper": LIMITS, "sigma": 0.05}
-    lines = axes / np.linalg.norm(axes, axis=1, keepdims=True), points
-    effects = [("encoder_eccentricity", HIDDEN_JOINT, wave)]
-    return TrueArm(zero, *lines, offsets, base, REFLECTOR[None], effects=effects, **loads)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    weightless = TrueArm(zero, axes, points, offsets, base, REFLECTOR[None], zero[:, 0], 0.0, -LIMITS, LIMITS, 0.05)
+    return replace(weightless, effects=[("encoder_eccentricity", HIDDEN_JOINT, wave)])
 
 
 def hidden_text(real: TrueArm) -> str:

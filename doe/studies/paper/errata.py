@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 
 from doe.jobs.row_table import frame_of
-from doe.studies.monte_carlo.plans import dft_postures
+from doe.studies.monte_carlo.study import dft_postures
 from doe.studies.paper.tables import (
     JOINT_OFFSETS_DEG,
     LENGTH_ERRORS,
@@ -128,8 +128,9 @@ def no_closed_form(generator: np.random.Generator, replications: int) -> Shown:
     # the linearised step that eq. 11 would be without repeating it
     jacobian = model.jacobian(postures).reshape(-1, 8)
     once = np.linalg.lstsq(jacobian, (data.positions - model.position(postures)).ravel(), rcond=None)[0]
-    errors = (float(np.max(np.abs((values - steps) * model.scales))) for values in (once, exact))
-    return Shown(*(error / (SIGMA / np.sqrt(20.0)) for error in errors), tolerance=1e-8)
+    unit = model.scales / (SIGMA / np.sqrt(20.0))
+    wrong, right = (float(np.max(np.abs((values - steps) * unit))) for values in (once, exact))
+    return Shown(wrong, right, 1e-8)
 
 
 @erratum(
@@ -188,7 +189,8 @@ def off_diagonal_blocks(generator: np.random.Generator, replications: int) -> Sh
 def scaling_of_the_criterion(generator: np.random.Generator, replications: int) -> Shown:
     """det C' of the optimal plan must be 1 (Section V); m = 10, n = 4."""
     _, c, _ = blocks(optimal_orientations(10))
-    return Shown(*(distance(float(np.linalg.det(c / count)), 1.0) for count in (4, 10)), tolerance=1e-12)
+    by_links, by_runs = (distance(float(np.linalg.det(c / count)), 1.0) for count in (4, 10))
+    return Shown(by_links, by_runs, 1e-12)
 
 
 @erratum(
@@ -241,8 +243,8 @@ def covariance_of_the_optimum(generator: np.random.Generator, replications: int)
     sample = np.std(simulated_errors(generator, m, replications), axis=0, ddof=1)
     printed = SIGMA * np.sqrt(np.r_[m * L**2, np.ones(4)])
     correct = SIGMA / np.sqrt(m) * np.sqrt(np.r_[LENGTHENED**-2.0, np.ones(4)])
-    errors = (float(np.max(np.abs(values / sample - 1.0))) for values in (printed, correct))
-    return Shown(*errors, tolerance=4.5 / np.sqrt(2.0 * replications))
+    wrong, right = (float(np.max(np.abs(values / sample - 1.0))) for values in (printed, correct))
+    return Shown(wrong, right, 4.5 / np.sqrt(2.0 * replications))
 
 
 @erratum(
@@ -273,8 +275,8 @@ def names_in_table_1(generator: np.random.Generator, replications: int) -> Shown
     theta = random_orientations(generator)
     q = np.diff(theta, axis=1, prepend=0.0)
     element = float(blocks(theta)[0][4, 7])  # lengths 1 and 4: sum cos(theta_1 - theta_4)
-    sums = (float(np.cos(angle).sum()) for angle in (q[:, 1] + q[:, 3], q[:, 1:].sum(axis=1)))
-    return Shown(*(distance(value, element) for value in sums), tolerance=1e-10)
+    wrong, right = (float(np.cos(angle).sum()) for angle in (q[:, 1] + q[:, 3], q[:, 1:].sum(axis=1)))
+    return Shown(distance(wrong, element), distance(right, element), 1e-10)
 
 
 def deviation_of_lengths(links: int, printed: dict[int, float]) -> Check:
@@ -284,8 +286,8 @@ def deviation_of_lengths(links: int, printed: dict[int, float]) -> Check:
     def check(generator: np.random.Generator, replications: int) -> Shown:
         sample = np.array([np.std(simulated_errors(generator, m, replications, links)[:, links]) for m in printed])
         correct = SIGMA / np.sqrt(list(printed))
-        errors = np.min(np.abs(list(printed.values()) / sample - 1.0)), np.max(np.abs(correct / sample - 1.0))
-        return Shown(*map(float, errors), tolerance=4.5 / np.sqrt(2.0 * replications))
+        wrong, right = np.abs(list(printed.values()) / sample - 1.0).min(), np.abs(correct / sample - 1.0).max()
+        return Shown(float(wrong), float(right), 4.5 / np.sqrt(2.0 * replications))
 
     return check
 

@@ -22,9 +22,8 @@ import polars as pl
 
 from doe.bounds.planar_theorem import pair_means as table_1_sums
 from doe.jobs.row_table import frame_of
-from doe.studies.monte_carlo.plans import dft_postures
 from doe.studies.monte_carlo.specification import Study, Truth
-from doe.studies.monte_carlo.study import run_study
+from doe.studies.monte_carlo.study import dft_postures, run_study
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation import estimate_batch, estimate_each
@@ -155,7 +154,7 @@ def table_3(replications: int = REPLICATIONS, seed: int = 0, arm_names: Sequence
             printed = {f"length_error:{j}": length for j in range(1, links + 1)}
             printed |= {f"orientation_offset:{j}": value for j, value in enumerate(orientations, start=1)}
             if row["status"] != "done":  # fewer equations than unknowns
-                lost = {"note": f"{2 * row['runs']} equations, {2 * links} unknowns: {row['error']}"}
+                lost: dict[str, Any] = {"note": f"{2 * row['runs']} equations, {2 * links} unknowns: {row['error']}"}
                 for item, value in printed.items():
                     unit = "mm" if item.startswith("length") else "deg"
                     lost |= {"item": item, "unit": unit, "printed": value, "verdict": "not identifiable"}
