@@ -7,44 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from doe.studies.blind.hidden_effects import (
-    EVERY_JOINT,
-    LIBRARY_JOINT,
-    LIBRARY_WHOLE,
-    LOADS,
-    NOT_INSIDE,
-    OUTSIDE,
-    PHYSICS,
-    RARE_JOINT,
-    RARE_WHOLE,
-    SPACE_JOINT,
-    SPACE_OUTSIDE,
-    SPACE_PHYSICS,
-    SPACE_WHOLE,
-    family,
-    key,
-    library_columns,
-    loaded,
-    log_uniform,
-    many_effects,
-    parameters_of,
-    physics_effect,
-    place_of,
-    random_effect,
-    settings_of,
-)
+from doe.studies.blind import hidden_effects as drawn
+from doe.studies.blind import simulator
+from doe.studies.blind.hidden_effects import LIBRARY_JOINT, LIBRARY_WHOLE, PHYSICS, SPACE_JOINT, SPACE_WHOLE
 from doe.studies.blind.simulator import (
-    OF_GRAVITY,
     Drawn,
-    G,
     RowConditions,
     TrueArm,
     base_jacobian,
     column,
-    measure_more,
     noise,
-    position,
-    recorded,
     session,
     shift,
     turn,
@@ -134,6 +106,14 @@ WAVES = (101.0, 202.0, 37.3)
 MANY_SIZES, SMALL_SIZES, SEVERAL_SIZES, PHYSICS_SIZES = (8.0, 40.0), (1.5, 12.0), (5.0, 40.0), (10.0, 40.0)
 FRESH = 200  # rows of the hold-out
 SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed, which takes time
+MANY = {
+    f"{name}, m={m}": CellSpec(m, sizes=sizes, many=kind, links=links, reported=False)
+    for name, sizes, kind, links in (
+        ("many small effects", SMALL_SIZES, "small", (4, 6)),
+        ("six to nine effects", SEVERAL_SIZES, "several", (2, 6)),
+    )
+    for m in (50, 100, 300)
+}
 PLANE = {
     "none m=20": CellSpec(20),
     "none m=50": CellSpec(50),
@@ -161,20 +141,13 @@ PLANE = {
     "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
     **{
         f"{name}, lambda {lam:g}": CellSpec(50, lam, rare=name, reported=False)
-        for name in RARE_WHOLE + RARE_JOINT
+        for name in drawn.RARE_WHOLE + drawn.RARE_JOINT
         for lam in (8.0, 10.0)
     },
     **{f"wave {k:g}, lambda {lam:g}": CellSpec(50, lam, order=k, reported=False) for k in WAVES for lam in (8.0, 10.0)},
     "many effects": CellSpec(50, sizes=MANY_SIZES, many="robot", rows=(50, 100, 200)),
     "many effects, harmonics": CellSpec(50, sizes=MANY_SIZES, many="harmonics", rows=(50, 100, 200)),
-    **{
-        f"many small effects, m={m}": CellSpec(m, sizes=SMALL_SIZES, many="small", links=(4, 6), reported=False)
-        for m in (50, 100, 300)
-    },
-    **{
-        f"six to nine effects, m={m}": CellSpec(m, sizes=SEVERAL_SIZES, many="several", reported=False)
-        for m in (50, 100, 300)
-    },
+    **MANY,
     **{
         f"outside, {name}": CellSpec(100, sizes=PHYSICS_SIZES, physics=name, rows=(50, 100, 300), reported=False)
         for name in PHYSICS
@@ -208,17 +181,10 @@ SPACE = {
     "outside, lambda 7": CellSpec(60, 7.0, outside=True),
     "outside, lambda 10": CellSpec(60, 10.0, outside=True),
     "many effects": CellSpec(60, sizes=MANY_SIZES, many="robot", rows=(60, 100, 200)),
-    **{
-        f"many small effects, m={m}": CellSpec(m, sizes=SMALL_SIZES, many="small", reported=False)
-        for m in (50, 100, 300)
-    },
-    **{
-        f"six to nine effects, m={m}": CellSpec(m, sizes=SEVERAL_SIZES, many="several", reported=False)
-        for m in (50, 100, 300)
-    },
+    **MANY,
     **{
         f"outside, {name}": CellSpec(100, sizes=PHYSICS_SIZES, physics=name, rows=(60, 100, 200), reported=False)
-        for name in SPACE_PHYSICS
+        for name in drawn.SPACE_PHYSICS
     },
     "three reads, none": CellSpec(180, noise="posture", reads=3, reported=False),
 }
@@ -297,7 +263,7 @@ def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     """The arm as its maker describes it, who in space does not know where base and reflectors are."""
     masses = truth.masses * (rng.uniform(0.7, 1.3, truth.n) if spec.wrong == "masses" else 1.0)
     payload = 0.0 if spec.wrong == "tool" else truth.payload
-    down = -G * np.eye(truth.dimension)[-1]
+    down = -simulator.G * np.eye(truth.dimension)[-1]
     gravity = Gravity(down, masses, np.full(truth.n, truth.center), payload)
     effects = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.known)
     if truth.dimension == 2:
@@ -338,30 +304,32 @@ def generator_of(cell: str, seed: int) -> np.random.Generator:
 def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
     """The effects of a data set."""
     if spec.sizes and spec.many:
-        return many_effects(truth, run, spec.many, spec.sizes, rng)
+        return drawn.many_effects(truth, run, spec.many, spec.sizes, rng)
     if spec.sizes:
-        return [physics_effect(truth, run, spec.physics, log_uniform(spec.sizes, rng), rng)]
+        return [drawn.physics_effect(truth, run, spec.physics, drawn.log_uniform(spec.sizes, rng), rng)]
     if spec.lam is None:
         return []
     if spec.wrong == "place":
-        return loaded(truth, run, spec.lam, rng)
+        return drawn.loaded(truth, run, spec.lam, rng)
     names: tuple[str, ...] = SPACE_JOINT + SPACE_WHOLE if spec.space else LIBRARY_JOINT + LIBRARY_WHOLE
     span, settings = base_jacobian(truth, run), {"k": spec.order} if spec.order else {}
     if spec.outside:
-        names, span = SPACE_OUTSIDE if spec.space else OUTSIDE, library_columns(truth, run)
+        names, span = drawn.SPACE_OUTSIDE if spec.space else drawn.OUTSIDE, drawn.library_columns(truth, run)
     elif spec.rare or spec.order:
         names = (spec.rare or "transmission_ripple",)
     elif spec.gravity:
-        names = (*(name for name in OF_GRAVITY if name in SPACE_JOINT), EVERY_JOINT)
+        names = (*(name for name in simulator.OF_GRAVITY if name in SPACE_JOINT), drawn.EVERY_JOINT)
     effects: list[Drawn] = []
     while len(effects) < spec.effects:
-        new = random_effect(names, truth, run, spec.lam, rng, span, **settings)
-        if (spec.families or new[0] != "joint_compliance" or new[1]) and family(new) not in map(family, effects):
+        new = drawn.random_effect(names, truth, run, spec.lam, rng, span, **settings)
+        if (spec.families or new[0] != "joint_compliance" or new[1]) and drawn.family(new) not in map(
+            drawn.family, effects
+        ):
             effects.append(new)
     return effects
 
 
-def true_values(truth: TrueArm) -> dict[str, float]:
+def values_of(truth: TrueArm) -> dict[str, float]:
     """Parameter name -> true value, named as the library names its parameters [API units]; in space without those of
     the geometry, which others say differently."""
     values: dict[str, float] = {}
@@ -370,7 +338,7 @@ def true_values(truth: TrueArm) -> dict[str, float]:
         for j, (length, offset) in enumerate(errors, start=1):
             values |= {f"length_error:{j}": float(length), f"joint_offset:{j}": float(offset)}
     for effect in truth.effects:
-        values |= parameters_of(effect)
+        values |= drawn.parameters_of(effect)
     return values
 
 
@@ -396,7 +364,7 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
     else:
         run = random(int(rng.choice(spec.rows)) if spec.rows else max(spec.m, truth.n + 4), spec.reads)
     if (
-        spec.rare in LOADS or spec.physics == "payload_swap"
+        spec.rare in drawn.LOADS or spec.physics == "payload_swap"
     ):  # they only show through compliance that the arm's model has
         truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
     if spec.space:  # in this order since the study began
@@ -405,10 +373,10 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
     else:
         truth = replace(truth, effects=hidden(spec, truth, run, rng))
         fresh, arm = random(FRESH, 1), arm_of(spec, truth, rng)
-    outside = [e for e in truth.effects if e[0] in NOT_INSIDE]
-    inside = [e for e in truth.effects if e[0] not in NOT_INSIDE]
+    outside = [e for e in truth.effects if e[0] in drawn.NOT_INSIDE]
+    inside = [e for e in truth.effects if e[0] not in drawn.NOT_INSIDE]
     error = noise(truth, run, rng, spec.noise)
-    data = recorded(truth, run, error)
+    data = simulator.recorded(truth, run, error)
     held_out = noise(truth, fresh, rng, "posture" if spec.reads > 1 else "white")
     if spec.reads > 1:
         data = replace(data, repeats=np.arange(len(data)) // spec.reads)
@@ -416,21 +384,21 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
 
     def more(q: Array, payload: Array | None, directions: Array | None, number: int) -> Measurements:
         later = np.random.default_rng([20261123, list(CELLS).index(cell), seed, number])
-        return measure_more(truth, run, data, q, payload, directions, later)
+        return simulator.measure_more(truth, run, data, q, payload, directions, later)
 
     judged = bool(spec.many or outside or spec.reads > 1)
     return DataSet(
         arm,
         data,
-        recorded(truth, fresh, held_out) if spec.hides or spec.reads > 1 else None,
-        tuple(key(e) for e in inside),
+        simulator.recorded(truth, fresh, held_out) if spec.hides or spec.reads > 1 else None,
+        tuple(drawn.key(e) for e in inside),
         outside[0][0] if outside else WALK if spec.noise == WALK else None,
-        place_of(outside[0]) if outside else "time" if spec.noise == WALK else None,
-        tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in inside),
+        drawn.place_of(outside[0]) if outside else "time" if spec.noise == WALK else None,
+        tuple(EffectSpec(e[0], e[1], drawn.settings_of(e)) for e in inside),
         tuple((np.flatnonzero(far) + 1).tolist()),
-        {} if spec.wrong or spec.rare or spec.outside or outside else true_values(truth),
+        {} if spec.wrong or spec.rare or spec.outside or outside else values_of(truth),
         more,
-        position(truth, fresh) if judged else None,
+        simulator.position(truth, fresh) if judged else None,
         reachable(fitted_columns(truth, run), fitted_columns(truth, fresh), error) if judged else None,
     )
 

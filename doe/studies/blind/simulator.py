@@ -12,7 +12,7 @@ Millimetres, radians, kilograms; m rows of a session at once, n joints.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -252,19 +252,17 @@ def angle_error(run: RowConditions, name: str, joint: int, v: Values, torque: Ar
     return shapes[name]() if name in shapes else np.zeros(len(q))
 
 
-def growth(run: RowConditions, name: str, v: Values, length: float) -> Array | float:
+def growth(run: RowConditions, name: str, v: Values, length: float) -> Array:
     """(m,) growth of a link, as a share of its length [mm]."""
     since = run.t + 0.5
-    match name:
-        case "thermal_growth":
-            return np.asarray(v["a"] * run.warm)
-        case "thermal_transient":
-            return np.asarray(v["a"] * (1.0 - np.exp(-since / v["tau"])))
-        case "two_warm_ups":  # outside the library: fast, and slowly back
-            return sum(v[a] * (1.0 - np.exp(-since / tau)) for a, tau in zip("ab", v["tau"], strict=True))
-        case "link_step":
-            return np.asarray(v["d"] * (run.t > v["at"]) / length)
-    return 0.0
+    shapes: dict[str, Callable[[], Any]] = {
+        "thermal_growth": lambda: v["a"] * run.warm,
+        "thermal_transient": lambda: v["a"] * (1.0 - np.exp(-since / v["tau"])),
+        "link_step": lambda: v["d"] * (run.t > v["at"]) / length,
+        # outside the library: fast, and slowly back
+        "two_warm_ups": lambda: sum(v[a] * (1.0 - np.exp(-since / tau)) for a, tau in zip("ab", v["tau"], strict=True)),
+    }
+    return np.asarray(shapes[name]()) if name in shapes else np.zeros(len(since))
 
 
 def relays(angles: Array, at: float, width: float) -> Array:
@@ -288,54 +286,6 @@ def wound_up(angles: Array, width: float) -> Array:
     return state
 
 
-@dataclass
-class Errors:
-    """What effects add at home: angles, growth and slope (m, n) of joints and links, tilts and shifts (m, n, 3) of the
-    axes, bends (m, n, 3) [mm] of the links, leans (n, 3) of the axes before they turn."""
-
-    angles: Array
-    growth: Array
-    slope: Array
-    tilts: Array
-    shifts: Array
-    bends: Array
-    leans: Array
-
-
-def errors(truth: TrueArm, run: RowConditions) -> Errors:
-    """Of all effects of an arm."""
-    (m, n), frames = run.q.shape, truth.home
-    total = Errors(*(np.zeros(shape) for shape in [(m, n)] * 3 + [(m, n, 3)] * 3 + [(n, 3)]))
-    names = {name for name, *_ in truth.effects + truth.known}
-    load = moments(truth, run) if names & set(OF_GRAVITY) else np.zeros((m, n, 3))
-    torques = np.einsum("mji,ji->mj", load, frames[:-1, :3, 2])
-    for name, joint, v in truth.known + truth.effects:
-        links = range(n) if joint is None else [joint - 1]
-        for j in links:
-            total.growth[:, j] += growth(run, name, v, float(np.linalg.norm(truth.links[j])))
-        if name == "link_bending":
-            deflection, slope = bending(truth, run)
-            total.bends += v["flexibility"] * deflection[:, :, None] * frames[:-1, :3, 1]
-            total.slope += v["flexibility"] * slope
-        if joint is None:
-            total.angles += v["c"] * torques if name == "joint_compliance" else 0.0
-            continue
-        j, (x, y, axis) = joint - 1, frames[joint - 1, :3, :3].T
-        total.angles[:, [j, j + 1] if name == "two_joint_cable" else [j]] += angle_error(run, name, joint, v, torques)[
-            :, None
-        ]
-        if name == "bearing_compliance":
-            total.tilts[:, j] += v["c"] * (load[:, j] - torques[:, j, None] * axis)
-        elif name == "axis_wobble":  # outside the library: the axis leans, and goes round twice a turn
-            total.tilts[:, j] += v["c"] * np.column_stack([np.cos(2 * run.q[:, j]), np.sin(2 * run.q[:, j])]) @ [x, y]
-        elif name == "axis_runout":
-            circle = (v["a"] + 1j * v["b"]) * np.exp(-1j * run.q[:, j])
-            total.shifts[:, j] += np.column_stack([circle.real, circle.imag]) @ [x, y]
-        elif name == "axis_tilt":
-            total.leans[j] = np.sqrt(v["square"]) * (np.cos(v["beta"]) * x + np.sin(v["beta"]) * y)
-    return total
-
-
 def position(truth: TrueArm, run: RowConditions) -> Array:
     """(m, d) true positions of the measured points."""
     for k, (name, joint, v) in enumerate(truth.effects):
@@ -356,16 +306,37 @@ def position(truth: TrueArm, run: RowConditions) -> Array:
 
 def places(truth: TrueArm, run: RowConditions) -> list[Array]:
     """n + 2 transformations (m, 4, 4): of the base, of what lies beyond each joint, and the measured point's place."""
-    error, home = errors(truth, run), truth.home
+    (m, n), home, effects = run.q.shape, truth.home, truth.known + truth.effects
+    load = moments(truth, run) if {name for name, *_ in effects} & set(OF_GRAVITY) else np.zeros((m, n, 3))
+    torques = np.einsum("mji,ji->mj", load, home[:-1, :3, 2])
+    bent = any(name == "link_bending" for name, *_ in effects)
+    deflection, slope = bending(truth, run) if bent else np.zeros((2, m, n))
     frames = [_base(truth, run)]
-    for j, (axis, point) in enumerate(zip(truth.axes, truth.points, strict=True)):
-        angle = (run.q[:, j] + truth.offsets[j] + error.angles[:, j])[:, None] * axis
-        place = frames[-1] @ shift(error.shifts[:, j]) @ screw(turn(error.leans[j]), point) @ screw(turn(angle), point)
-        place = place @ screw(turn(error.tilts[:, j]), home[j, :3, 3])
-        place = place @ shift(error.growth[:, j, None] * truth.links[j] + error.bends[:, j])
-        if error.slope[:, j].any():
-            place = place @ screw(turn(error.slope[:, j, None] * home[j, :3, 2]), point + truth.links[j])
-        frames.append(place)
+    for j, (line, point, link) in enumerate(zip(truth.axes, truth.points, truth.links, strict=True)):
+        (x, y, axis), origin, q = home[j, :3, :3].T, home[j, :3, 3], run.q[:, j]
+        angle, lean, bend = q + truth.offsets[j], np.zeros(3), np.zeros(m)
+        tilt, moved, longer = np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 3))  # of what lies beyond, at home
+        for name, joint, v in effects:
+            if name == "joint_compliance" and joint is None:
+                angle = angle + v["c"][j] * torques[:, j]
+            elif joint is not None and (joint == j + 1 or (name == "two_joint_cable" and joint == j)):
+                angle = angle + angle_error(run, name, joint, v, torques)
+            if joint in (None, j + 1):
+                longer = longer + np.outer(growth(run, name, v, float(np.linalg.norm(link))), link)
+            if name == "link_bending":
+                longer, bend = longer + v["flexibility"] * np.outer(deflection[:, j], y), v["flexibility"] * slope[:, j]
+            elif name == "bearing_compliance" and joint == j + 1:
+                tilt = tilt + v["c"] * (load[:, j] - torques[:, j, None] * axis)
+            elif name == "axis_wobble" and joint == j + 1:  # outside the library: twice a turn
+                tilt = tilt + v["c"] * np.column_stack([np.cos(2 * q), np.sin(2 * q)]) @ [x, y]
+            elif name == "axis_runout" and joint == j + 1:
+                circle = (v["a"] + 1j * v["b"]) * np.exp(-1j * q)
+                moved = moved + np.column_stack([circle.real, circle.imag]) @ [x, y]
+            elif name == "axis_tilt" and joint == j + 1:
+                lean = np.sqrt(v["square"]) * (np.cos(v["beta"]) * x + np.sin(v["beta"]) * y)
+        place = frames[-1] @ shift(moved) @ screw(turn(lean), point) @ screw(turn(angle[:, None] * line), point)
+        place = place @ screw(turn(tilt), origin) @ shift(longer)
+        frames.append(place @ screw(turn(bend[:, None] * axis), point + link) if bend.any() else place)
     tools = truth.at_home(truth.tools)[run.marker]
     for name, _, v in truth.effects:
         if name == "gripper_play":  # outside the library: what it holds slides to the lower end of a slot
@@ -495,12 +466,9 @@ def measure_more(
     s = session(truth, q, rng).s[m:] if directions is None else directions
     payload = np.full(count, truth.payload) if payload is None else payload
     t, warm = 0.5 + np.arange(1, count + 1) / (m - 1), rng.normal(0.0, 1.0, count)
-    later = measure(truth, RowConditions(postures, t, warm, s, payload, np.zeros(count, dtype=int)), rng)
-    return Measurements(
-        q,
-        np.vstack([data.positions, later.positions]),
-        np.arange(m + count, dtype=float),
-        temperature=20.0 + np.concatenate([run.warm, warm]),
-        directions=np.vstack([np.asarray(data.directions), s]),
-        payload=np.concatenate([run.payload, payload]),
+    later = RowConditions(postures, t, warm, s, payload, np.zeros(count, dtype=int))
+    both = RowConditions(*(np.concatenate([getattr(one, f.name) for one in (run, later)]) for f in fields(run)))
+    positions = np.vstack([data.positions, measure(truth, later, rng).positions])
+    return replace(
+        recorded(truth, both, np.zeros((m + count, truth.dimension))), positions=positions, payload=both.payload
     )
