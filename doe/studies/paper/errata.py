@@ -19,6 +19,7 @@ from doe.studies.paper.tables import (
     JOINT_OFFSETS_DEG,
     LENGTH_ERRORS,
     LENGTHS,
+    PAPER,
     SIGMA,
     ideal_std,
     paper_arm,
@@ -50,29 +51,6 @@ class Shown(NamedTuple):
 
 
 Check = Callable[[np.random.Generator, int], Shown]  # by random plans, or so many simulated calibrations
-CHECKS: list[tuple[str, str, str, Check]] = []  # place in the paper, what is printed, what is correct
-
-
-def erratum(place: str, printed: str, correct: str) -> Callable[[Check], Check]:
-    """Adds a check to `CHECKS`."""
-
-    def add(check: Check) -> Check:
-        CHECKS.append((place, printed, correct, check))
-        return check
-
-    return add
-
-
-def errata(replications: int = 10_000, seed: int = 0, numbers: Sequence[int] | None = None) -> pl.DataFrame:
-    """One row per erratum: place, printed, correct, the fields of `Shown`, and `confirmed`. `numbers`: places in
-    `CHECKS`, None: all."""
-    rows = []
-    for k in range(len(CHECKS)) if numbers is None else numbers:
-        place, printed, correct, check = CHECKS[k]
-        shown = check(np.random.default_rng([seed, k]), replications)
-        rows.append({"place": place, "printed": printed, "correct": correct, **shown._asdict()})
-        rows[-1]["confirmed"] = shown.confirmed
-    return frame_of(rows)
 
 
 def distance(found: Array | float, truth: Array | float) -> float:
@@ -103,6 +81,17 @@ def blocks(theta: Array) -> tuple[Array, Array, Array]:
     return jacobian.T @ jacobian, np.cos(difference).sum(axis=0), np.sin(difference).sum(axis=0)
 
 
+# (runs, parameter) -> as eq. 24 has it, and sigma^2 / m diag(L^-2, I)
+COVARIANCE = {(20, f"length_error:{j}"): (SIGMA, ideal_std(4, 20, f"length_error:{j}")) for j in range(1, 5)}
+for _j, _length in enumerate(LENGTHENED, start=1):
+    _scaled = SIGMA * np.sqrt(20.0) * _length, SIGMA / np.sqrt(20.0) / _length
+    COVARIANCE[20, f"orientation_offset:{_j}"] = float(np.degrees(_scaled[0])), float(np.degrees(_scaled[1]))
+OF_JOINTS = {  # eq. 25 of joint offsets, for which it is printed, and what they have
+    (20, f"joint_offset:{j}"): (ideal_std(4, 20, f"orientation_offset:{j}"), ideal_std(4, 20, f"joint_offset:{j}"))
+    for j in range(2, 5)
+}
+
+
 def deviations(links: int, expected: Mapping[tuple[int, str], tuple[float, float]], room: float = 0.0) -> Check:
     """The check of deviations of the optimal plan, (runs, parameter) -> printed and correct [mm, deg], by simulated
     calibrations;  room : more than their scatter that the correct ones may be off."""
@@ -119,11 +108,6 @@ def deviations(links: int, expected: Mapping[tuple[int, str], tuple[float, float
     return check
 
 
-@erratum(
-    "before eq. 6",
-    "no general analytical solution; eq. 11 once",
-    "linear in u_j = (l_j + dl_j) exp(i dtheta_j): one complex least-squares problem",
-)
 def no_closed_form(generator: np.random.Generator, replications: int) -> Shown:
     """The closed form equals the converged iteration of Section III, on noisy data of the paper's arm; both errors here
     in standard deviations sigma / sqrt(m)."""
@@ -139,11 +123,6 @@ def no_closed_form(generator: np.random.Generator, replications: int) -> Shown:
     return Shown(wrong, right, 1e-8)
 
 
-@erratum(
-    "eq. 4",
-    "derivative with respect to dtheta_k: sums over links k..n (printed l = i..n)",
-    "link k alone, as in eq. 8; the sum over k..n is the derivative with respect to the joint offset dq_k",
-)
 def derivative_of_the_sum(generator: np.random.Generator, replications: int) -> Shown:
     """dF/d dtheta_k by central differences, against eq. 4 (a sum over links) and against link k alone."""
     theta = random_orientations(generator)
@@ -157,7 +136,6 @@ def derivative_of_the_sum(generator: np.random.Generator, replications: int) -> 
     return Shown(distance(by_link[k:].sum(), truth), distance(by_link[k], truth), 1e-7)
 
 
-@erratum("eq. 8", "last entry of J_yq: l_j cos theta_j", "l_n cos theta_n")
 def last_column_of_the_jacobian(generator: np.random.Generator, replications: int) -> Shown:
     """dy/d dtheta_n by central differences, against l_j cos theta_j for the other links."""
     theta = random_orientations(generator)
@@ -167,7 +145,6 @@ def last_column_of_the_jacobian(generator: np.random.Generator, replications: in
     return Shown(min(distance(entries[:, j], truth) for j in range(3)), distance(entries[:, 3], truth), 1e-8)
 
 
-@erratum("eq. 15-16", "E(eps eps^T) is 2n x 2n", "2m x 2m")
 def size_of_the_noise(generator: np.random.Generator, replications: int) -> Shown:
     """Length of eps_a = [eps_1 .. eps_m], two coordinates each."""
     m, n = 10, 4
@@ -175,11 +152,6 @@ def size_of_the_noise(generator: np.random.Generator, replications: int) -> Show
     return Shown(distance(2.0 * n, length), distance(2.0 * m, length), 0.0)
 
 
-@erratum(
-    "eq. 17-19",
-    "B = C = [l_j s_jk]",
-    "B = -L S, and the lower left block is its transpose S L (S is antisymmetric)",
-)
 def off_diagonal_blocks(generator: np.random.Generator, replications: int) -> Shown:
     """The blocks of sum J^T J, against B = L S printed and B = -L S."""
     total, _, s = blocks(random_orientations(generator))
@@ -187,11 +159,6 @@ def off_diagonal_blocks(generator: np.random.Generator, replications: int) -> Sh
     return Shown(min(distance(ls, b), distance(ls, c)), max(distance(-ls, b), distance(s * L, c)), 1e-12)
 
 
-@erratum(
-    "eq. 20",
-    "C' = [c_jk / n], S' = [s_jk / n]",
-    "divided by m: det C' = 1 for the optimal plan, as the text says",
-)
 def scaling_of_the_criterion(generator: np.random.Generator, replications: int) -> Shown:
     """det C' of the optimal plan must be 1 (Section V); m = 10, n = 4."""
     _, c, _ = blocks(optimal_orientations(10))
@@ -199,11 +166,6 @@ def scaling_of_the_criterion(generator: np.random.Generator, replications: int) 
     return Shown(by_links, by_runs, 1e-12)
 
 
-@erratum(
-    "Sec. V",
-    "A: the trace of the information matrix is constant; D is not applicable because of units",
-    "A minimises the trace of the INVERSE, which differs between plans; D ranks plans alike in all units",
-)
 def d_optimality_and_units(generator: np.random.Generator, replications: int) -> Shown:
     """Difference of log det between two plans, in metres and degrees instead of millimetres and radians."""
     first, second = (blocks(random_orientations(generator))[0] for _ in range(2))
@@ -217,12 +179,6 @@ def d_optimality_and_units(generator: np.random.Generator, replications: int) ->
     return Shown(distance(traces[0], traces[1]), distance(converted, gain(first, second)), 1e-9)
 
 
-@erratum(
-    "eq. 20-23",
-    "D*, det C' = 1 and det S' = 0, 'ensures agreement with the D-optimality'",
-    "for 2 links; from 3 links on S' may be singular without being zero, for odd n it always is. Eq. 21 is "
-    "sufficient, and D alone (det D' = |det(C' + iS')|^2) asks for it",
-)
 def criterion_without_teeth(generator: np.random.Generator, replications: int) -> Shown:
     """det D' of a plan of three links with det C' = 1 and det S' = 0; then of one with eq. 21. D-optimal plans have 1.
 
@@ -242,44 +198,6 @@ def criterion_without_teeth(generator: np.random.Generator, replications: int) -
     return Shown(distance(det_h**2, 1.0) if best else 0.0, distance(optimal**2, 1.0), 1e-12)
 
 
-erratum("eq. 24", "cov = sigma^2 diag(m L L, I)", "sigma^2 / m diag(L^-2, I)")(
-    deviations(
-        4,
-        {(20, f"length_error:{j}"): (SIGMA, SIGMA / np.sqrt(20.0)) for j in range(1, 5)}
-        | {
-            (20, f"orientation_offset:{j}"): (
-                float(np.degrees(SIGMA * np.sqrt(20.0) * length)),
-                float(np.degrees(SIGMA / np.sqrt(20.0) / length)),
-            )
-            for j, length in enumerate(LENGTHENED, start=1)
-        },
-    )
-)
-erratum(
-    "eq. 25, Tables II and III",
-    "sigma_qi = sigma / (sqrt(m) l_i) is the deviation of the joint offset dq_i",
-    "of the orientation offset dtheta_i; dq_i has sigma / sqrt(m) sqrt(1/l_i^2 + 1/l_(i-1)^2) for i >= 2",
-)(
-    deviations(
-        4,
-        {
-            (20, f"joint_offset:{j}"): (
-                ideal_std(4, 20, f"orientation_offset:{j}"),
-                ideal_std(4, 20, f"joint_offset:{j}"),
-            )
-            for j in range(2, 5)
-        },
-        room=0.006,  # nominal lengths instead of true ones: 0.6 % for link 1
-    )
-)
-
-
-@erratum(
-    "Table I, 4 links",
-    "c_24, s_24 (as c_23 is of q2 + q3): q2 + q4",
-    "c_234, s_234 of q2 + q3 + q4, as the notation column has it; the six sums are q2, q3, q4, q2+q3, q3+q4, "
-    "q2+q3+q4 (and the second s_3i of row 3 is s_23i)",
-)
 def names_in_table_1(generator: np.random.Generator, replications: int) -> Shown:
     """Row "4 links": c_24 read as its index says, the angle between links that q2 and q4 (or q2 + q4) would be."""
     theta = random_orientations(generator)
@@ -289,16 +207,6 @@ def names_in_table_1(generator: np.random.Generator, replications: int) -> Shown
     return Shown(distance(wrong, element), distance(right, element), 1e-10)
 
 
-erratum("Table III, 2 links, 20 points", "dL = 0.058 mm", "sigma / sqrt(20) = 0.022 mm")(
-    deviations(2, {(20, "length_error:1"): (0.058, SIGMA / np.sqrt(20.0))})
-)
-
-
-@erratum(
-    "Table III, 4 links, 3 points",
-    "8 parameters identified",
-    "6 equations determine 6 of 8 combinations: not identifiable, m >= n is needed",
-)
 def four_links_three_points(generator: np.random.Generator, replications: int) -> Shown:
     """Largest rank of the Jacobian of 4 links over random plans with 3 points."""
     model = Model(paper_arm(4))
@@ -307,11 +215,34 @@ def four_links_three_points(generator: np.random.Generator, replications: int) -
     return Shown(distance(8.0, rank), distance(6.0, rank), 0.0)
 
 
-erratum(
-    "Sec. VI text",
-    "0.022 mm -> 0.005 mm as m goes 4 -> 20",
-    "0.050 mm -> 0.022 mm (0.005 is the orientation of link 1 in degrees, at m = 20)",
-)(deviations(4, {(m, "length_error:1"): (printed, SIGMA / np.sqrt(m)) for m, printed in ((4, 0.022), (20, 0.005))}))
-erratum("Sec. VI text", "100 experiments give 0.001 mm", "0.01 mm; 0.001 mm takes (0.1 / 0.001)^2 = 10,000")(
-    deviations(4, {(100, "length_error:1"): (0.001, SIGMA / np.sqrt(100.0))})
+ONE_LENGTH = "length_error:1"
+# of the errata in paper.toml, in their order
+CHECKS: tuple[Check, ...] = (
+    no_closed_form,
+    derivative_of_the_sum,
+    last_column_of_the_jacobian,
+    size_of_the_noise,
+    off_diagonal_blocks,
+    scaling_of_the_criterion,
+    d_optimality_and_units,
+    criterion_without_teeth,
+    deviations(4, COVARIANCE),
+    deviations(4, OF_JOINTS, room=0.006),  # nominal lengths instead of true ones: 0.6 % for link 1
+    names_in_table_1,
+    deviations(2, {(20, ONE_LENGTH): (0.058, ideal_std(2, 20, ONE_LENGTH))}),
+    four_links_three_points,
+    deviations(
+        4, {(m, ONE_LENGTH): (printed, ideal_std(4, m, ONE_LENGTH)) for m, printed in ((4, 0.022), (20, 0.005))}
+    ),
+    deviations(4, {(100, ONE_LENGTH): (0.001, ideal_std(4, 100, ONE_LENGTH))}),
 )
+
+
+def errata(replications: int = 10_000, seed: int = 0, numbers: Sequence[int] | None = None) -> pl.DataFrame:
+    """One row per erratum: place, printed, correct, the fields of `Shown`, and `confirmed`. `numbers`: places in
+    `CHECKS`, None: all."""
+    rows = []
+    for k in range(len(CHECKS)) if numbers is None else numbers:
+        shown = CHECKS[k](np.random.default_rng([seed, k]), replications)
+        rows.append({**PAPER["errata"][k], **shown._asdict(), "confirmed": shown.confirmed})
+    return frame_of(rows)

@@ -13,8 +13,10 @@ table is one row per printed statement:
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,45 +32,23 @@ from identification.estimation import estimate_batch, estimate_each
 from identification.information import information_matrix
 from identification.model import Model
 
-LENGTHS = (260.0, 180.0, 120.0, 100.0)  # [mm]
-LENGTH_ERRORS = (1.5, -0.6, -0.4, 0.7)  # [mm]
-JOINT_OFFSETS_DEG = (0.5, -0.5, 0.7, -0.3)
-SIGMA = 0.1  # [mm]
+PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text())  # what it prints
+LENGTHS, LENGTH_ERRORS = tuple(PAPER["lengths_mm"]), tuple(PAPER["length_errors_mm"])
+JOINT_OFFSETS_DEG, SIGMA = tuple(PAPER["joint_offsets_deg"]), PAPER["sigma_mm"]
 REPLICATIONS = 10_000
+LINKS = (2, 3, 4)
 LIMITED = "4 links within joint limits"
-LIMITS_DEG = ((-180.0, 180.0), (-120.0, 120.0), (-100.0, 60.0), (-90.0, 90.0))  # doe/README.md, "Planar theorem"
 ARM_NAMES = ("2 links", "3 links", "4 links", LIMITED)  # names of the arms of `table_3`
 RUNS = tuple(range(4, 21))  # the axis of Figure 2
 LAST_DIGIT = 0.001  # Table III and the text print three decimals
 ALERT = 4.5  # standard errors between simulation and theory; 100 rows from one fixed seed: 1 in 1,500 by chance
 
-# Table III as printed: links -> runs -> (length [mm] of every link, orientation [deg] of link 1, 2, ...)
-PRINTED: dict[int, dict[int, tuple[float, tuple[float, ...]]]] = {
-    2: {3: (0.058, (0.013, 0.018)), 20: (0.058, (0.005, 0.007))},
-    3: {3: (0.058, (0.013, 0.018, 0.027)), 20: (0.022, (0.005, 0.007, 0.011))},
-    4: {3: (0.058, (0.013, 0.018, 0.027, 0.033)), 20: (0.022, (0.005, 0.007, 0.011, 0.013))},
-}
-# Table I as printed: the sums of joint angles whose cosines and sines must add up to zero
-TABLE_1 = {
-    2: {"q2"},
-    3: {"q2", "q3", "q2 + q3"},
-    4: {"q2", "q3", "q4", "q2 + q3", "q2 + q3 + q4", "q3 + q4"},
-}
-# the numbers of Section VI's text: place, parameter, runs, as printed
-TEXT: tuple[tuple[str, str, int, float | None], ...] = (
-    ("Sec. VI: 4 points", "length_error", 4, 0.022),
-    ("Sec. VI: 20 points", "length_error", 20, 0.005),
-    ("Sec. VI: 100 points", "length_error", 100, 0.001),
-    ("runs for 0.001 mm", "length_error", 10_000, None),
-    *(("Sec. VI: 100 points", f"orientation_offset:{j}", 100, 0.001 * k) for j, k in enumerate((2, 3, 5, 6), 1)),
-)
-
 
 def paper_arm(links: int = 4, limited: bool = False) -> Arm:
     """The first links of the paper's arm; `limited`: within the joint limits of doe/README.md, "Planar theorem"."""
-    lower, upper = np.radians(LIMITS_DEG[:links]).T if limited else (None, None)
-    name = LIMITED if limited else f"{links} links"
-    return Arm(np.array(LENGTHS[:links]), lower, upper, SIGMA, name)  # type: ignore[arg-type]
+    lower, upper = (np.radians(PAPER["joint_limits_deg"][side][:links]) for side in ("lower", "upper"))
+    arm = Arm(np.array(LENGTHS[:links]), sigma=SIGMA, name=f"{links} links")
+    return Arm(arm.lengths, lower, upper, SIGMA, LIMITED) if limited else arm
 
 
 def paper_truth(links: int = 4) -> Truth:
@@ -108,7 +88,7 @@ def table_1(runs: int = 20) -> pl.DataFrame:
     """One row per pair of links of the arms with 2, 3 and 4 links: the condition, whether the paper prints it, the
     residual |mean exp(i sum q)| of the plan theta_j = 2 pi i j / m."""
     rows = []
-    for links, printed in TABLE_1.items():
+    for links, printed in zip(LINKS, PAPER["table_1"].values(), strict=True):
         sums = table_1_sums(dft_postures(links, runs))
         for j, k in combinations(range(1, links + 1), 2):
             name = " + ".join(f"q{i}" for i in range(j + 1, k + 1))
@@ -124,7 +104,7 @@ def table_2(runs: int = 20) -> pl.DataFrame:
     `off_diagonal` : its largest element off the diagonal, scaled;  `diagonal_error` : largest relative error on it
     """
     rows = []
-    for links in TABLE_1:
+    for links in LINKS:
         jacobian = Model(paper_arm(links)).jacobian(dft_postures(links, runs))
         # columns by joint offsets are sums of those by orientations (eq. 8): difference them
         by_orientation = -np.diff(jacobian[..., links:], axis=-1, append=0.0)
@@ -150,9 +130,11 @@ def table_3(replications: int = REPLICATIONS, seed: int = 0, arm_names: Sequence
         study = Study([paper_arm(links, limited)], [plan], runs, truths=[paper_truth(links)], replications=replications)
         for row in run_study(study, seed=seed).cells.iter_rows(named=True):
             case = {"place": "joint limits" if limited else "Table III", "links": links, "runs": row["runs"]}
-            length, orientations = PRINTED[links].get(row["runs"], (None, ())) if not limited else (None, ())
-            printed = {f"length_error:{j}": length for j in range(1, links + 1)}
-            printed |= {f"orientation_offset:{j}": value for j, value in enumerate(orientations, start=1)}
+            printed: dict[str, float] = {}
+            for entry in PAPER["table_3"] if not limited else ():
+                if (entry["links"], entry["runs"]) == (links, row["runs"]):
+                    printed |= {f"length_error:{j}": entry["length"] for j in range(1, links + 1)}
+                    printed |= {f"orientation_offset:{j}": v for j, v in enumerate(entry["orientations"], start=1)}
             if row["status"] != "done":  # fewer equations than unknowns
                 lost: dict[str, Any] = {"note": f"{2 * row['runs']} equations, {2 * links} unknowns: {row['error']}"}
                 for item, value in printed.items():
@@ -178,10 +160,11 @@ def consistent(table: pl.DataFrame) -> bool:
 def text_figures() -> pl.DataFrame:
     """The numbers of Section VI's text, by eq. 25; simulation confirms the same formula in `table_3`."""
     rows = []
-    for place, item, runs, printed in TEXT:
-        unit, theory = "mm" if item == "length_error" else "deg", ideal_std(4, runs, item)
-        row = {"place": place, "links": 4, "runs": runs, "item": item, "unit": unit, "printed": printed}
-        rows.append(row | {"theory": theory, "verdict": agreement(printed, theory)})
+    for entry in PAPER["text"]:
+        item, printed, theory = entry["item"], entry.get("printed"), ideal_std(4, entry["runs"], entry["item"])
+        row = {"place": entry["place"], "links": 4, "runs": entry["runs"], "item": item}
+        row |= {"unit": "mm" if item == "length_error" else "deg", "printed": printed, "theory": theory}
+        rows.append(row | {"verdict": agreement(printed, theory)})
     return frame_of(rows)
 
 
