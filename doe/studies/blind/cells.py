@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from doe.studies.blind import hidden_effects as drawn
 from doe.studies.blind import simulator
-from doe.studies.blind.hidden_effects import LIBRARY_JOINT, LIBRARY_WHOLE, PHYSICS, SPACE_JOINT, SPACE_WHOLE
+from doe.studies.blind.hidden_effects import LIBRARY_JOINT, LIBRARY_WHOLE, SPACE_JOINT, SPACE_WHOLE
 from doe.studies.blind.simulator import (
     Drawn,
     RowConditions,
@@ -58,7 +60,7 @@ class DataSet:
 
 @dataclass(frozen=True)
 class CellSpec:
-    """What is drawn in a cell of the study.
+    """What is drawn in a cell of the study; of the cells in cells.toml.
 
     m : rows;  rows : one of them is the number of rows instead
     lam : size of the hidden effects, None: nothing is hidden;  sizes : each lambda is drawn between these instead
@@ -75,7 +77,7 @@ class CellSpec:
 
     m: int
     lam: float | None = None
-    sizes: tuple[float, float] | None = None
+    sizes: Sequence[float] = ()
     space: bool = False
     effects: int = 1
     noise: str = "white"
@@ -88,8 +90,8 @@ class CellSpec:
     rare: str = ""
     order: float = 0.0
     many: str = ""
-    rows: tuple[int, ...] = ()
-    links: tuple[int, int] = (2, 6)
+    rows: Sequence[int] = ()
+    links: Sequence[int] = (2, 6)
     physics: str = ""
     reads: int = 1
     reflectors: int = 1
@@ -98,97 +100,15 @@ class CellSpec:
     @property
     def hides(self) -> bool:
         """Whether there is a hidden effect."""
-        return self.lam is not None or self.sizes is not None
+        return self.lam is not None or bool(self.sizes)
 
 
 WALK = "walk"  # the noise that may be reported as a drift in time
-WAVES = (101.0, 202.0, 37.3)
-MANY_SIZES, SMALL_SIZES, SEVERAL_SIZES, PHYSICS_SIZES = (8.0, 40.0), (1.5, 12.0), (5.0, 40.0), (10.0, 40.0)
 FRESH = 200  # rows of the hold-out
 SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed, which takes time
-MANY = {
-    f"{name}, m={m}": CellSpec(m, sizes=sizes, many=kind, links=links, reported=False)
-    for name, sizes, kind, links in (
-        ("many small effects", SMALL_SIZES, "small", (4, 6)),
-        ("six to nine effects", SEVERAL_SIZES, "several", (2, 6)),
-    )
-    for m in (50, 100, 300)
-}
-PLANE = {
-    "none m=20": CellSpec(20),
-    "none m=50": CellSpec(50),
-    "none m=200": CellSpec(200),
-    "none, joint noise": CellSpec(50, noise="joint"),
-    "none, reach noise": CellSpec(50, noise="reach"),
-    "none, serial correlation": CellSpec(50, noise="serial"),
-    "one, lambda 6, m=50": CellSpec(50, 6.0),
-    "one, lambda 6, m=200": CellSpec(200, 6.0),
-    "one, lambda 6, 4 links": CellSpec(50, 6.0, limits="paper"),
-    "one, lambda 6, no family": CellSpec(50, 6.0, families=False, reported=False),
-    "one, lambda 8, m=50": CellSpec(50, 8.0),
-    "one, lambda 8, no family": CellSpec(50, 8.0, families=False, reported=False),
-    "one, lambda 8, m=20": CellSpec(20, 8.0),
-    "one, lambda 20, m=50": CellSpec(50, 20.0),
-    "one, lambda 400, m=50": CellSpec(50, 400.0, reported=False),
-    "one, lambda 8, narrow joints": CellSpec(50, 8.0, limits="some"),
-    "one, lambda 8, wrong masses": CellSpec(50, 8.0, wrong="masses"),
-    "two, lambda 8": CellSpec(50, 8.0, effects=2),
-    "two, lambda 8, no family": CellSpec(50, 8.0, effects=2, families=False, reported=False),
-    "outside, lambda 7": CellSpec(50, 7.0, outside=True),
-    "outside, lambda 10": CellSpec(50, 10.0, outside=True, reported=False),
-    "three outliers, lambda 8": CellSpec(50, 8.0, noise="outliers"),
-    "one, lambda 6, discriminating plan": CellSpec(50, 6.0, designed=True),
-    "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
-    **{
-        f"{name}, lambda {lam:g}": CellSpec(50, lam, rare=name, reported=False)
-        for name in drawn.RARE_WHOLE + drawn.RARE_JOINT
-        for lam in (8.0, 10.0)
-    },
-    **{f"wave {k:g}, lambda {lam:g}": CellSpec(50, lam, order=k, reported=False) for k in WAVES for lam in (8.0, 10.0)},
-    "many effects": CellSpec(50, sizes=MANY_SIZES, many="robot", rows=(50, 100, 200)),
-    "many effects, harmonics": CellSpec(50, sizes=MANY_SIZES, many="harmonics", rows=(50, 100, 200)),
-    **MANY,
-    **{
-        f"outside, {name}": CellSpec(100, sizes=PHYSICS_SIZES, physics=name, rows=(50, 100, 300), reported=False)
-        for name in PHYSICS
-    },
-    **{
-        f"none, {name}": CellSpec(100, noise=kind, reported=False)
-        for name, kind in (("Student t3", "t3"), ("quantized", "quantized"), ("random walk", WALK))
-    },
-    **{f"none, {kind}, m=100": CellSpec(100, noise=kind, reported=False) for kind in ("serial", "reach", "outliers")},
-    "three reads, none": CellSpec(180, noise="posture", reads=3, reported=False),
-    "three reads, six to nine effects": CellSpec(
-        180, sizes=(15.0, 60.0), noise="posture", reads=3, many="several", reported=False
-    ),
-}
-SPACE = {
-    "none, m=60": CellSpec(60),
-    "none, m=200": CellSpec(200),
-    "none, two reflectors": CellSpec(60, reflectors=2),
-    "lambda 8, m=60": CellSpec(60, 8.0),
-    "lambda 8, m=200": CellSpec(200, 8.0),
-    "lambda 8, two reflectors": CellSpec(60, 8.0, reflectors=2),
-    "gravity, lambda 8": CellSpec(60, 8.0, gravity=True),
-    "gravity, wrong masses": CellSpec(60, 8.0, gravity=True, wrong="masses"),
-    "gravity, unknown tool mass": CellSpec(60, 8.0, gravity=True, wrong="tool"),
-    "gravity, tilted base": CellSpec(60, 8.0, gravity=True, wrong="tilt"),
-    "gravity, load elsewhere": CellSpec(60, 8.0, gravity=True, wrong="place"),
-    **{f"wave {k:g}, lambda 8": CellSpec(60, 8.0, order=k, reported=False) for k in WAVES},
-    "two, lambda 8": CellSpec(60, 8.0, effects=2),
-    "two, lambda 8, m=200": CellSpec(200, 8.0, effects=2),
-    "three outliers, lambda 8": CellSpec(60, 8.0, noise="outliers"),
-    "outside, lambda 7": CellSpec(60, 7.0, outside=True),
-    "outside, lambda 10": CellSpec(60, 10.0, outside=True),
-    "many effects": CellSpec(60, sizes=MANY_SIZES, many="robot", rows=(60, 100, 200)),
-    **MANY,
-    **{
-        f"outside, {name}": CellSpec(100, sizes=PHYSICS_SIZES, physics=name, rows=(60, 100, 200), reported=False)
-        for name in drawn.SPACE_PHYSICS
-    },
-    "three reads, none": CellSpec(180, noise="posture", reads=3, reported=False),
-}
-CELLS = PLANE | {f"space, {name}": replace(spec, space=True) for name, spec in SPACE.items()}
+TABLE = tomllib.loads(Path(__file__).with_name("cells.toml").read_text())
+PLANE = {name: CellSpec(**spec) for name, spec in TABLE["plane"].items()}
+CELLS = PLANE | {f"space, {name}": CellSpec(**spec, space=True) for name, spec in TABLE["space"].items()}
 
 
 # -- arms --------------------------------------------------------------------------------------------------------------

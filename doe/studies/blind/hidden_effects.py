@@ -172,14 +172,14 @@ def random_effect(
             return effect
 
 
-def log_uniform(sizes: tuple[float, float], rng: np.random.Generator) -> float:
+def log_uniform(sizes: Sequence[float], rng: np.random.Generator) -> float:
     """A size lambda between two, even on a logarithmic scale."""
     low, high = np.log(sizes)
     return float(np.exp(rng.uniform(low, high)))
 
 
 def many_effects(
-    truth: TrueArm, run: RowConditions, kind: str, sizes: tuple[float, float], rng: np.random.Generator
+    truth: TrueArm, run: RowConditions, kind: str, sizes: Sequence[float], rng: np.random.Generator
 ) -> list[Drawn]:
     """What a real robot has at once, each effect of its own size lambda between two.
 

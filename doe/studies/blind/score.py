@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from doe.jobs.row_table import frame_of
+from doe.studies.blind.cells import TABLE
 from identification.effects import library
 
 NOTHING, OUTSIDE = "nothing", "outside the library"
@@ -85,46 +86,10 @@ class Bar:
         return OUTCOMES[0] if short <= 0.0 else OUTCOMES[1] if short <= 2.0 * error else OUTCOMES[2]
 
 
-_IN_THE_SET = "in the set >= 0.95"
-_NAMED = f"class >= 0.96; {_IN_THE_SET}; in the 90 % set >= 0.9; size of the 90 % set <= 1.4"
-_GAPS = "; ".join(["gap / true <= 1.05", *(f"gap / {rival} <= 1" for rival in ("library", "process"))])
-_NEAR_TRUE = "error / true <= 1.1; false names <= 0.4; effects named >= 0.9; inside tip intervals >= 0.94"
-_MANY = "error / true <= 1.5; false names <= 0.8; false unknown <= 0.1; effects named >= 0.8; intervals, all >= 0.92"
-_PROMISED = "promised / reached >= 0.85; promised / reached <= 1.15"
-_INTERVALS = "; ".join(f"intervals, {of} >= 0.93; intervals, {of} <= 0.97" for of in ("base", "effects"))
-ASKED = {
-    **{f"none m={m}": "alarm <= 0.05" for m in (20, 50, 200)},
-    **{f"none, {noise} noise": "alarm <= 0.07" for noise in ("joint", "reach")},
-    "one, lambda 6, m=50": f"exact >= 0.872; {_NAMED}",
-    "one, lambda 6, m=200": f"exact >= 0.908; {_NAMED}",
-    "one, lambda 6, discriminating plan": f"exact >= 0.887; {_NAMED}",
-    "one, lambda 8, m=50": f"exact >= 0.928; class >= 0.985; {_IN_THE_SET}; {_GAPS}",
-    "one, lambda 8, discriminating plan": f"exact >= 0.91; class >= 0.985; {_IN_THE_SET}; {_GAPS}",
-    "two, lambda 8": "exact >= 0.857; class >= 0.92",
-    "outside, lambda 7": "located >= 0.95",
-    "three outliers, lambda 8": "exact >= 0.92; outliers listed >= 1",
-    "one, lambda 8, m=20": "next_2 right >= 0.75; next_8 right >= 0.86",
-    **{f"space, none, {cell}": "alarm <= 0.07" for cell in ("m=60", "m=200", "two reflectors")},
-    **{f"space, lambda 8, {cell}": f"exact >= 0.8; {_IN_THE_SET}" for cell in ("m=60", "m=200", "two reflectors")},
-    **{f"space, two, lambda 8{rows}": "exact >= 0.8" for rows in ("", ", m=200")},
-    "space, three outliers, lambda 8": "exact >= 0.8; outliers listed >= 1",
-    **{f"space, outside, lambda {lam}": "located >= 0.95" for lam in (7, 10)},
-    **dict.fromkeys(("many effects", "many effects, harmonics", "space, many effects"), _MANY),
-    **{f"many small effects, m={m}": "error / true <= 1.6; inside tip intervals >= 0.88" for m in (50, 100, 300)},
-    **{f"six to nine effects, m={m}": _NEAR_TRUE for m in (50, 100, 300)},
-    ALL_OUTSIDE: "no effect <= 0.03; wrong place <= 0.15; error / geometry <= 0.55; inside tip intervals >= 0.85; "
-    f"{KEEPS} <= 0.1",
-    **{f"none, {kind}": "alarm <= 0.04" for kind in ("quantized", "reach, m=100", "outliers, m=100")},
-    **{f"none, {kind}": "alarm <= 0.07" for kind in ("Student t3", "serial, m=100")},
-    "none, random walk": "wrong place <= 0.1",
-    "three reads, none": f"false names <= 0.05; {_PROMISED}",
-    "three reads, six to nine effects": _PROMISED,
-    ALL: "contradiction <= 0; calibration error <= 0.03; said less right, 0.7 to 0.95 <= 0.03; " + _INTERVALS,
-}
 BARS = tuple(
     Bar(cell, measure, float(value), sign == "<=")
-    for cell, asked in ASKED.items()
-    for measure, sign, value in (bar.rsplit(maxsplit=2) for bar in asked.split("; "))
+    for cell, asked in TABLE["bars"].items()
+    for measure, sign, value in (bar.rsplit(maxsplit=2) for bar in asked)
 )
 
 

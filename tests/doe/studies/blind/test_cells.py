@@ -13,7 +13,7 @@ import pytest
 from scipy.stats import t as student
 
 from doe.studies.blind import simulator
-from doe.studies.blind.cells import CELLS, PHYSICS_SIZES, SEVERAL_SIZES, SMALL_SIZES, DataSet, data_set, random_truth
+from doe.studies.blind.cells import CELLS, DataSet, data_set, random_truth
 from doe.studies.blind.hidden_effects import EXPLAINED, PHYSICS, physics_effect, place_of
 from doe.studies.blind.simulator import RowConditions, TrueArm, angle_error, relays
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
@@ -45,7 +45,7 @@ def sizes(data: DataSet) -> Iterator[float]:
 
 @pytest.mark.parametrize(
     ("cell", "limits", "counts"),
-    [("many small effects, m=100", SMALL_SIZES, (14, 22)), ("six to nine effects, m=100", SEVERAL_SIZES, (6, 9))],
+    [("many small effects, m=100", (1.5, 12.0), (14, 22)), ("six to nine effects, m=100", (5.0, 40.0), (6, 9))],
 )
 def test_many_effects_are_of_the_sizes_and_number_asked_for(
     cell: str, limits: tuple[float, float], counts: tuple[int, int]
@@ -114,7 +114,7 @@ def test_a_cell_of_each_hides_it() -> None:
     for name in PHYSICS:
         data = data_set(f"outside, {name}", 900)
         assert (data.outside, data.effects, len(data.measurements) in (50, 100, 300)) == (name, (), True)
-        assert CELLS[f"outside, {name}"].sizes == PHYSICS_SIZES == (10.0, 40.0)
+        assert CELLS[f"outside, {name}"].sizes == [10.0, 40.0]
         assert data.exact is not None
         assert data.reachable is not None
         assert 0.0 < data.reachable < 2.0 * data.arm.sigma  # parameters fewer than the coordinates measured
