@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -13,39 +14,18 @@ from identification.arrays import Array
 from identification.files.arm import arm_from_tables
 from identification.model import Model
 
-PLANAR_ARM = """\
-# The 4-link arm of Klimchik, Wu, Caro, Pashkevich, with joint limits
-name = "paper-4-link"
-links_mm = [260.0, 180.0, 120.0, 100.0]
-
-[joint_limits_deg]
-lower = [-180.0, -120.0, -100.0, -90.0]
-upper = [180.0, 120.0, 60.0, 90.0]
-
-[measurement]
-sigma_mm = 0.1
-"""
-
-PLANAR_TRUTH = """
-# What the demo hides: the paper's errors (Section VI), and an encoder that sits off centre on joint 1
-[calibration]
-length_errors_mm = [1.5, -0.6, -0.4, 0.7]
-joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
-
-[[effects]]
-name = "encoder_eccentricity"
-joint = 1
-a_deg = 0.06
-b_deg = -0.04
-"""
+FOLDER = Path(__file__).parent
+PLANAR_ARM = (FOLDER / "planar_arm.toml").read_text()
+PLANAR_TRUTH = f"{PLANAR_ARM}\n{(FOLDER / 'planar_truth.toml').read_text()}"
+ARM = (FOLDER / "six_axes.toml").read_text()
 
 
 def planar() -> Scenario:
     """The paper's arm, with the paper's errors and an encoder that sits off centre."""
-    model = Model(arm_from_tables(tomllib.loads(PLANAR_ARM + PLANAR_TRUTH)))
+    model = Model(arm_from_tables(tomllib.loads(PLANAR_TRUTH)))
     values = model.best_known
     hidden = {p.name: values[p.name] * p.to_file for p in model.all_parameters}
-    files = {"arm.toml": PLANAR_ARM, "truth.toml": PLANAR_ARM + PLANAR_TRUTH}
+    files = {"arm.toml": PLANAR_ARM, "truth.toml": PLANAR_TRUTH}
     return Scenario("the paper's 4-link arm", files, model.position, hidden, every_parameter=True, runs=20)
 
 
@@ -59,31 +39,6 @@ FLANGE = np.array([1180.0, 260.0, 20.0])
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 LIMITS = np.radians([180.0, 180.0, 150.0, 180.0, 180.0, 180.0])
 
-ARM = """\
-# A six-axis arm before a laser tracker; robot.urdf beside this file is its drawing
-name = "six-axis"
-kind = "spatial"
-urdf = "robot.urdf"
-base_link = "base_link"
-tip_link = "flange"
-
-[measurement]
-sigma_mm = 0.05
-
-[[constraints]]
-kind = "workspace_box"                  # the reflector stays above the floor
-x_mm = [-1600.0, 1600.0]
-y_mm = [-1600.0, 1600.0]
-z_mm = [0.0, 1700.0]
-
-[[constraints]]
-kind = "line_of_sight"                  # the tracker sees the reflector, and nothing of the arm is between
-tracker_mm = [2600.0, 400.0, 500.0]
-toward_mm = [0.0, 0.0, 400.0]
-half_angle_deg = 35.0
-facing = [0.5, 0.6, -0.6]               # where the reflector looks, in the frame of the flange
-acceptance_deg = 70.0
-"""
 REFLECTOR = FLANGE + np.array([55.0, 60.0, -50.0])  # [mm] at home
 HIDDEN_JOINT, HIDDEN_WAVE = 2, (0.03, -0.025)  # encoder off centre: joint from 1; cosine, sine [deg]
 SHIFT, LEAN, OFFSET = 0.4, 1.5e-3, 4e-3  # errors of the lines [mm], [rad], of the joints' zeros [rad]: as machined

@@ -10,12 +10,10 @@ import multiprocessing
 import os
 import re
 import signal
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,8 +56,11 @@ class OneProcess:
         """The call, one after another. Its future raises `BrokenExecutor` if the process dies."""
         # a dask worker is a daemon, which may have no children since they would outlive it: ours do not
         multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
-        with _ctrl_c_blocked():  # the process inherits it: Ctrl-C is for the one that asked
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C is for the one that asked
+        try:
             return self._executor.submit(function, *arguments)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def kill(self) -> None:
         """Ends the process, whatever it does."""
@@ -110,19 +111,6 @@ def _end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-@contextmanager
-def _ctrl_c_blocked() -> Iterator[None]:
-    """Block SIGINT in this thread; what it starts meanwhile inherits that."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def one_line(error: BaseException) -> str:
     """`TypeName: message`, on one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
@@ -131,14 +119,7 @@ def one_line(error: BaseException) -> str:
 def peak_memory_mb() -> float | None:
     """Largest resident memory of this process so far [MB]; None where the system does not give it.
 
-    Linux's own figure of the address space: `getrusage` would count what the parent had before this process began.
+    Of the address space: `getrusage` would count what the parent had before this process began.
     """
     status = Path("/proc/self/status")
-    if status.exists():
-        return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
-    try:
-        import resource
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+    return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0 if status.exists() else None

@@ -13,7 +13,7 @@ import json
 import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from io import FileIO
 from pathlib import Path
@@ -107,11 +107,6 @@ class RowTable:
         if time.monotonic() > self._synced + SYNC:
             os.fsync(journal.fileno())
             self._synced = time.monotonic()
-
-    def forget(self, keys: Iterable[str]) -> None:
-        """Drops the rows of these keys (canonical text), to do them again."""
-        for key in keys:
-            self.rows.pop(key, None)
 
     def arrange(self, keys: Iterable[Key]) -> None:
         """Sort the rows of these keys to the front in the order of the keys, whichever finished first."""
@@ -257,14 +252,12 @@ def _from_parquet(path: Path) -> dict[str, list[Row]]:
 
 
 def _parse(content: bytes) -> tuple[dict[str, list[Row]], int]:
+    """The rows of a journal, and how many of its bytes are whole lines."""
     rows, size = {}, 0
-    for line in content.splitlines(keepends=True):
-        try:
-            text, found = json.loads(line)
-        except (ValueError, TypeError):
-            break
-        if not line.endswith(b"\n"):
-            break
-        rows[text] = [{KEY: text, **row} for row in found]
-        size += len(line)
+    with suppress(ValueError, TypeError):  # the torn end of a crashed run
+        for line in content.splitlines(keepends=True):
+            text, own = json.loads(line)
+            if line.endswith(b"\n"):
+                rows[text] = [{KEY: text, **row} for row in own]
+                size += len(line)
     return rows, size
