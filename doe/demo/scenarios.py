@@ -18,6 +18,7 @@ FOLDER = Path(__file__).parent
 PLANAR_ARM = (FOLDER / "planar_arm.toml").read_text()
 PLANAR_TRUTH = f"{PLANAR_ARM}\n{(FOLDER / 'planar_truth.toml').read_text()}"
 ARM = (FOLDER / "six_axes.toml").read_text()
+URDF = (FOLDER / "robot.urdf").read_text()
 
 
 def planar() -> Scenario:
@@ -30,7 +31,7 @@ def planar() -> Scenario:
 
 
 # -- six axes ----------------------------------------------------------------------------------------------------------
-# axes at home, stretched out along x: point [mm] and direction of each, in the frame of the base; then the flange
+# axes at home as robot.urdf has them, stretched out along x: point [mm] and direction of each, then the flange
 POINTS = np.array(
     [[0, 0, 130], [0, 190, 130], [610, 60, 130], [1180, 60, 130], [1180, 170, 130], [1180, 170, 20]], dtype=float
 )
@@ -43,28 +44,6 @@ REFLECTOR = FLANGE + np.array([55.0, 60.0, -50.0])  # [mm] at home
 HIDDEN_JOINT, HIDDEN_WAVE = 2, (0.03, -0.025)  # encoder off centre: joint from 1; cosine, sine [deg]
 SHIFT, LEAN, OFFSET = 0.4, 1.5e-3, 4e-3  # errors of the lines [mm], [rad], of the joints' zeros [rad]: as machined
 SEED = 2026  # of these errors
-
-
-def urdf() -> str:
-    """The drawing: with all joints at zero every frame is parallel to that of the base."""
-    places = np.diff(np.vstack([np.zeros(3), POINTS, FLANGE]), axis=0) / 1000.0
-    links = ("base_link", *(f"link_{j}" for j in range(1, 7)), "flange")
-    lines = ['<?xml version="1.0"?>', '<robot name="six-axis">', *(f'  <link name="{link}"/>' for link in links)]
-    for j, place in enumerate(places):
-        between = (
-            f'<parent link="{links[j]}"/><child link="{links[j + 1]}"/><origin xyz="{_three(place)}" rpy="0 0 0"/>'
-        )
-        kind, rest = "fixed", ""
-        if j < len(NAMES):
-            limit = f'<limit lower="-{LIMITS[j]:.6f}" upper="{LIMITS[j]:.6f}" effort="100" velocity="3"/>'
-            kind, rest = "revolute", f'<axis xyz="{_three(AXES[j])}"/>{limit}'
-        name = (*NAMES, "flange_mount")[j]
-        lines.append(f'  <joint name="{name}" type="{kind}">{between}{rest}</joint>')
-    return "\n".join([*lines, "</robot>\n"])
-
-
-def _three(values: Array) -> str:
-    return " ".join(f"{value:g}" for value in values)
 
 
 def hidden_arm() -> TrueArm:
@@ -106,7 +85,7 @@ def hidden_text(real: TrueArm) -> str:
 def spatial(runs: int = 36) -> Scenario:
     """The scenario of the six-axis demo."""
     real, generator = hidden_arm(), np.random.default_rng(SEED)
-    files = {"robot.urdf": urdf(), "arm.toml": ARM, "hidden.toml": hidden_text(real)}
+    files = {"robot.urdf": URDF, "arm.toml": ARM, "hidden.toml": hidden_text(real)}
     hidden = {f"encoder_eccentricity:{HIDDEN_JOINT}.{key}": value for key, value in zip("ab", HIDDEN_WAVE, strict=True)}
 
     def positions(postures: Array) -> Array:

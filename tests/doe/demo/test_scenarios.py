@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doe.demo.run import Demo, run_demo
-from doe.demo.scenarios import ARM, AXES, FLANGE, POINTS, REFLECTOR, hidden_arm, spatial, urdf
+from doe.demo.scenarios import ARM, AXES, FLANGE, POINTS, REFLECTOR, URDF, hidden_arm, spatial
 from doe.report.demo_overview import overview_figure
 from doe.report.demo_page import demo_data, demo_tables
 from doe.studies.blind.simulator import position, session
@@ -23,7 +23,7 @@ def test_lines_without_errors_are_the_chain_that_is_drawn(tmp_path: Path) -> Non
     turned = np.degrees(np.arctan2(real.base[1, 0], real.base[0, 0]))
     place = "".join(f"{axis}_mm = {value!r}\n" for axis, value in zip("xyz", real.base[:3, 3].tolist(), strict=True))
     tool = "".join(f"{axis}_mm = {v}\n" for axis, v in zip("xyz", (REFLECTOR - FLANGE).tolist(), strict=True))
-    (tmp_path / "robot.urdf").write_text(urdf())
+    (tmp_path / "robot.urdf").write_text(URDF)
     (tmp_path / "arm.toml").write_text(f"{ARM}\n[base]\n{place}rz_deg = {float(turned)!r}\n[tool]\n{tool}")
     arm = load_arm(tmp_path / "arm.toml")
     rng = np.random.default_rng(1)
