@@ -79,16 +79,6 @@ class RowTable:
                     table._finish()
                     raise
 
-    @classmethod
-    @contextmanager
-    def within(
-        cls, folder: PathLike | None, name: str, *, resume: bool = False, force: bool = False
-    ) -> Iterator[RowTable]:
-        """The table NAME in a folder, which is made; None keeps the rows in memory. As `open` otherwise."""
-        path = None if folder is None else made(folder) / name
-        with cls.open(path, resume=resume, force=force) as table:
-            yield table
-
     def add(self, key: Key, rows: Sequence[Row]) -> None:
         """The rows of one key, in the journal before this returns. Raises `JobError` if that cannot be written."""
         text = canonical(key)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from doe.jobs.isolated import one_line
-from doe.jobs.row_table import Key, Row, RowTable, canonical
+from doe.jobs.row_table import Key, Row, RowTable, canonical, made
 from doe.jobs.workers import Cluster, Workers, serial
 from identification.errors import InputError, JobError
 from identification.files.io import PathLike
@@ -147,9 +147,11 @@ class Job:
         progress: Progress = silent,
     ) -> Iterator[Job]:
         """The tables NAME in a folder, which is made (None: in memory), all of them closed to other runs."""
+        paths = {name: None if folder is None else made(folder) / name for name in names}
         with ExitStack() as stack:
             tables = {
-                name: stack.enter_context(RowTable.within(folder, name, resume=resume, force=force)) for name in names
+                name: stack.enter_context(RowTable.open(path, resume=resume, force=force))
+                for name, path in paths.items()
             }
             yield cls(tables, {"workers": workers, "seed": seed, "progress": progress})
 

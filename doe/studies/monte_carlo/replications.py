@@ -8,9 +8,10 @@ point, or frame, is measured at every posture.
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +37,6 @@ CHUNK = 20_000  # rows of random plans at a time: their arrays stay in the proce
 SPACE = 3  # coordinates of a point
 MOST_ROWS = 4_000_000  # of one plan at a time: 64 MB of positions
 POSTURES = 100  # where two geometries are compared: three equations each for some forty parameters
-Fits = tuple[Array, Array, Array]  # parameters (K, p), RSS (K,) [mm^2], deviations by eq. 16 (K, p + n) or (1, p + n)
 
 
 def in_file_units(postures: Array, joint_types: tuple[str, ...]) -> Array:
@@ -89,8 +89,7 @@ def true_values(model: Model, truth: Model) -> Array:
     return model.parameters.vector(values)
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """What a block of replications needs, in plain types that travel to workers.
 
     arm, truth : texts of arm files: as the fit knows it, and as it really is
@@ -103,78 +102,58 @@ class Cell:
     runs: int
     sigma: float
 
-    @cached_property
-    def model(self) -> Model:
-        """What is fitted: of a spatial arm with a minimal set of parameters."""
-        return Model(without_prior(arm_from_tables(tomllib.loads(self.arm))))
-
-    @cached_property
-    def true_model(self) -> Model:
-        """What is simulated."""
-        return Model(arm_from_tables(tomllib.loads(self.truth)))
-
-    @cached_property
-    def plan(self) -> Measurements:
-        """The plan as measurements without positions: postures and the conditions of their order."""
-        assert self.postures_deg is not None
-        return plan_of(self.true_model, in_api_units(np.array(self.postures_deg), self.model.joint_types))
-
-    @property
-    def rows(self) -> int:
-        """m times the number of measured points."""
-        return self.runs * points(self.model)
-
-    @cached_property
-    def exact(self) -> Array:
-        """(m, d) true positions at the plan [mm]."""
-        return self.true_model.position(self.plan.postures, conditions=self.plan.conditions)
-
-    @cached_property
-    def true_values(self) -> Array:
-        """(p,) true values of the fitted parameters."""
-        return true_values(self.model, self.true_model)
-
-    @cached_property
-    def transform(self) -> Array:
-        """(p + n, p) from the parameters to those that are reported: themselves, and in the plane the orientation
-        offsets."""
-        own = np.eye(len(self.model.names))
-        if self.model.arm.chain is not None:
-            return own
-        return np.vstack([own, orientation_transform(self.model.parameters)])
-
-    @cached_property
-    def expected_std(self) -> Array:
-        """(p + n,) deviations by eq. 16 at the true values, of the cell's plan, API units."""
-        jacobian = self.model.jacobian(self.plan.postures, self.true_values, self.plan.conditions)
-        return self.deviations(covariance(jacobian, self.model.scales, self.sigma))
-
-    def deviations(self, matrices: Array) -> Array:
-        """(..., p + n) of what is reported, from covariances (..., p, p) of the parameters."""
-        return np.sqrt(np.sum((self.transform @ matrices) * self.transform, axis=-1))
-
-    def on_its_plan(self, generator: np.random.Generator, count: int) -> Fits:
-        """Of data sets on the cell's plan; parameters are not numbers where a fit failed."""
-        positions = self.sigma * generator.standard_normal((count, self.rows, self.model.dimension))
-        positions += self.exact
-        fits = estimate_batch(self.model, self.plan, positions)
-        return np.where(fits.converged[:, None], fits.parameters, np.nan), np.array(fits.rss), self.expected_std[None]
-
-    def on_new_plans(self, generator: np.random.Generator, count: int) -> Fits:
-        """Of data sets each on a new plan, uniform over the allowed postures."""
-        model, truth = self.model, self.true_model
-        postures = random_postures(DesignProblem.of(model), count * self.runs, generator)
-        noise = self.sigma * generator.standard_normal((count, self.rows, model.dimension))
-        rows, conditions = rows_of(truth, postures.reshape(count, self.runs, -1), model.remembers)
-        fits = estimate_each(model, rows, truth.position(rows, conditions=conditions) + noise, conditions)
-        jacobians = model.jacobian(rows, self.true_values, conditions)
-        return fits.parameters, fits.rss, self.deviations(covariances(jacobians, model.scales, self.sigma))
-
 
 @lru_cache(maxsize=4)
-def prepared(cell: Cell) -> Cell:
-    """The same cell, cached, so that all blocks of a cell on one worker use one model."""
-    return cell
+def prepared(arm: str, truth: str) -> tuple[Model, Model, Array, Array]:
+    """What is fitted (of a spatial arm a minimal set of parameters), what is simulated, (p,) true values of the fitted
+    parameters, and (p + n, p) from them to those that are reported: themselves, and in the plane the orientation
+    offsets. Kept, so that all blocks of a cell on one worker use one model."""
+    fitted, simulated = (arm_from_tables(tomllib.loads(text)) for text in (arm, truth))
+    model, true_model = Model(without_prior(fitted)), Model(simulated)
+    transform = np.eye(len(model.names))
+    if model.arm.chain is None:
+        transform = np.vstack([transform, orientation_transform(model.parameters)])
+    return model, true_model, true_values(model, true_model), transform
+
+
+def fits_of(cell: Cell, generator: np.random.Generator, total: int) -> tuple[Array, Array, Array]:
+    """Parameters (K, p) of fits of K data sets, not numbers where one failed, sums of squares (K,) [mm^2], and
+    deviations (K, p + n) by eq. 16 at the true values, of one plan (1, p + n), API units."""
+    model, truth, values, transform = prepared(cell.arm, cell.truth)
+
+    def deviations(matrices: Array) -> Array:
+        return np.asarray(np.sqrt(np.sum((transform @ matrices) * transform, axis=-1)))
+
+    rows = cell.runs * points(model)
+    parts: list[Any] = []
+    if cell.postures_deg is not None:
+        plan = plan_of(truth, in_api_units(np.array(cell.postures_deg), model.joint_types))
+        exact = truth.position(plan.postures, conditions=plan.conditions)
+        jacobian = model.jacobian(plan.postures, values, plan.conditions)
+        expected = deviations(covariance(jacobian, model.scales, cell.sigma))[None]
+        for count in _sizes(total, MOST_ROWS // rows):
+            positions = cell.sigma * generator.standard_normal((count, rows, model.dimension))
+            positions += exact
+            fits = estimate_batch(model, plan, positions)
+            parts.append((np.where(fits.converged[:, None], fits.parameters, np.nan), np.array(fits.rss)))
+        parameters, rss = map(np.concatenate, zip(*parts, strict=True))
+        return parameters, rss, expected
+    problem = DesignProblem.of(model)
+    for count in _sizes(total, CHUNK // rows):
+        postures = random_postures(problem, count * cell.runs, generator).reshape(count, cell.runs, -1)
+        noise = cell.sigma * generator.standard_normal((count, rows, model.dimension))
+        every, conditions = rows_of(truth, postures, model.remembers)
+        each = estimate_each(model, every, truth.position(every, conditions=conditions) + noise, conditions)
+        matrices = covariances(model.jacobian(every, values, conditions), model.scales, cell.sigma)
+        parts.append((each.parameters, each.rss, deviations(matrices)))
+    parameters, rss, expected = map(np.concatenate, zip(*parts, strict=True))
+    return parameters, rss, expected
+
+
+def _sizes(total: int, most: int) -> Iterator[int]:
+    """Numbers of data sets that go through memory together."""
+    size = max(1, most)
+    yield from (min(size, total - start) for start in range(0, total, size))
 
 
 def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | str) -> list[Row]:
@@ -185,27 +164,21 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
     """
     if isinstance(cell, str):
         raise JobError(cell)
-    cell = prepared(cell)
-    model, count = cell.model, key["replications"]
-    unknowns = len(model.names)
-    if (equations := model.dimension * cell.rows) < unknowns:
+    model, _, values, transform = prepared(cell.arm, cell.truth)
+    unknowns, rows = len(values), cell.runs * points(model)
+    if (equations := model.dimension * rows) < unknowns:
         raise JobError(f"{cell.runs} runs are {equations} equations, allowed: at least {unknowns}, one per unknown")
-    fit, most = (cell.on_new_plans, CHUNK) if cell.postures_deg is None else (cell.on_its_plan, MOST_ROWS)
-    generator, size = np.random.default_rng(seed), max(1, most // cell.rows)
-    parts = [fit(generator, min(size, count - start)) for start in range(0, count, size)]
-    parameters, rss, stds = (np.concatenate(part) for part in zip(*parts, strict=True))
-    good = np.isfinite(np.c_[parameters, rss]).all(axis=1)
-    if cell.postures_deg is None:
-        good &= np.isfinite(stds).all(axis=1)
-    errors = (parameters[good] - cell.true_values) @ cell.transform.T
-    turns = [*model.parameters.indices(JOINT_OFFSET).tolist(), *range(unknowns, len(cell.transform))]
+    parameters, rss, stds = fits_of(cell, np.random.default_rng(seed), key["replications"])
+    good = np.isfinite(np.c_[parameters, rss]).all(axis=1) & np.isfinite(stds).all(axis=1)
+    errors = (parameters[good] - values) @ transform.T
+    turns = [*model.parameters.indices(JOINT_OFFSET).tolist(), *range(unknowns, len(transform))]
     errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
-    stds = stds[good] if cell.postures_deg is None else stds[:1]
+    stds = stds if len(stds) == 1 else stds[good]
     distances = model.dimension <= SPACE  # the residuals of orientations are none
-    rms = float(np.sqrt(np.mean(rss[good]) / cell.rows)) if len(errors) and distances else None
+    rms = float(np.sqrt(np.mean(rss[good]) / rows)) if len(errors) and distances else None
     fits = {"fits": len(errors), "failed": int(np.sum(~good)), "rms_mm": rms}
     reported = [(p.name, p.file_unit, p.to_file) for p in model.parameters]
-    orientations = range(1, len(cell.transform) - unknowns + 1)
+    orientations = range(1, len(transform) - unknowns + 1)
     reported += [(f"orientation_offset:{j}", "deg", 180.0 / np.pi) for j in orientations]
     return [
         {"parameter": name, "unit": unit, **fits, **_figures(errors[:, k] * factor, stds[:, k] * factor)}

@@ -10,22 +10,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from doe.jobs.row_table import Key, Row, RowTable, frame_of, parquet
-from doe.jobs.tasks import run_tasks
+from doe.jobs.row_table import Key, Row, frame_of, parquet
+from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
+from doe.studies.paper import tables
 from doe.studies.paper.errata import CHECKS, errata
-from doe.studies.paper.tables import (
-    ARM_NAMES,
-    REPLICATIONS,
-    RUNS,
-    consistent,
-    figure_1,
-    figure_2,
-    table_1,
-    table_2,
-    table_3,
-    text_figures,
-)
 from identification.errors import InputError, JobError
 from identification.files.io import PathLike, check_writable, write_together
 from identification.progress import Progress, silent
@@ -33,11 +22,11 @@ from identification.progress import Progress, silent
 # what takes long comes in pieces
 PIECES: dict[str, Any] = {
     **dict.fromkeys(("table_1", "table_2"), (None,)),
-    "table_3": ARM_NAMES,
+    "table_3": tables.ARM_NAMES,
     "text": (None,),
     "errata": range(len(CHECKS)),
     "figure_1": (None,),
-    "figure_2": RUNS,
+    "figure_2": tables.RUNS,
 }
 PARTS = "parts.parquet"
 ALLOWED = 100, 100_000  # replications
@@ -55,7 +44,7 @@ class PaperStudy:
     @property
     def passed(self) -> bool:
         """Whether theory and simulation agree everywhere and every erratum is confirmed."""
-        return consistent(self.tables["table_3"]) and bool(self.tables["errata"]["confirmed"].all())
+        return tables.consistent(self.tables["table_3"]) and bool(self.tables["errata"]["confirmed"].all())
 
 
 def paper_study(
@@ -77,34 +66,36 @@ def paper_study(
     least, most = ALLOWED
     if replications is not None and not least <= replications <= most:
         raise InputError(f"--replications: found {replications}, allowed for the paper: {least} to {most:,}")
-    common = {"replications": replications or REPLICATIONS, "seed": seed}
+    common = {"replications": replications or tables.REPLICATIONS, "seed": seed}
     keys: list[Key] = [{"table": name, "piece": piece, **common} for name, own in PIECES.items() for piece in own]
     rows: dict[str, list[Row]] = {name: [] for name in PIECES}
-    with RowTable.within(folder, PARTS, resume=resume, force=force) as table:
+    options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "progress": progress}
+    with Job.open(folder, (PARTS,), workers, **options) as job:
         for name in PIECES if folder is not None else ():
             check_writable(folder / f"{name}.parquet", resume or force)  # type: ignore[operator]
+        table = job.tables[PARTS]
         table.rows = {key: done for key, done in table.rows.items() if done[0]["status"] == "done"}
-        for row in run_tasks(part, keys, table, workers, seed=seed, progress=progress).iter_rows(named=True):
+        for row in job.run(part, keys, PARTS).iter_rows(named=True):
             if row["status"] != "done":
                 raise JobError(f"{row['table']}: {row['error']}; go on with --resume")
             rows[row["table"]] += json.loads(row["rows"])
-    tables = {name: frame_of(entries) for name, entries in rows.items()}
+    frames = {name: frame_of(entries) for name, entries in rows.items()}
     if folder is not None:
-        files: dict[PathLike, str | bytes] = {folder / f"{name}.parquet": parquet(own) for name, own in tables.items()}
+        files: dict[PathLike, str | bytes] = {folder / f"{name}.parquet": parquet(own) for name, own in frames.items()}
         write_together(files, force=True)
-    return PaperStudy(tables)
+    return PaperStudy(frames)
 
 
 def part(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     """A piece of a table as one row: its own rows as JSON, as tables differ in their columns."""
     number, seed, piece = key["replications"], key["seed"], (key["piece"],)
     made = {
-        "table_1": table_1,
-        "table_2": table_2,
-        "table_3": lambda: table_3(number, seed, piece),
-        "text": text_figures,
+        "table_1": tables.table_1,
+        "table_2": tables.table_2,
+        "table_3": lambda: tables.table_3(number, seed, piece),
+        "text": tables.text_figures,
         "errata": lambda: errata(number, seed, piece),
-        "figure_1": lambda: figure_1(number, seed),
-        "figure_2": lambda: figure_2(number, seed, piece),
+        "figure_1": lambda: tables.figure_1(number, seed),
+        "figure_2": lambda: tables.figure_2(number, seed, piece),
     }
     return [{"rows": json.dumps(made[key["table"]]().to_dicts())}]
