@@ -93,9 +93,9 @@ class Demo:
         """RMS distance [mm] between the drawing, where it stands fitted, and the measurements."""
         return rms_distance(drawing_residuals(self.arm, self.data))
 
-    def gap(self, found: Identification) -> float:
+    def gap(self, fitted: Identification) -> float:
         """RMS distance [mm] between a fitted model and the fresh measurements."""
-        return rms_distance(self.predicted(found) - self.fresh.positions)
+        return rms_distance(self.predicted(fitted) - self.fresh.positions)
 
     @property
     def model_error(self) -> float:
@@ -105,8 +105,8 @@ class Demo:
     @property
     def target_errors(self) -> tuple[float, float]:
         """RMS distance [mm] by which the hidden arm misses its targets, sent there as drawn and with the commands."""
-        found, near = self.compensation, self.compensation.reached
-        misses = (self.scenario.real(q[near]) - found.targets[near] for q in (found.nominal, found.commands))
+        sent, near = self.compensation, self.compensation.reached
+        misses = (self.scenario.real(q[near]) - sent.targets[near] for q in (sent.nominal, sent.commands))
         drawn, corrected = map(rms_distance, misses)
         return drawn, corrected
 
@@ -121,9 +121,9 @@ class Demo:
             if self.scenario.every_parameter or any(row["name"].startswith(label) for label in effects)
         ]
 
-    def predicted(self, found: Identification) -> Array:
+    def predicted(self, fitted: Identification) -> Array:
         """(m, d) positions [mm] of a fitted model at the fresh postures."""
-        return found.model.position(self.fresh.postures, found.parameters, self.fresh.conditions)
+        return fitted.model.position(self.fresh.postures, fitted.parameters, self.fresh.conditions)
 
 
 STEPS = ("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "commands", "page")
@@ -181,5 +181,5 @@ def run_demo(
     write("targets.csv", plan_text(Plan(targets)))
     write("commands.csv", commands_text(compensation.safe_commands, compensation.targets, compensation.errors))
     begin()
-    found = base, diagnosis, extended, compensation
-    return Demo(scenario, arm, problem, design, data, fresh, *found, tuple(files))
+    results = base, diagnosis, extended, compensation
+    return Demo(scenario, arm, problem, design, data, fresh, *results, tuple(files))

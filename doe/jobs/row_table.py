@@ -149,7 +149,7 @@ def read_rows(path: PathLike) -> polars.DataFrame:
     if journal.exists():
         with open(journal, "rb") as stream:
             rows |= _parse(stream.read())[0]
-    return frame_of([row for found in rows.values() for row in found])
+    return frame_of([row for of_key in rows.values() for row in of_key])
 
 
 def made(folder: PathLike) -> Path:
@@ -217,9 +217,9 @@ def _first_rows(target: Path, journal: FileIO, resume: bool, force: bool) -> dic
         journal.truncate(size)  # the torn end of a crashed run
         return {**_from_parquet(target), **rows}
     if not force:
-        for there, found in ((target, target.exists()), (journal_of(target), journal.seek(0, io.SEEK_END) > 0)):
-            if found:
-                raise InputError(f"{there}: exists, allowed: a new name, --resume to go on, or --force to replace it")
+        for path, exists in ((target, target.exists()), (journal_of(target), journal.seek(0, io.SEEK_END) > 0)):
+            if exists:
+                raise InputError(f"{path}: exists, allowed: a new name, --resume to go on, or --force to replace it")
     target.unlink(missing_ok=True)
     journal.truncate(0)
     return {}
@@ -246,8 +246,8 @@ def _parse(content: bytes) -> tuple[dict[str, list[Row]], int]:
     rows, size = {}, 0
     with suppress(ValueError, TypeError):  # the torn end of a crashed run
         for line in content.splitlines(keepends=True):
-            text, own = json.loads(line)
+            text, of_key = json.loads(line)
             if line.endswith(b"\n"):
-                rows[text] = [{KEY: text, **row} for row in own]
+                rows[text] = [{KEY: text, **row} for row in of_key]
                 size += len(line)
     return rows, size

@@ -103,7 +103,7 @@ class Comparison:
         """One key per run of a solver."""
         names = ("arm", "arm_hash", "criterion", "runs", "solver", "settings", "starts", "limit_s", "repeat")
         subjects = [(name, digest) for digest, (name, _) in self.subjects.items()]
-        solvers = [(name, own if isinstance(own, str) else repr(own)) for name, own in self.by_name.items()]
+        solvers = [(name, s if isinstance(s, str) else repr(s)) for name, s in self.by_name.items()]
         grid = product(subjects, self.criteria, self.runs, solvers, self.starts, range(self.repeats))
         return [
             dict(zip(names, (*subject, by, runs, *solver, starts or OWN, self.seconds, repeat), strict=True))
@@ -153,8 +153,8 @@ def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> lis
 def solve_and_evaluate(task: Task, key: dict[str, Any], seed: int) -> Row:
     """Runs the solver in this process; `seconds` is the search alone."""
     subject, solver = task
-    given = arm_from_tables(tomllib.loads(subject)) if isinstance(subject, str) else subject
-    problem = compared_problem(given, key["criterion"])
+    arm = arm_from_tables(tomllib.loads(subject)) if isinstance(subject, str) else subject
+    problem = compared_problem(arm, key["criterion"])
     design = solve(problem, key["runs"], solver, seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
     return evaluated(problem, key["runs"], design)
 

@@ -111,7 +111,7 @@ def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, True
         postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
     run = simulator.session(truth, postures, rng)
     if spec.rare:
-        truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
+        truth = replace(truth, modelled=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
     truth = replace(truth, effects=cells.hidden(spec, truth, run, rng))
     bare = replace(truth, effects=[])
     measured = cells.data_set(cell, seed, plan).measurements.positions  # the same noise

@@ -41,7 +41,7 @@ class DataSet:
         intervals; empty where the arm's maker is wrong about it or the library has no such effect
     exact : (200, d) hold-out without noise [mm], where many effects are hidden or one outside the library
     reachable : RMS distance [mm] from `exact` that a model with what is hidden would have, fitted to these data
-    more : (postures, payload or None, directions or None, number) -> the data with further measurements at their end
+    further : (postures, payload or None, directions or None, number) -> the data with further measurements at their end
     """
 
     arm: Arm
@@ -53,7 +53,7 @@ class DataSet:
     specs: tuple[EffectSpec, ...] = ()
     wrong_rows: tuple[int, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
-    more: Callable[[Array, Array | None, Array | None, int], Measurements] | None = None
+    further: Callable[[Array, Array | None, Array | None, int], Measurements] | None = None
     exact: Array | None = None
     reachable: float | None = None
 
@@ -185,13 +185,13 @@ def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     payload = 0.0 if spec.wrong == "tool" else truth.payload
     down = -simulator.G * np.eye(truth.dimension)[-1]
     gravity = Gravity(down, masses, np.full(truth.n, truth.center), payload)
-    effects = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.known)
+    effects = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled)
     if truth.dimension == 2:
         return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=effects)
     from identification.kinematics.denavit_hartenberg import DHRow, chain_of  # CasADi, which simulates nothing
 
     limits = zip(truth.lower.tolist(), truth.upper.tolist(), strict=True)
-    rows = [DHRow(a, alpha, d, limits=own) for (a, alpha, d), own in zip(truth.table.tolist(), limits, strict=True)]
+    rows = [DHRow(a, alpha, d, limits=pair) for (a, alpha, d), pair in zip(truth.table.tolist(), limits, strict=True)]
     chain = replace(chain_of(rows), tools={str(k + 1): np.zeros(3) for k in range(len(truth.tools))})
     effects += (EffectSpec("tool_mass"),) if spec.wrong == "tool" else ()
     return Arm.of_chain(chain, sigma=truth.sigma, gravity=gravity, effects=effects)
@@ -286,7 +286,7 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
     if (
         spec.rare in drawn.LOADS or spec.physics == "payload_swap"
     ):  # they only show through compliance that the arm's model has
-        truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
+        truth = replace(truth, modelled=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
     if spec.space:  # in this order since the study began
         fresh, arm = random(FRESH, 1), arm_of(spec, truth, rng)
         truth = replace(truth, effects=hidden(spec, truth, run, rng))
@@ -302,7 +302,7 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         data = replace(data, repeats=np.arange(len(data)) // spec.reads)
     far = np.linalg.norm(error, axis=1) > 10.0 * truth.sigma if spec.noise == "outliers" else np.zeros(len(error))
 
-    def more(q: Array, payload: Array | None, directions: Array | None, number: int) -> Measurements:
+    def further(q: Array, payload: Array | None, directions: Array | None, number: int) -> Measurements:
         later = np.random.default_rng([20261123, list(CELLS).index(cell), seed, number])
         return simulator.measure_more(truth, run, data, q, payload, directions, later)
 
@@ -317,7 +317,7 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         tuple(EffectSpec(e[0], e[1], drawn.settings_of(e)) for e in inside),
         tuple((np.flatnonzero(far) + 1).tolist()),
         {} if spec.wrong or spec.rare or spec.outside or outside else values_of(truth),
-        more,
+        further,
         simulator.position(truth, fresh) if judged else None,
         reachable(fitted_columns(truth, run), fitted_columns(truth, fresh), error) if judged else None,
     )

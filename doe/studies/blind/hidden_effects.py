@@ -230,11 +230,11 @@ def loaded(truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Genera
     assert truth.load is not None
     c = rng.uniform(0.5, 1.5, truth.n)
     effects = [("joint_compliance", j, {"c": float(one)}) for j, one in enumerate(c, start=1)]
-    there, here = (
+    elsewhere, plain = (
         np.stack([column(arm, run, effect) for effect in effects], axis=1) for arm in (truth, replace(truth, load=None))
     )
-    unseen = np.column_stack([base_jacobian(truth, run), here])
-    size = lam * truth.sigma / np.linalg.norm(off(unseen, np.sum(there - here, axis=1)))
+    unseen = np.column_stack([base_jacobian(truth, run), plain])
+    size = lam * truth.sigma / np.linalg.norm(off(unseen, np.sum(elsewhere - plain, axis=1)))
     place = dict(zip("xyz", (truth.load - truth.tools[0]).tolist(), strict=True))
     return [("joint_compliance", None, {"c": size * c}), ("payload_place", None, place)]
 
@@ -287,7 +287,7 @@ def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rn
 def library_blocks(truth: TrueArm, run: RowConditions) -> list[Array]:
     """(2m, c) columns of each effect of the library by itself, of those with settings at several of them, of a planar
     arm."""
-    *frames, tip = places(replace(truth, effects=[], known=[]), run)
+    *frames, tip = places(replace(truth, effects=[], modelled=[]), run)
     torques = np.einsum("mji,ji->mj", moments(truth, run), truth.home[:-1, :3, 2])
     steps = np.stack([1.0 * (run.t > at) for at in np.linspace(-0.4, 0.4, 17)])
     blocks: list[list[Array]] = [[step[:, None] * axis for axis in np.eye(3)[:2]] for step in steps]
@@ -307,7 +307,7 @@ def library_blocks(truth: TrueArm, run: RowConditions) -> list[Array]:
     stacked = [np.stack([move[:, :2].ravel() for move in block], axis=1) for block in [soft, *blocks]]
     stacked += [probed(truth, run, name, None) for name in LIBRARY_WHOLE if name != EVERY_JOINT]
     stacked += [probed(truth, run, "thermal_transient", None, tau=tau) for tau in (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
-    return stacked + ([probed(truth, run, name, None) for name in LOADS] if truth.known else [])
+    return stacked + ([probed(truth, run, name, None) for name in LOADS] if truth.modelled else [])
 
 
 # -- names -------------------------------------------------------------------------------------------------------------

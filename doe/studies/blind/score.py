@@ -93,11 +93,11 @@ BARS = tuple(
 )
 
 
-def scored_table(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
+def scored_table(truth: pl.DataFrame, diagnoses: pl.DataFrame) -> BlindStudy:
     """Join the table of truths and that of diagnoses."""
-    failures = sum(int((frame["status"] != "done").sum()) for frame in (truth, found))
+    failures = sum(int((frame["status"] != "done").sum()) for frame in (truth, diagnoses))
     hidden = {(row["cell"], row["set"]): row for row in truth.iter_rows(named=True) if row["status"] == "done"}
-    done = [row for row in found.iter_rows(named=True) if row["status"] == "done"]
+    done = [row for row in diagnoses.iter_rows(named=True) if row["status"] == "done"]
     families = {name: cls.family for name, cls in library().items()}
     sets = [scored_set({**row, **hidden[at]}, families) for row in done if (at := (row["cell"], row["set"])) in hidden]
     of_cells: dict[str, list[Judged]] = {}
@@ -106,7 +106,7 @@ def scored_table(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
     beyond = [s for s in sets if s["hidden_class"] == OUTSIDE and "error / geometry" in s]
     if len({s["cell"] for s in beyond}) > 1:
         of_cells[ALL_OUTSIDE] = beyond
-    cells = [row for cell, own in of_cells.items() for row in _measures(own, cell)]
+    cells = [row for cell, judged in of_cells.items() for row in _measures(judged, cell)]
     cells += [*calibration(sets), *(row for row in _measures(sets, ALL) if row["measure"] in OF_ALL)]
     figures = {(row["cell"], row["measure"]): row for row in cells}
     bars = [
@@ -120,8 +120,8 @@ def scored_table(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
     ]
     pairs = Counter((s["hidden_class"], s["named_class"]) for s in sets)
     confusion = [{"hidden": a, "named": b, "count": n} for (a, b), n in pairs.most_common()]
-    said = frame_of(reliability(sets))
-    return BlindStudy(frame_of(cells), frame_of(bars), frame_of(confusion), said, frame_of(sets), failures)
+    bins = frame_of(reliability(sets))
+    return BlindStudy(frame_of(cells), frame_of(bars), frame_of(confusion), bins, frame_of(sets), failures)
 
 
 # -- one data set ------------------------------------------------------------------------------------------------------
@@ -166,10 +166,10 @@ def scored_set(row: Said, families: Mapping[str, str]) -> Judged:
     return judged
 
 
-def _classes(keys: Sequence[str], families: Mapping[str, str], more: str | None) -> str:
+def _classes(keys: Sequence[str], families: Mapping[str, str], besides: str | None) -> str:
     """Classes of effects, joints left out; `nothing` for none."""
     names = sorted(families.get(name, name) for name in (key.partition(":")[0] for key in keys))
-    return " + ".join([*names, *([more] if more else [])]) or NOTHING
+    return " + ".join([*names, *([besides] if besides else [])]) or NOTHING
 
 
 FOLLOWING = {
@@ -208,8 +208,8 @@ def probability_judged(row: Said) -> Judged:
     hidden = sorted(row["hidden"] or ())
     truth = "unknown" if row.get("outside") is not None else " + ".join(hidden) or "none"
     verdict = row["verdict"]
-    said = verdict if verdict in ("none", "unknown") else " + ".join(sorted(row["named"]))
-    judged: Judged = {"said": row["probability"], "right": said == truth}
+    answer = verdict if verdict in ("none", "unknown") else " + ".join(sorted(row["named"]))
+    judged: Judged = {"said": row["probability"], "right": answer == truth}
     if hidden:
         judged |= {"in the 90 % set": truth in row["credible_set"], "size of the 90 % set": len(row["credible_set"])}
     return judged
@@ -259,7 +259,7 @@ def contradictions(said: Said) -> list[str]:
     none, unknown, verdict = chance.pop("none"), chance.pop("unknown"), said["verdict"]
     others = {" + ".join(one["effects"]): one["probability"] for one in said["other_sets"]}
     named = " + ".join(said["effects"])
-    own = chance.get(named, 0.0)
+    stated = chance.get(named, 0.0)
     rest = chance.pop("other sets", 0.0)
     of_library = sum(chance.values()) + rest
     rivals = [*(p for name, p in chance.items() if name != named), *others.values()]
@@ -270,13 +270,13 @@ def contradictions(said: Said) -> list[str]:
         "none with effects": verdict == "none" and bool(named),
         "named nothing": verdict in ("named", "ambiguous") and not named,
         "names less likely than none": verdict in ("named", "ambiguous") and of_library < max(none, unknown) - 1e-9,
-        "named at less than a half": verdict == "named" and own < 0.5,
-        "named less likely than others": verdict in ("named", "ambiguous") and own < max(rivals, default=0.0),
-        "named beside its equals": verdict == "named" and len(chance) > 1 and own < 0.5,
-        "ambiguous alone": verdict == "ambiguous" and len(chance) < 2 and own >= 0.5,
+        "named at less than a half": verdict == "named" and stated < 0.5,
+        "named less likely than others": verdict in ("named", "ambiguous") and stated < max(rivals, default=0.0),
+        "named beside its equals": verdict == "named" and len(chance) > 1 and stated < 0.5,
+        "ambiguous alone": verdict == "ambiguous" and len(chance) < 2 and stated >= 0.5,
         "unknown less likely than names or none": verdict == "unknown" and unknown < max(none, of_library) - 1e-9,
     }
-    return [doubt for doubt, there in wrong.items() if there]
+    return [doubt for doubt, holds in wrong.items() if holds]
 
 
 # -- all of them -------------------------------------------------------------------------------------------------------
@@ -309,10 +309,10 @@ def reliability(sets: Sequence[Judged]) -> list[Judged]:
     pairs = [(s["said"], s["right"]) for s in sets if s.get("said") is not None]
     rows = []
     for low, high in pairwise(EDGES):
-        own = [(p, right) for p, right in pairs if low <= p < high or (high == 1.0 and p >= 1.0)]
-        if own:
-            said, right = np.mean(own, axis=0).tolist()
-            rows.append({"from": low, "to": high, "said": said, "right": right, "count": len(own)})
+        within = [(p, right) for p, right in pairs if low <= p < high or (high == 1.0 and p >= 1.0)]
+        if within:
+            mean, right = np.mean(within, axis=0).tolist()
+            rows.append({"from": low, "to": high, "said": mean, "right": right, "count": len(within)})
     return rows
 
 
@@ -320,8 +320,8 @@ def calibration(sets: Sequence[Judged]) -> Iterator[Judged]:
     """Expected calibration error, and how much too sure the middle of the scale is, with their standard errors."""
     bins = reliability(sets)
     middle = [(s["said"], s["right"]) for s in sets if s.get("said") is not None and MIDDLE[0] <= s["said"] < MIDDLE[1]]
-    said, right = np.mean(middle, axis=0).tolist() if middle else (0.0, 0.0)
-    one: list[Judged] = [{"said": said, "right": right, "count": len(middle)}] if middle else []
+    mean, right = np.mean(middle, axis=0).tolist() if middle else (0.0, 0.0)
+    one: list[Judged] = [{"said": mean, "right": right, "count": len(middle)}] if middle else []
     for measure, rows in (("calibration error", bins), ("said less right, 0.7 to 0.95", one)):
         if total := sum(row["count"] for row in rows):
             value = sum(row["count"] / total * abs(row["said"] - row["right"]) for row in rows)

@@ -40,7 +40,7 @@ class TrueArm:
     masses, payload : of links and tool;  center : where along a link its mass is
     gravity : (3,) as it really is in the arm's base;  load : (3,) where the payload really hangs in the drawing's last
         frame, None: at the first measured point
-    effects : hidden;  known : those that the arm's model has
+    effects : hidden;  modelled : those that the arm's model has
     """
 
     table: Array
@@ -59,7 +59,7 @@ class TrueArm:
     gravity: Array = field(default_factory=lambda: -G * UPRIGHT)
     load: Array | None = None
     effects: list[Drawn] = field(default_factory=list)
-    known: list[Drawn] = field(default_factory=list)
+    modelled: list[Drawn] = field(default_factory=list)
 
     @classmethod
     def built(cls, table: Array, rng: np.random.Generator, lean: float, shift: float, **others: Any) -> TrueArm:
@@ -306,7 +306,7 @@ def position(truth: TrueArm, run: RowConditions) -> Array:
 
 def places(truth: TrueArm, run: RowConditions) -> list[Array]:
     """n + 2 transformations (m, 4, 4): of the base, of what lies beyond each joint, and the measured point's place."""
-    (m, n), home, effects = run.q.shape, truth.home, truth.known + truth.effects
+    (m, n), home, effects = run.q.shape, truth.home, truth.modelled + truth.effects
     load = moments(truth, run) if {name for name, *_ in effects} & set(OF_GRAVITY) else np.zeros((m, n, 3))
     torques = np.einsum("mji,ji->mj", load, home[:-1, :3, 2])
     bent = any(name == "link_bending" for name, *_ in effects)
@@ -383,9 +383,10 @@ def base_jacobian(truth: TrueArm, run: RowConditions) -> Array:
     In the plane lengths and angles of the links, in which the position is linear: p = 2n. In space a small displacement
     of the base and of all beyond each joint, and the places of the K measured points: p = 6 (n + 1) + 3K.
     """
-    *frames, last = places(replace(truth, effects=[], known=[]), run)
     if truth.dimension == 2:
-        return np.concatenate([frame[:, :2, :2] for frame in frames[1:]], axis=2).reshape(2 * len(run.q), -1)
+        _, *frames, _ = places(replace(truth, effects=[], modelled=[]), run)
+        return np.concatenate([frame[:, :2, :2] for frame in frames], axis=2).reshape(2 * len(run.q), -1)
+    *frames, last = places(truth, run)
     columns = []
     for frame in frames:
         at = np.linalg.solve(frame, last)[:, :3, 3]
@@ -467,8 +468,8 @@ def measure_more(
     payload = np.full(count, truth.payload) if payload is None else payload
     t, warm = 0.5 + np.arange(1, count + 1) / (m - 1), rng.normal(0.0, 1.0, count)
     later = RowConditions(postures, t, warm, s, payload, np.zeros(count, dtype=int))
-    both = RowConditions(*(np.concatenate([getattr(one, f.name) for one in (run, later)]) for f in fields(run)))
+    whole = RowConditions(*(np.concatenate([getattr(one, f.name) for one in (run, later)]) for f in fields(run)))
     positions = np.vstack([data.positions, measure(truth, later, rng).positions])
     return replace(
-        recorded(truth, both, np.zeros((m + count, truth.dimension))), positions=positions, payload=both.payload
+        recorded(truth, whole, np.zeros((m + count, truth.dimension))), positions=positions, payload=whole.payload
     )

@@ -221,19 +221,19 @@ def _intervals(diagnosis: Diagnosis) -> Row:
 
 def _measured_further(data: DataSet, diagnosis: Diagnosis, number: int) -> Row:
     """The ambiguous set again after 2, 8 and 16 more postures: chosen ones, with two payloads, and random ones."""
-    assert data.more is not None
+    assert data.further is not None
     assert data.arm.gravity is not None
     row: Row = {}
     for runs in FURTHER_RUNS:
         longer: dict[str, tuple[Measurements, float | None]] = {}
         for way, payloads in (("next", None), ("loaded", (0.0, data.arm.gravity.payload))):
             best = discriminate(data.arm, diagnosis, data.measurements, runs, seed=number, payloads=payloads)
-            longer[way] = data.more(best.plan.postures, best.payload, best.directions, runs), best.chance
+            longer[way] = data.further(best.plan.postures, best.payload, best.directions, runs), best.chance
         generator = np.random.default_rng([20261124, number, runs])
         postures = generator.uniform(data.arm.lower, data.arm.upper, (runs, data.arm.links))
-        longer["random"] = data.more(postures, None, None, runs), None
+        longer["random"] = data.further(postures, None, None, runs), None
         for way, (measurements, chance) in longer.items():
             again = diagnose(data.arm, measurements, seed=number)
-            said = {"verdict": again.verdict, "named": sorted(again.named.keys), "chance": chance}
-            row |= {f"{way}_{runs}_{name}": value for name, value in said.items()}
+            answer = {"verdict": again.verdict, "named": sorted(again.named.keys), "chance": chance}
+            row |= {f"{way}_{runs}_{name}": value for name, value in answer.items()}
     return row

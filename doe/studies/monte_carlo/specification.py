@@ -59,9 +59,9 @@ class Truth:
     def _planar(self, arm: Arm) -> Calibration:
         if self.values is not None:
             raise InputError("values: found for a planar arm, allowed: length_errors_mm and joint_offsets_deg")
-        own = arm.calibration or Calibration.of(np.zeros(arm.links), np.zeros(arm.links))
-        lengths = own.length_errors if self.length_errors is None else readonly(self.length_errors)
-        offsets = own.joint_offsets if self.joint_offsets is None else readonly(self.joint_offsets)
+        before = arm.calibration or Calibration.of(np.zeros(arm.links), np.zeros(arm.links))
+        lengths = before.length_errors if self.length_errors is None else readonly(self.length_errors)
+        offsets = before.joint_offsets if self.joint_offsets is None else readonly(self.joint_offsets)
         for name, values in (("length_errors_mm", lengths), ("joint_offsets_deg", offsets)):
             if values.size != arm.links:
                 raise InputError(f"{name}: found {values.size} values for {arm.links} links, allowed: {arm.links}")
@@ -71,8 +71,8 @@ class Truth:
         for name, errors in (("length_errors_mm", self.length_errors), ("joint_offsets_deg", self.joint_offsets)):
             if errors is not None:
                 raise InputError(f'{name}: found for a spatial arm, allowed: values = {{"translation_x:2" = 0.5}}')
-        own = {} if arm.calibration is None else arm.calibration.values
-        geometry = {name: value for name, value in own.items() if GEOMETRY.fullmatch(name)}
+        before = {} if arm.calibration is None else arm.calibration.values
+        geometry = {name: value for name, value in before.items() if GEOMETRY.fullmatch(name)}
         values = geometry if self.values is None else self.values
         allowed = arm.chain.parameters().names if arm.chain is not None else ()
         for name in values:

@@ -185,7 +185,7 @@ def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
     std = (about / (n - 1)).sqrt()
     of_fits = (pl.col("rms_mm") ** 2 * pl.col("fits")).sum()
     expected = ((pl.col("expected_std") ** 2 * pl.col("fits")).sum() / n).sqrt()
-    some = pl.col("status") == "done"
+    done = pl.col("status") == "done"
     return blocks.group_by(*CELL, "inputs", "parameter", "unit", maintain_order=True).agg(
         n.alias("fits"),
         pl.col("failed").sum(),
@@ -197,6 +197,6 @@ def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
         pl.when(n > 0).then(expected).alias("expected_std"),
         pl.when(n > 0).then(pl.col("covered").sum() / n).alias("coverage"),
         pl.when(pl.col("rms_mm").is_not_null().any()).then((of_fits / n).sqrt()).alias("rms_mm"),
-        pl.when(some.all()).then(pl.lit("done")).otherwise(pl.lit("failed")).alias("status"),
+        pl.when(done.all()).then(pl.lit("done")).otherwise(pl.lit("failed")).alias("status"),
         pl.col("error").cast(pl.String).drop_nulls().first().alias("error"),
     )

@@ -53,9 +53,9 @@ class Shown(NamedTuple):
 Check = Callable[[np.random.Generator, int], Shown]  # by random plans, or so many simulated calibrations
 
 
-def distance(found: Array | float, truth: Array | float) -> float:
+def distance(value: Array | float, truth: Array | float) -> float:
     """Largest difference, relative to the largest true value."""
-    return float(np.max(np.abs(np.asarray(found) - truth)) / np.max(np.abs(truth)))
+    return float(np.max(np.abs(np.asarray(value) - truth)) / np.max(np.abs(truth)))
 
 
 def optimal_orientations(runs: int, links: int = 4) -> Array:

@@ -67,7 +67,7 @@ def paper_study(
     if replications is not None and not least <= replications <= most:
         raise InputError(f"--replications: found {replications}, allowed for the paper: {least} to {most:,}")
     common = {"replications": replications or tables.REPLICATIONS, "seed": seed}
-    keys: list[Key] = [{"table": name, "piece": piece, **common} for name, own in PIECES.items() for piece in own]
+    keys: list[Key] = [{"table": name, "piece": piece, **common} for name, pieces in PIECES.items() for piece in pieces]
     rows: dict[str, list[Row]] = {name: [] for name in PIECES}
     options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "progress": progress}
     with Job.open(folder, (PARTS,), workers, **options) as job:
@@ -81,7 +81,9 @@ def paper_study(
             rows[row["table"]] += json.loads(row["rows"])
     frames = {name: frame_of(entries) for name, entries in rows.items()}
     if folder is not None:
-        files: dict[PathLike, str | bytes] = {folder / f"{name}.parquet": parquet(own) for name, own in frames.items()}
+        files: dict[PathLike, str | bytes] = {
+            folder / f"{name}.parquet": parquet(frame) for name, frame in frames.items()
+        }
         write_together(files, force=True)
     return PaperStudy(frames)
 

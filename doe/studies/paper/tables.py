@@ -63,8 +63,8 @@ def orientation_std(links: int, runs: int) -> Array:
 
 def joint_offset_std(links: int, runs: int) -> Array:
     """(n,) [deg] of dq_j = dtheta_j - dtheta_(j-1) (identification/README.md, "Covariance and intervals")."""
-    own = orientation_std(links, runs)
-    return np.sqrt(own**2 + np.r_[0.0, own[:-1] ** 2])
+    of_link = orientation_std(links, runs)
+    return np.sqrt(of_link**2 + np.r_[0.0, of_link[:-1] ** 2])
 
 
 def ideal_std(links: int, runs: int, parameter: str) -> float:
@@ -153,8 +153,8 @@ def table_3(replications: int = REPLICATIONS, seed: int = 0, arm_names: Sequence
 def consistent(table: pl.DataFrame) -> bool:
     """Whether simulation and theory agree in every row that has both, to `ALERT` standard errors, independently of the
     paper."""
-    both = table.drop_nulls(["simulated", "theory"])
-    return bool(((both["simulated"] - both["theory"]).abs() <= ALERT * both["standard_error"]).all())
+    rows = table.drop_nulls(["simulated", "theory"])
+    return bool(((rows["simulated"] - rows["theory"]).abs() <= ALERT * rows["standard_error"]).all())
 
 
 def text_figures() -> pl.DataFrame:

@@ -91,7 +91,7 @@ def test_what_is_outside_the_library_is_mostly_outside_it(name: str) -> None:
     truth = TrueArm.planar(drawn.lengths, zero, zero, **rest)
     run = simulator.session(truth, rng.uniform(truth.lower, truth.upper, (80, 3)), rng)
     if name == "payload_swap":
-        truth = replace(truth, known=[("joint_compliance", None, {"c": np.full(3, 1e-5)})])
+        truth = replace(truth, modelled=[("joint_compliance", None, {"c": np.full(3, 1e-5)})])
     effect = physics_effect(truth, run, name, 20.0, rng)
     gravity = Gravity(np.array([0.0, -simulator.G]), truth.masses, np.full(3, truth.center), truth.payload)
     model = Model(Arm(truth.lengths, gravity=gravity, effects=tuple(library_of(truth))))

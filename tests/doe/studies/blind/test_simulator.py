@@ -52,7 +52,7 @@ def test_two_implementations_agree(name: str) -> None:
     known = EffectSpec("joint_compliance", None, {f"c{j}": value for j, value in enumerate(c, 1)})
     truth = replace(truth, effects=[(name.rstrip("*"), joint, theirs)])
     if name in hidden_effects.LOADS:
-        truth = replace(truth, known=[("joint_compliance", None, {"c": c})])
+        truth = replace(truth, modelled=[("joint_compliance", None, {"c": c})])
     arm = Arm(
         truth.lengths,
         gravity=Gravity(np.array([0.0, -simulator.G]), truth.masses, np.full(3, truth.center), truth.payload),
