@@ -19,8 +19,10 @@ from pathlib import Path
 from typing import Any
 
 SINGLE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-# no module of the working directory comes first; loky prints no traceback of a crash if this is set, to nothing
-ENVIRONMENT = {**SINGLE_THREAD, "PYTHONSAFEPATH": "1", "PYTHONFAULTHANDLER": ""}
+QUIET = {
+    "PYTHONSAFEPATH": "1",
+    "PYTHONFAULTHANDLER": "",
+}  # nothing is imported from the folder it starts in, no traceback
 GRACE = 60.0  # [s] for the interpreter to start and import; not part of the limit on the call itself
 
 
@@ -48,8 +50,10 @@ class OneProcess:
     def __init__(self) -> None:
         from joblib.externals.loky import ProcessPoolExecutor
 
+        # of loky's tracker, which would print what a killed process leaves behind and it removes
+        os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
         self._executor: Executor = ProcessPoolExecutor(
-            1, env=ENVIRONMENT, initializer=_end_with, initargs=(os.getpid(),)
+            1, env={**SINGLE_THREAD, **QUIET}, initializer=_end_with, initargs=(os.getpid(),)
         )
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
