@@ -231,7 +231,7 @@ def test_every_layer_has_a_module() -> None:
 # names of several modules that mean the same in each
 SAME = {
     "command": "a verb of the command line",
-    "html text remarks": "a result as it is shown: of a fit, of a diagnosis",
+    "html text": "a result as it is shown: of a fit, of a diagnosis",
     "write_pictures": "the pictures of a study",
 }
 

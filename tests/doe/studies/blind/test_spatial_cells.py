@@ -14,8 +14,7 @@ from doe.studies.blind.rivals import true_arm
 from doe.studies.blind.simulator import base_jacobian, column, off, position, session
 from identification.arm import Arm, EffectSpec
 from identification.effects import build_all
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.model import Model
 from identification.model.minimal import practical
 
