@@ -23,6 +23,7 @@ LAYERS = {
     "identification.progress": 0,
     "identification.data_frames": 1,
     "identification.html_tables": 0,
+    "identification.document": 0,
     "identification.numbers_in_text": 0,
     "identification.threads": 0,
     "identification.files": 1,
@@ -235,7 +236,6 @@ SAME = {
     "arm_of data_set hidden true_values": "cells of the blind study, in the plane and in space",
     "outside_effect many_effects sized family": "what they hide, in the plane and in space",
     "random_truth position base_jacobian column": "its simulators, in the plane and in space",
-    "write_pictures": "the pictures of a study",
 }
 
 
