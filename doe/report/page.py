@@ -65,7 +65,9 @@ def page(document: Document, origin: Origin | None = None) -> str:
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader("doe.report", "."), autoescape=True, trim_blocks=True)
-    sections = [part for part in document.parts if isinstance(part, Section)]
+    loose = [part for part in document.parts if not isinstance(part, Section)]
+    sections = [Section("In short", loose)] if loose else []
+    sections += [part for part in document.parts if isinstance(part, Section)]
     sections += [] if origin is None else [origin.section()]
     style, script = (files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     return environment.get_template("page.html.j2").render(
