@@ -136,7 +136,7 @@ def html(part: Part, picture: Callable[[Figure], str] | None = None, name: str =
         box = f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
         return f"{title}{box}{html_table(part.headings, rows)}</div>\n{html(more)}" if part.rows else ""
     if isinstance(part, Facts):
-        return html_facts((name, in_symbols(text)) for name, text in part.said())
+        return html_facts((in_symbols(fact), in_symbols(text)) for fact, text in part.said())
     if isinstance(part, Pictures):
         shown = "".join(map(picture or html_image, part.draw()))
         return f'{html(part.caption)}<div class="pictures">{shown}</div>\n'

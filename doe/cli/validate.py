@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,15 +39,17 @@ def command(common: CommonOptions, model: Path, data: Path, refit: str, output: 
     All that was identified stays as it is; the drawing, refitted in the same way, stands beside it. A session column
     in DATA has the base refitted in each session.
     """
-    from doe.report.identification import validation_document
+    from doe.report.identification import validation_actions
     from identification.files.arm import load_arm
-    from identification.validate import validate
+    from identification.validate import is_better, validate
     from identification.validate.row_groups import mostly_outside
 
     arm = load_arm(model)
     found = validate(arm, read_measurements(data, arm), refit)
     beyond = arm.chain is not None and mostly_outside(arm, found.measurements.postures)
-    answer = Answer(found.to_json(), [validation_document(found, str(model), str(data), beyond=beyond)])
+    data_of = found.to_json()
+    actions = validation_actions(is_better(data_of), refit, str(model), str(data), beyond=beyond)
+    answer = Answer(data_of, [replace(found.document(), actions=actions)])
     output.draw(lambda: validation_drawing(found))
     warn_beside_json(f"{data}: {note}" for note in found.notes)
     return answer

@@ -15,7 +15,7 @@ from identification.errors import InputError
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.dh_values import Calibrated, dh_places, dh_values
-from identification.estimation.shown import p_value_in_words
+from identification.estimation.shown import facts
 from identification.files.arm_spatial import dh_rows
 from identification.inspection.inspection import Inspection
 from identification.kinematics.frames import point_table, pose_table
@@ -23,7 +23,7 @@ from identification.kinematics.instrument import RADIUS
 from identification.kinematics.parameters import REVOLUTE
 from identification.numbers_in_text import estimate_text, in_a_sentence, number, unit_or_dash
 from identification.sessions import placing
-from identification.validate import DRAWN, HARDLY, Validation
+from identification.validate import DRAWN
 
 Data = Mapping[str, Any]  # what a command says with --json
 
@@ -50,7 +50,7 @@ def inspection_document(result: Inspection, arm: str, rows: str) -> Document:
     if counting is not None and set(result.readings.sentences) & set(result.problems):
         parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
         parts += [f"    {line}" for line in counting.toml.splitlines()]
-    facts: list[tuple[str, str | None]] = [
+    figures: list[tuple[str, str | None]] = [
         ("rows", f"{result.rows} rows, {result.postures} postures"),
         ("columns besides", ", ".join(result.given) or "none"),
         ("sessions", ", ".join(result.sessions)),
@@ -58,16 +58,16 @@ def inspection_document(result: Inspection, arm: str, rows: str) -> Document:
         ("repeats scatter by", None if result.floor.source is None else f"{result.floor.value:.4g} mm"),
     ]
     if result.other_units:
-        return Document("Inspection", ["Fix these first:"], [*parts, Facts(facts)])
-    facts.append(("drawing", f"{number(result.drawing)} mm RMS, {DRAWN['base']}"))
-    facts.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm RMS"))
+        return Document("Inspection", ["Fix these first:"], [*parts, Facts(figures)])
+    figures.append(("drawing", f"{number(result.drawing)} mm RMS, {DRAWN['base']}"))
+    figures.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm RMS"))
     if (enough := result.enough) is not None:
-        facts.append(("such a fit", enough.count))
+        figures.append(("such a fit", enough.count))
         if not result.problems:  # else data that are to be put right would be judged
             weak = [f"{name} (std {std:{'.3g' if std < 1000.0 else '.0f'}} {unit})" for name, std, unit in enough.weak]
-            facts.append(("determines", "; ".join(enough.found) or "nothing by itself"))
-            facts += [("only weakly", "; ".join(weak)), ("does not", "; ".join(enough.open))]
-            facts.append(("accuracy", enough.accuracy))
+            figures.append(("determines", "; ".join(enough.found) or "nothing by itself"))
+            figures += [("only weakly", "; ".join(weak)), ("does not", "; ".join(enough.open))]
+            figures.append(("accuracy", enough.accuracy))
     joints = []
     for joint in result.joints:
         limits = (
@@ -76,7 +76,7 @@ def inspection_document(result: Inspection, arm: str, rows: str) -> Document:
         ranges = (f"{joint.in_file_units(x):.2f}" for x in (joint.low, joint.high))
         joints.append([str(joint.joint), *ranges, *limits, joint.unit, str(joint.outside)])
     headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
-    parts += [Facts(facts), Sheet(headings, joints, "Joints"), *(f"note: {note}" for note in result.notes)]
+    parts += [Facts(figures), Sheet(headings, joints, "Joints"), *(f"note: {note}" for note in result.notes)]
     if result.sag is not None and result.sag.recommended:
         parts.append("\n".join(["", *result.sag.lines, ""]))
     if result.problems:
@@ -101,7 +101,14 @@ def identification_document(
         sections = [corrected_section("Corrected values", rows, result.geometry is not None, *strict)]
     else:
         sections = dh_sections(dh, data.get("dh_places", ())) or [in_short(rows, minimal=not hidden)]
-    parts: list[Any] = [fit_facts(result, data), *sections]
+    left, drawn = data.get("cross_validated_mm"), data.get("rms_nominal_mm")
+    others = "mm RMS: each posture predicted by a fit to the others, noise included"
+    figures: list[tuple[str, str | None]] = [
+        *facts(result),
+        ("cross-validated", None if left is None else f"{number(left)} {others}"),
+        ("drawing", None if drawn is None else f"{number(drawn)} mm RMS, {DRAWN['base']}"),
+    ]
+    parts: list[Any] = [Facts(figures), *sections]
     if result.not_identifiable:
         parts.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         parts += [f"  {combination}" for combination in result.not_identifiable]
@@ -113,14 +120,14 @@ def identification_document(
 
 
 def identification_verdict(data: Data, before: str = "") -> str:
-    """What a fit does to the error on its own data, and what it promises where nothing was measured.
+    """What a fit does to the error on its own data.
 
     before : what the error before is that of, where it is not the drawing's
     """
     drawn = None if "only" in data else data.get("rms_drawing_mm")
     was = f"{in_a_sentence(data['rms_before_mm'])}{before and f' mm ({before})'}"
     figures = f"{was if drawn is None else drawing_in_words(drawn)} to {in_a_sentence(data['rms_after_mm'])} mm"
-    return f"On its own data the calibration takes the RMS error from {figures}.{expected_elsewhere(data)}"
+    return f"On its own data the calibration takes the RMS error from {figures}."
 
 
 def hardly_better(offered: Data) -> str:
@@ -147,35 +154,6 @@ def expected_elsewhere(data: Data) -> str:
     inside, anywhere = (number(data[key]) for key in ("expected_tip_measured_mm", "expected_tip_mm"))
     tip = f"{inside} mm at the tip at postures like those measured, {anywhere} mm over the joint limits (RMS)"
     return f" Expected error if the model is right: {tip}."
-
-
-def fit_facts(result: Identification, data: Data) -> Facts:
-    """Figures of a fit by name."""
-    nominal, left = data.get("rms_nominal_mm"), data.get("cross_validated_mm")
-    errors = [
-        f"{number(data[f'rms_{when}_mm'])} mm RMS, the largest {number(data[f'max_{when}_mm'])} mm"
-        for when in ("before", "after")
-    ]
-    sure = "given" if result.sigma_known else "from the residuals"
-    chi2 = data["p_value"] is not None
-    said = f"{data['chi2']:.2f}, {p_value_in_words(data['p_value'])}: the residuals scatter" if chi2 else ""
-    doubt = "the model is not right, says chi2" if result.misfit and result.expected_tip is not None else None
-    return Facts(
-        [
-            ("method", f"{data['method']}: {result.outcome}"),
-            ("before", f"{errors[0]} ({compared_with(result, nominal is not None)})"),
-            ("after", errors[1]),
-            ("drawing", None if nominal is None else f"{number(nominal)} mm RMS, {DRAWN['base']}"),
-            ("expected error", doubt),
-            (
-                "cross-validated",
-                left and f"{number(left)} mm RMS: each posture predicted by a fit to the others, noise included",
-            ),
-            ("sigma", f"{number(result.sigma, 5)} mm per axis ({sure}), {result.dof} degrees of freedom"),
-            ("chi2", f"{said} {number(result.scatter, 5)} mm" if chi2 else None),
-            ("95 % intervals", result.uncertainty.sentence),
-        ]
-    )
 
 
 def compared_with(result: Identification, place: bool = False) -> str:
@@ -358,54 +336,6 @@ def calibrated_actions(
 
 
 # -- armcal validate ---------------------------------------------------------------------------------------------------
-def validation_document(result: Validation, model: str, rows: str, *, beyond: bool = False) -> Document:
-    """Verdict, drawing and model over all rows, then block by block.
-
-    beyond : most rows are at other angles than those of the identification
-    """
-    data, kind = result.to_json(), "positions" if result.measurements.dimension > 1 else "readings"
-    notes = [note for note in result.notes if HARDLY not in note]
-    actions = validation_actions(better(data), result.refit, model, rows, beyond=beyond)
-    sections = validation_sections(data, ", measured points" if result.arm.chain is not None else "")
-    return Document("Validation", [predicted_in_words(data, kind), *notes], sections, actions)
-
-
-def validation_sections(data: Data, points: str = "") -> list[Section]:
-    """Drawing and model over all rows, and block by block;  points : what is refitted of a spatial arm beside"""
-    keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
-    what = {"base": "position and rotation of the base", "offsets": "joint offsets, position of the base"}
-    said = f"{data['rows']} rows, nothing refitted"
-    if data["refit"] != "none":
-        sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
-        said = f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
-    figures = ("RMS", "mean", "95 %\nbelow", "largest")
-    both = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
-    both.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])
-    blocks = [
-        [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[f"{key}_mm"]) for key in keys)]
-        for b in data["blocks"]
-    ]
-    headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
-    shown = [Section("Validation", [Sheet(("", *figures), both, "Distances in mm"), said])]
-    return shown + ([Section("Validation, block by block, in mm", [Sheet(headings, blocks)])] if blocks else [])
-
-
-def better(data: Data) -> bool:
-    """Whether the model is better than the drawing, by more than the rows scatter."""
-    return data["rms_mm"] < data["rms_nominal_mm"] and not any(HARDLY in note for note in data["notes"])
-
-
-def predicted_in_words(data: Data, kind: str) -> str:
-    """How well the model predicts, and what the calibration is worth, in a sentence or two."""
-    model, drawing = in_a_sentence(data["rms_mm"]), in_a_sentence(data["rms_nominal_mm"])
-    rows = f"The model predicts these {data['rows']} {kind}"
-    if not better(data):
-        worse = HARDLY if data["rms_mm"] < data["rms_nominal_mm"] else "no better"
-        return f"{rows} {worse} than the drawing: {model} mm RMS against {drawing} mm RMS, {DRAWN[data['refit']]}."
-    gain = f"The calibration removes {100.0 * (1.0 - data['rms_mm'] / data['rms_nominal_mm']):.0f} % of the error."
-    return f"{rows} to {model} mm RMS; drawing: {drawing} mm RMS, {DRAWN[data['refit']]}. {gain}"
-
-
 def validation_verdict(
     data: Data, model: str = "the model", rows: str = "other measurements", seen: bool = False
 ) -> str:

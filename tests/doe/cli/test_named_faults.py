@@ -131,7 +131,7 @@ def test_a_score_that_cannot_be_finished_leaves_no_picture(folder: Folder, monke
 @pytest.mark.parametrize(
     ("words", "tables"),
     [
-        (["validate", "calibrated.toml", "data.csv"], "identification.validation_document"),
+        (["validate", "calibrated.toml", "data.csv"], "identification.validation_actions"),
         (["advise", "arm.toml", "--runs", "4"], "design.advice_document"),
     ],
 )

@@ -20,7 +20,6 @@ from doe.report.identification import (
     compensation_document,
     identification_document,
     inspection_document,
-    validation_document,
 )
 from doe.report.library import entry_document, gravity_document, library_document
 from doe.report.page import Origin, page
@@ -62,7 +61,7 @@ def documents() -> Iterator[tuple[str, Document]]:
     yield "identification", identification_document(fit, fit.to_json())
     yield "diagnosis", diagnosis_document(diagnosis.to_json(), diagnosis)
     yield "diagnosis by JSON", diagnosis_document(diagnosis.to_json())
-    yield "validation", validation_document(validate(calibrated, fresh), "m.toml", "d.csv")
+    yield "validation", validate(calibrated, fresh).document()
     yield "commands", compensation_document(compensate(calibrated, fresh.positions))
     yield "library", library_document(entries())
     yield "effect", entry_document(entries()[0])
