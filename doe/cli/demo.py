@@ -25,7 +25,7 @@ def command(common: CommonOptions, spatial: bool, out: Path | None, force: bool)
     from doe.demo.planar import planar
     from doe.demo.run import run_demo
     from doe.demo.spatial import spatial as six_axes
-    from doe.report.demo import demo_data, demo_document, overview_figure
+    from doe.report.demo import demo_document, overview_figure
     from doe.report.figures import save
     from doe.report.page import page
 
@@ -40,7 +40,7 @@ def command(common: CommonOptions, spatial: bool, out: Path | None, force: bool)
             save(overview_figure(demo), directory / "overview.png", force=True)
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
-    return with_collisions(Answer(demo_data(demo, directory), [document]), demo.arm)
+    return with_collisions(Answer(demo.to_json(directory), [document]), demo.arm)
 
 
 def next_free(path: Path) -> Path:

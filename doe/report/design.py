@@ -439,44 +439,15 @@ def discriminating_parts(result: DiscriminationDesign) -> list[Sheet | str]:
         "gear ripple, backlash and drift are left out",
     ]
     if result.sees is not None and result.best_sees is not None:
-        clear, blind = (", ".join(nearly_invisible(sees)) or "none" for sees in (result.sees, result.best_sees))
+        data = result.to_json()
+        clear, blind = (", ".join(data[f"not_visible{which}"]) or "none" for which in ("", "_in_best_plan"))
         return [*parts, f"effects it cannot see: {clear} (the best plan: {blind})", *preflight_parts(result.sees)]
     if len(result.design.plan) > MOST_SEEN:
         parts.append(f"what a plan of more than {MOST_SEEN:,} runs can detect is not worked out")
     return parts
 
 
-def discriminating_data(result: DiscriminationDesign) -> dict[str, Any]:
-    """The JSON keys that `--discriminating` adds."""
-    wrong = {"plan": result.wrong, "best_plan": result.best_wrong, "random_postures": result.random_wrong}
-    return {
-        "relative_efficiency": result.relative_efficiency,
-        "wrong_name_at_most": wrong,
-        "preflight": None if result.sees is None else result.sees.to_json(),
-        "not_visible": nearly_invisible(result.sees),
-        "not_visible_in_best_plan": nearly_invisible(result.best_sees),
-    }
-
-
-def nearly_invisible(sees: Detectability | None) -> list[str]:
-    """Effects of which less than a hundredth of a column's norm is left for the tests to see."""
-    if sees is None:
-        return []
-    return [name for name, left in zip(sees.names, sees.norm_fractions, strict=True) if left < 0.01]
-
-
 # -- armcal discriminate -----------------------------------------------------------------------------------------------
-def next_columns(result: NextPostures) -> dict[str, Any]:
-    """Columns of the plan file: run, angles, and payload and directions where they matter."""
-    columns: dict[str, Any] = {"run": np.arange(1, len(result.plan) + 1)}
-    columns |= posture_columns(result.plan.postures, result.joint_types or None)
-    if result.payload is not None:
-        columns["payload_kg"] = result.payload
-    if result.directions is not None:
-        columns |= {f"direction{j + 1}": column for j, column in enumerate(result.directions.T)}
-    return columns
-
-
 def missing_payload(arm: Arm, measurements: Measurements, result: NextPostures) -> list[str]:
     """What to do before the rows can be appended: data without a payload column mean the arm's own payload."""
     if result.payload is None or measurements.payload is not None or arm.gravity is None:
@@ -484,24 +455,8 @@ def missing_payload(arm: Arm, measurements: Measurements, result: NextPostures) 
     return [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
 
 
-def next_data(diagnosis: Diagnosis, result: NextPostures) -> dict[str, Any]:
-    """The JSON object of `armcal discriminate`."""
-    return {
-        "verdict": diagnosis.verdict,
-        "candidates": [list(candidate.effects) for candidate in diagnosis.candidates],
-        "postures_deg": np.column_stack(
-            list(posture_columns(result.plan.postures, result.joint_types or None).values())
-        ),
-        "payload_kg": result.payload,
-        "directions": result.directions,
-        "chance": result.chance,
-        "status": result.status.name,
-        "pairs": [{"candidate": a, "rival": b, "lambda": size} for (a, b), size in result.pairs.items()],
-    }
-
-
 def next_document(diagnosis: Diagnosis, result: NextPostures) -> Document:
     """The rivals, the chance, the postures."""
-    columns = next_columns(result)
+    columns = result.columns
     rows = [[f"{value:g}" for value in row] for row in zip(*columns.values(), strict=True)]
     return Document("Next postures", [str(result)], [diagnosis.sentence, Sheet(list(columns), rows, "Next postures")])
