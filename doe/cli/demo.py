@@ -34,13 +34,14 @@ def command(common: CommonOptions, spatial: bool, out: Path | None, force: bool)
     try:
         with common.progress() as progress:
             demo = run_demo(directory, six_axes() if spatial else planar(), common.seed, progress, force)
-            document = demo_document(demo, directory)
+            document = demo_document(demo)
             text = page(document, origin(common.seed, [directory / name for name in demo.files]))
             write_whole(directory / "report.html", text, force=True)
             save(overview_figure(demo), directory / "overview.png", force=True)
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
-    return with_collisions(Answer(demo.to_json(directory), [document]), demo.arm)
+    look = f"Look at {directory / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
+    return with_collisions(Answer(demo.to_json(directory), [document.plus(look)]), demo.arm)
 
 
 def next_free(path: Path) -> Path:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,16 +17,15 @@ from identification.model import Model
 from identification.numbers_in_text import number, to_significant_digits, unit_or_dash
 
 
-def demo_document(demo: Demo, directory: Path) -> Document:
+def demo_document(demo: Demo) -> Document:
     """Plan, certificate, identification, gap, and what was hidden."""
-    data, report = demo.diagnosis.to_json(), directory / "report.html"
-    rows = (
-        "With the named effect refitted (sigma from the arm file), beside what was hidden, as the simulation has it: "
+    data = demo.diagnosis.to_json()
+    lead = (
+        "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only."
     )
-    truth = Section("Against the truth", [rows + "the fits saw the measurements only.", *truth_tables(demo)])
+    truth = Section("Against the truth", [lead, *truth_tables(demo)])
     sections = [identified_section(demo), *diagnosis_sections(data, demo.diagnosis, demo.drawing_left), truth]
     actions = [
-        Action(f"Look at {report} in a browser, and at the files beside it: {', '.join(demo.files)}."),
         Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
         Action(
             "Make a page of any of them:", "armcal report arm.toml plan.csv extended.toml fresh.csv --out page.html"

@@ -361,12 +361,21 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def curves_figure(diagnosis: Diagnosis) -> Figure:
-    """Error curves with 95 % bands, and what groups of rows leave along the lever arm beside them, as angles."""
-    seen, half = curve_residuals(diagnosis), quantile_95(min(diagnosis.named.freedom, default=np.inf))
+    """Error curves with 95 % bands, and what up to 200 groups of rows say along the lever arm, as angles."""
+    half, kept = quantile_95(min(diagnosis.named.freedom, default=np.inf)), rows_kept(diagnosis)
+    model, after = Model(diagnosis.arm), diagnosis.residuals.after[kept]
+    joints = [diagnosis.residuals.against[f"joint {j + 1} [rad]"] for j in range(model.joints)]
+    postures = np.column_stack(joints)[kept]
+    levers = model.joint_levers(postures)
 
     def draw(axis: Axes, curve: Any) -> None:
+        q, lever = postures[:, curve.joint - 1], levers[:, :, curve.joint - 1]
+        weight = np.sum(lever**2, axis=1)
+        along = np.sum(lever * after, axis=1) + weight * curve.table.at(q)
+        groups = np.array_split(np.argsort(q, kind="stable"), min(200, max(1, len(q) // 2)))
+        means = [(float(np.mean(q[g])), float(along[g].sum() / weight[g].sum())) for g in groups]
+        axis.plot(*np.degrees(means).T, ".", color=LIMIT, ms=3, label="rows, in groups")
         angles, error, band = np.degrees([curve.angles, curve.error, half * curve.std])
-        axis.plot(*seen[curve.key], ".", color=LIMIT, ms=3, label="rows, in groups")
         axis.fill_between(angles, error - band, error + band, color=AFTER, alpha=0.25, lw=0, label="95 %")
         axis.plot(angles, error, color=AFTER, lw=1.4, label="curve")
         axis.set(xlabel=f"$q_{curve.joint}$ [deg]", ylabel="error [deg]")
@@ -389,22 +398,6 @@ def panels(
         axis.set_visible(False)
     axes[0].legend(frameon=False, fontsize=8)
     return figure
-
-
-def curve_residuals(diagnosis: Diagnosis) -> dict[str, tuple[Array, Array]]:
-    """Curve -> angles and errors [deg] of up to 200 groups of rows: what they leave along the lever arm beside it."""
-    model, kept = Model(diagnosis.arm), rows_kept(diagnosis)
-    angles = [diagnosis.residuals.against[f"joint {j + 1} [rad]"] for j in range(model.joints)]
-    postures, after = np.column_stack(angles)[kept], diagnosis.residuals.after[kept]
-    levers, points = model.joint_levers(postures), {}
-    for curve in diagnosis.curves:
-        q, lever = postures[:, curve.joint - 1], levers[:, :, curve.joint - 1]
-        weight = np.sum(lever**2, axis=1)
-        along = np.sum(lever * after, axis=1) + weight * curve.table.at(q)
-        groups = np.array_split(np.argsort(q, kind="stable"), min(200, max(1, len(q) // 2)))
-        errors = [float(along[g].sum() / weight[g].sum()) for g in groups]
-        points[curve.key] = np.degrees([float(np.mean(q[g])) for g in groups]), np.degrees(errors)
-    return points
 
 
 def rows_kept(diagnosis: Diagnosis) -> NDArray[np.bool_]:
