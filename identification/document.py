@@ -62,10 +62,9 @@ class Facts:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Figures, drawn where a rendering shows them, which no terminal does;  caption : how they are read"""
+    """Figures and paragraphs on how they are read, made where a rendering shows them, which no terminal does."""
 
-    draw: Callable[[], Sequence[Figure]]
-    caption: str = ""
+    draw: Callable[[], Sequence[Figure | str]]
 
 
 @dataclass(frozen=True)
@@ -138,8 +137,9 @@ def html(part: Part, picture: Callable[[Figure], str] | None = None, name: str =
     if isinstance(part, Facts):
         return html_facts((in_symbols(fact), in_symbols(text)) for fact, text in part.said())
     if isinstance(part, Pictures):
-        shown = "".join(map(picture or html_image, part.draw()))
-        return f'{html(part.caption)}<div class="pictures">{shown}</div>\n'
+        drawn = part.draw()
+        shown = "".join((picture or html_image)(one) for one in drawn if not isinstance(one, str))
+        return "".join(html(one) for one in drawn if isinstance(one, str)) + f'<div class="pictures">{shown}</div>\n'
     if isinstance(part, PlanSteps):
         return html(part.caption)
     if isinstance(part, Section):

@@ -343,6 +343,13 @@ def validation_figure(result: Validation) -> Figure:
 
 
 # -- diagnoses ---------------------------------------------------------------------------------------------------------
+def gap_figure(diagnosis: Diagnosis) -> Figure:
+    """Residual arrows over the workspace, before and after, without outlier rows."""
+    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
+    pairs = (shown.before[kept], "before"), (shown.after[kept], "after")
+    return workspace_arrows(diagnosis.extended_arm(), shown.positions[kept], pairs)
+
+
 def against_figure(diagnosis: Diagnosis) -> Figure:
     """Residual distances before and after, against each joint, time, torque.
 

@@ -57,7 +57,7 @@ class Compared:
 
     def pictures(self, before: str, after: str) -> Pictures:
         """The pictures and how they are read; before, after : the models in words."""
-        return Pictures(lambda: signed_figures(self), caption(before, after, self.named))
+        return Pictures(lambda: [caption(before, after, self.named), *signed_figures(self)])
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ NASTY = "[red]<b>x & y</b>[/red]"
 DRAWN: list[str] = []
 
 
-def figures() -> list[Figure]:
+def figures() -> list[Figure | str]:
     DRAWN.append("drawn")
-    return [Figure(figsize=(1.0, 1.0))]
+    return ["How it is read.", Figure(figsize=(1.0, 1.0))]
 
 
 DOCUMENT = Document(
@@ -26,7 +26,7 @@ DOCUMENT = Document(
         Facts([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
         Section("Open", [Sheet(["effect", "value [mm]"], [["ripple[k=4]", "1.5"], [NASTY, "-22.75"]]), "After it."]),
         Section("Closed", ["Hidden at first.", Sheet(["a"], [["b"]], "In a fold")], folded=True),
-        Section("Seen", [Pictures(figures, "How it is read.")]),
+        Section("Seen", [Pictures(figures)]),
         Section("Stepped through", [PlanSteps({"file": "plan.csv"}, "Step.")]),
         Sheet(["never"], []),
     ],
