@@ -405,12 +405,12 @@ def rows_listed(rows: Sequence[int]) -> str:
 def command_rows(targets: Array, commands: Array, miss: Array, digits: int = 3) -> list[list[str]]:
     """A row of text for each target: its number, (k, d) targets [mm], (k, n) commands [file units], (k,) miss [mm].
 
-    digits : decimals of commands
+    digits : decimals of commands, two more than of targets
     """
     return [
         [
             str(row),
-            *(f"{value:.1f}" for value in target),
+            *(f"{value:.{digits - 2}f}" for value in target),
             *("-" if np.isnan(value) else f"{value:.{digits}f}" for value in command),
             miss_text(error),
         ]
