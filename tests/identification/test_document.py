@@ -80,6 +80,15 @@ def test_a_terminal_shows_what_is_open_without_drawing_a_picture() -> None:
     assert longer.index("After it.") < longer.index("One more.") < longer.index("next:")
 
 
+def test_text_has_no_colors_wherever_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does a notebook print it twice: rich would, when it finds itself in one."""
+    plain = str(DOCUMENT)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert str(DOCUMENT) == plain
+    assert "\x1b" not in plain
+
+
 def test_figures_end_at_the_right_and_words_begin_at_the_left() -> None:
     rows = [["one", "1.5", "yes", "< 1e-6"], ["three", "-", "", "-22.750"], ["five", "12", "no", "5 *"]]
     table = Sheet(["name", "value", "holds", "miss"], rows)
