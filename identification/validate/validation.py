@@ -326,7 +326,7 @@ def validation_sections(data: Mapping[str, Any], points: str = "") -> list[Secti
         for b in data["blocks"]
     ]
     headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
-    shown = [Section("Validation", [Sheet(("", *figures), both, "Distances in mm"), said])]
+    shown = [Section("Validation, distances in mm", [Sheet(("", *figures), both), said])]
     return shown + ([Section("Validation, block by block, in mm", [Sheet(headings, blocks)])] if blocks else [])
 
 
