@@ -22,9 +22,9 @@ from identification.files.io import write_whole
 def command(common: CommonOptions, spatial: bool, out: Path | None, force: bool) -> Answer:
     """The whole loop on the paper's 4-link arm, or on one of six axes: from a plan to the missing effect, commands for
     the real arm, in space a corrected URDF file, and a report.html."""
-    from doe.demo.planar import planar
     from doe.demo.run import run_demo
-    from doe.demo.spatial import spatial as six_axes
+    from doe.demo.scenarios import planar
+    from doe.demo.scenarios import spatial as six_axes
     from doe.report.demo import demo_document, overview_figure
     from doe.report.figures import save
     from doe.report.page import page

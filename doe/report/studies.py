@@ -15,8 +15,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from doe.report.figures import AFTER, BEFORE, save
 from doe.report.page import svg
-from doe.studies.blind.reliability import ALL
-from doe.studies.blind.score import KEEPS, BlindStudy
+from doe.studies.blind.score import ALL, KEEPS, BlindStudy
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo.specification import CELL
 from doe.studies.monte_carlo.study import StudyResult

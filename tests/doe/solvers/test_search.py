@@ -11,7 +11,7 @@ import pytest
 
 from doe.bounds.bound import Bound
 from doe.solvers import Offer, solve
-from doe.solvers.driver import AGREEMENT
+from doe.solvers.solving import AGREEMENT
 from identification.errors import JobError
 from identification.status import Status
 from tests.doe.arms import FOUR, problem

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from doe.demo.run import Demo, run_demo
-from doe.demo.spatial import ARM, AXES, FLANGE, POINTS, REFLECTOR, hidden_arm, spatial, urdf
+from doe.demo.scenarios import ARM, AXES, FLANGE, POINTS, REFLECTOR, URDF, hidden_arm, spatial
 from doe.report.demo import demo_document, overview_figure
+from doe.studies.blind.simulator import position, session
 from identification.files.arm import load_arm
 from identification.files.urdf import read_urdf
 from identification.model import Model
@@ -18,19 +19,22 @@ from identification.model import Model
 
 def test_lines_without_errors_are_the_chain_that_is_drawn(tmp_path: Path) -> None:
     real = hidden_arm()
-    turn = np.degrees(np.arctan2(real.orientation[1, 0], real.orientation[0, 0]))
-    place = "".join(f"{axis}_mm = {value!r}\n" for axis, value in zip("xyz", real.origin.tolist(), strict=True))
+    turned = np.degrees(np.arctan2(real.base[1, 0], real.base[0, 0]))
+    place = "".join(f"{axis}_mm = {value!r}\n" for axis, value in zip("xyz", real.base[:3, 3].tolist(), strict=True))
     tool = "".join(f"{axis}_mm = {v}\n" for axis, v in zip("xyz", (REFLECTOR - FLANGE).tolist(), strict=True))
-    (tmp_path / "robot.urdf").write_text(urdf())
-    (tmp_path / "arm.toml").write_text(f"{ARM}\n[base]\n{place}rz_deg = {float(turn)!r}\n[tool]\n{tool}")
+    (tmp_path / "robot.urdf").write_text(URDF)
+    (tmp_path / "arm.toml").write_text(f"{ARM}\n[base]\n{place}rz_deg = {float(turned)!r}\n[tool]\n{tool}")
     arm = load_arm(tmp_path / "arm.toml")
-    postures = np.random.default_rng(1).uniform(arm.lower, arm.upper, (20, 6))
-    drawn = replace(real, points=POINTS, axes=AXES, offsets=np.zeros(6), wave=(0.0, 0.0))
-    np.testing.assert_allclose(drawn.positions(postures), Model(arm).position(postures), atol=1e-9)
-    wrong = replace(drawn, offsets=np.eye(6)[1] * 0.01, wave=(0.002, 0.003))
+    rng = np.random.default_rng(1)
+    postures = rng.uniform(arm.lower, arm.upper, (20, 6))
+    run = session(real, postures, rng)
+    drawn = replace(real, points=POINTS, axes=AXES, offsets=np.zeros(6), effects=[])
+    np.testing.assert_allclose(position(drawn, run), Model(arm).position(postures), atol=1e-9)
+    wave = ("encoder_eccentricity", 2, {"a": 0.002, "b": 0.003})
+    wrong = replace(drawn, offsets=np.eye(6)[1] * 0.01, effects=[wave])
     shown = postures[:, 1]
     moved = postures + np.eye(6)[1] * (0.01 + 0.002 * np.cos(shown) + 0.003 * np.sin(shown))[:, None]
-    np.testing.assert_allclose(wrong.positions(postures), Model(arm).position(moved), atol=1e-9)
+    np.testing.assert_allclose(position(wrong, run), Model(arm).position(moved), atol=1e-9)
 
 
 @pytest.fixture(scope="module")
