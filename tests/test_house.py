@@ -23,6 +23,7 @@ LAYERS = {
     "identification.progress": 0,
     "identification.data_frames": 1,
     "identification.html_tables": 0,
+    "identification.document": 0,
     "identification.numbers_in_text": 0,
     "identification.threads": 0,
     "identification.files": 1,
@@ -231,8 +232,7 @@ def test_every_layer_has_a_module() -> None:
 # names of several modules that mean the same in each
 SAME = {
     "command": "a verb of the command line",
-    "html text": "a result as it is shown: of a fit, of a diagnosis",
-    "write_pictures": "the pictures of a study",
+    "html": "a result as it is shown",
 }
 
 

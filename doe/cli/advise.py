@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from click.core import ParameterSource
@@ -11,6 +12,11 @@ from click.core import ParameterSource
 from doe.cli.common import Answer, CommonOptions, verb, warn_beside_json, with_collisions
 from doe.cli.options import FILE, Output, Seconds, only_option, output_options
 from identification.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from doe.advise import Advice
 
 
 @verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png", "How many measurements are needed?")
@@ -45,7 +51,7 @@ def command(
     """
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
-    from doe.report.advice import advice_figure, advice_tables
+    from doe.report.design import advice_document
     from identification.files.arm import load_arm
     from identification.model import Model
     from identification.validate.reuse import only as only_these
@@ -62,11 +68,19 @@ def command(
     fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
     found = f"identifiable from {fewest} or more at well-chosen postures; how accurately, the table says"
     enough = f"{', '.join(words)} alone: {found}"
-    shown = [*([enough] if words else []), *advice_tables(advice), *([given_sigma] if given_sigma else [])]
+    document = advice_document(advice).plus(*([given_sigma] if given_sigma else []))
+    shown = [*([enough] if words else []), document]
     warn_beside_json([given_sigma] if given_sigma else [])
     answer = Answer(advice.to_json() | said, shown)
-    output.draw(lambda: advice_figure(advice))
+    output.draw(lambda: advice_drawing(advice))
     return with_collisions(answer, loaded)
+
+
+def advice_drawing(advice: Advice) -> Figure:
+    """Efficiency and expected accuracy against the number of runs."""
+    from doe.report.figures import advice_figure  # deferred: matplotlib takes longer to load than a small advice
+
+    return advice_figure(advice)
 
 
 def given(option: str) -> bool:

@@ -36,7 +36,7 @@ UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 
 @dataclass
 class Answer:
-    """The result of a verb: `data` for --json, `shown` (rich renderables or strings) for the terminal."""
+    """The result of a verb: `data` for --json, `shown` (parts of a document, or Markdown) for the terminal."""
 
     data: dict[str, Any]
     shown: list[Any] = field(default_factory=list)
@@ -238,9 +238,13 @@ def _print(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
+    from identification.document import rendered
+
     console = Console(width=width_of_output(), highlight=False, markup=False)  # brackets of effects are no markup
-    for part in answer.shown:  # names in files may have control characters, which a terminal would obey
-        console.print(Segments(Segment(shown(s.text), s.style) for s in console.render(part)), end="")
+    for part in answer.shown:
+        for one in [part] if hasattr(part, "__rich_console__") else rendered(part, console.width):
+            # names in files may have control characters, which a terminal would obey
+            console.print(Segments(Segment(shown(s.text), s.style) for s in console.render(one)), end="")
 
 
 def width_of_output() -> int | None:

@@ -97,7 +97,7 @@ def command(common: CommonOptions, arms: tuple[Path, ...], compared: ComparisonO
     found the best known value; with --repeats 10 --starts 1, the fraction of good starts.
     """
     from doe.jobs.row_table import RowTable
-    from doe.report.comparison import comparison_tables
+    from doe.report.studies import comparison_parts
     from doe.studies.comparison import compare, summary
     from identification.files.arm import load_arm
 
@@ -112,7 +112,7 @@ def command(common: CommonOptions, arms: tuple[Path, ...], compared: ComparisonO
         RowTable.open(table_file, resume=job.resume, force=job.force) as table,
     ):
         rows = compare(comparison, table, where, seed=common.seed, progress=progress)
-    shown = comparison_tables(rows)
+    shown = comparison_parts(rows)
     if job.out is not None and table_file != job.out:
         write_results(job.out, rows)
         shown.append(f"rows, summary and pictures written to {job.out}")
@@ -130,8 +130,8 @@ def rows_file(out: Path | None) -> Path | None:
 def write_results(out: Path, rows: polars.DataFrame) -> None:
     """Summary and pictures beside the rows."""
     from doe.jobs.row_table import parquet
-    from doe.report.comparison import profile_figure, time_figure
     from doe.report.page import svg
+    from doe.report.studies import profile_figure, time_figure
     from doe.studies.comparison import summary
     from identification.files.io import PathLike, write_together
 

@@ -28,7 +28,7 @@ def command(common: CommonOptions, calibrated: Path, targets: Path, output: Outp
     extrapolates.
     """
     from doe.problem.constraints import constraints_of
-    from doe.report.compensation_tables import compensation_tables
+    from doe.report.identification import compensation_document
     from identification.compensate import compensate
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets
@@ -43,4 +43,4 @@ def command(common: CommonOptions, calibrated: Path, targets: Path, output: Outp
     warn_beside_json(found.warnings)
     columns = found.targets, found.left, arm.joint_types, found.orientations, found.left_angles, found.reached
     written = output.write(commands_text(found.safe_commands, *columns, found.messages), "commands")
-    return Answer(found.to_json(), [*compensation_tables(found), *written])
+    return Answer(found.to_json(), [compensation_document(found).plus(*written)])

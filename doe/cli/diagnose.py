@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,13 +54,14 @@ def command(
     Several files DATA are sessions of one arm, as are the rows that a column session tells apart: each gets a base of
     its own, and each named effect is compared between them.
     """
-    from doe.report.gap_sections import gap_page
-    from doe.report.gap_tables import diagnosis_tables
-    from doe.report.verdict import diagnosis_actions, next_steps
+    from doe.report.gap import diagnosis_document
+    from doe.report.page import page
     from identification.files.arm import load_arm
     from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
+    from identification.measurements import rms_distance
     from identification.servo import with_servo_errors
+    from identification.validate import drawing_residuals
     from identification.validate.judgement import judged
 
     loaded = load_arm(arm)
@@ -74,17 +76,19 @@ def command(
     if curves is not None and loaded.counting is not None:
         said = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
         warnings.warn(f"{curves}: {said}; armcal compensate writes commands as the controller counts", stacklevel=2)
-    answer = Answer(found.to_json(), diagnosis_tables(found))
+    answer = Answer(found.to_json())
+    about = answer.data, found, [*map(str, (arm, *data))], output.out
+    document, text = diagnosis_document(*about), ""
     try:
-        named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
-        page = gap_page(found, measurements, origin(common.seed, named), output.out, [arm, *data]) if report else ""
-        answer.shown += write_diagnosis(
-            found, arm, output, named_only, {curves: curves_text(found.curves), report: page}
-        )
-        answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), [*map(str, data)], output.out))
+        read = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
+        if report is not None:
+            nominal = rms_distance(drawing_residuals(found.arm, measurements))
+            text = page(diagnosis_document(*about, nominal), origin(common.seed, read))
+        written = write_diagnosis(found, arm, output, named_only, {curves: curves_text(found.curves), report: text})
+        answer.shown = [document.plus(*written)]
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))
-        answer.exit_code = error.exit_code
+        answer.shown, answer.exit_code = [replace(document, actions=())], error.exit_code
     return answer
 
 

@@ -47,8 +47,9 @@ def command(
     Several files DATA are sessions of one arm, as for `armcal diagnose`.
     """
     from doe.discrimination.t_optimal import discriminate
-    from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
+    from doe.report.design import missing_payload, next_document
     from identification.files.arm import load_arm
+    from identification.files.measurement_columns import csv_text
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
@@ -72,10 +73,12 @@ def command(
     found = discriminate(loaded, diagnosis, measurements, runs, common.seed, masses, stop=late)
     written = [
         f"{line}; measure them and append the rows to {data[-1]}"
-        for line in output.write(next_text(found), "next postures")
+        for line in output.write(csv_text(found.columns), "next postures")
     ]
-    shown = [*next_tables(diagnosis, found), *written, *missing_payload(loaded, measurements, found)]
-    return with_collisions(Answer(next_data(diagnosis, found), shown), loaded)
+    shown = [next_document(diagnosis, found), *written, *missing_payload(loaded, measurements, found)]
+    rivals = [list(candidate.effects) for candidate in diagnosis.candidates]
+    keys = {"verdict": diagnosis.verdict, "candidates": rivals}
+    return with_collisions(Answer(keys | found.to_json(), shown), loaded)
 
 
 def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:

@@ -119,7 +119,7 @@ class Output:
         files: dict[PathLike, str | bytes] = {self.out: text} if what and self.out is not None else {}
         for path, figure in figures.items():
             if path is not None:
-                from doe.report.pictures import picture_bytes
+                from doe.report.figures import picture_bytes
 
                 files[path] = picture_bytes(figure(), path)
         write_together(files, force=self.force)
@@ -128,7 +128,7 @@ class Output:
 
 def plan_drawing(arm: Arm, postures: Array) -> Figure:
     """An arm at the postures (m, n) [rad]."""
-    from doe.report.pictures import plan_figure  # deferred: matplotlib takes longer to load than a small design
+    from doe.report.figures import plan_figure  # deferred: matplotlib takes longer to load than a small design
 
     return plan_figure(arm, postures)
 

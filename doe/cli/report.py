@@ -26,16 +26,14 @@ def command(common: CommonOptions, files: tuple[Path, ...], out: Path, force: bo
     fit has seen), what to do next, corrected values, errors with their sign, and plans that can be stepped through and
     edited; it is one file that needs no network.
     """
-    from doe.report.campaign_page import campaign_page
-    from doe.report.given_files import read_given
-    from doe.report.origin import hashes
+    from doe.report.campaign import Campaign
+    from doe.report.page import hashes, page
     from identification.files.io import write_whole
 
-    given = read_given(files)
-    text, campaign = campaign_page(given, origin(common.seed, files))
-    write_whole(out, text, force=force)
+    campaign = Campaign.of(files)
+    write_whole(out, page(campaign.document(), origin(common.seed, files)), force=force)
     listed = [
-        {"file": name, "kind": given.kinds[name], "bytes": size, "sha256": digest}
+        {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
         for name, size, digest in hashes(files)
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}

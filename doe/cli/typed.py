@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from doe.report.origin import Origin
+    from doe.report.page import Origin
 
 WORDS = "armcal.words"  # in the context's `meta`: what was typed after `armcal`
 
 
 def origin(seed: int, files: Iterable[Path | None]) -> Origin:
     """The command line and input files, for a page that the running command makes."""
-    from doe.report.origin import Origin
+    from doe.report.page import Origin
 
     words = click.get_current_context().meta.get(WORDS, ())
     return Origin(shlex.join(("armcal", *words)), seed, [path for path in files if path is not None])
