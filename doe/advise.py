@@ -20,10 +20,9 @@ from doe.design import Design
 from doe.plan.addition import with_additions
 from doe.plan.ascent import climbs
 from doe.plan.plan import Plan
-from doe.plan.tip_error import TipError, robust_or_none, tip_error
+from doe.plan.tip_error import TipError, TipErrors
 from doe.problem.prior import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import workspace
 from doe.solvers import solve
 from identification.arm import SIGMA_RANGE, Arm
 from identification.arrays import Array
@@ -120,13 +119,12 @@ def advise(
     """
     check_wanted(problem, runs, target)
     began, budget = perf_counter(), np.inf if seconds is None else seconds
-    wide = robust_or_none(problem)
-    poses = None if wide is None else workspace(problem)  # once: rare postures take long to find
+    errors = TipErrors.of(problem)
     bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + SHARE * budget)
     found: dict[int, Design] = {}
 
     def promise(postures: Array) -> Array:
-        return promised(problem, postures, wide, poses)
+        return promised(problem, postures, errors)
 
     try:
         for done, m in enumerate(sorted(set(runs))):
@@ -139,8 +137,7 @@ def advise(
         if not found:
             raise
     designs = tuple(found[m] for m in runs if m in found)
-    errors = () if wide is None else tuple(tip_error(problem, wide, d.plan.postures, poses) for d in designs)
-    return Advice(designs, target, errors)
+    return Advice(designs, target, () if errors is None else tuple(errors.of_plan(d.plan.postures) for d in designs))
 
 
 def with_scatter(arm: Arm) -> tuple[Arm, str]:
@@ -201,13 +198,10 @@ def next_design(
     return replace(design, bound=bound_that_holds(problem, bound, design.plan.postures, design.value))
 
 
-def promised(problem: DesignProblem, postures: Array, wide: DesignProblem | None, poses: Array | None) -> Array:
-    """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right.
-
-    wide, poses : as of `tip_error`
-    """
+def promised(problem: DesignProblem, postures: Array, errors: TipErrors | None) -> Array:
+    """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right."""
     design = Design(problem, Plan(postures, joint_types=problem.model.joint_types))
     known = design.deviations
     deviations = [np.inf, np.inf] if known is None else [known.largest_length, known.largest_angle]
-    errors = [] if wide is None else [tip_error(problem, wide, postures, poses)]
-    return np.array([*deviations, *(figure for error in errors for figure in (error.right, error.worst))])
+    of_tip = [] if errors is None else [errors.of_plan(postures)]
+    return np.array([*deviations, *(figure for error in of_tip for figure in (error.right, error.worst))])

@@ -37,20 +37,12 @@ class Restricted:
         spare = len(target) - free.shape[1] if spare is None else spare
         basis = np.linalg.qr(free)[0]
         target, effects = target - basis @ (basis.T @ target), effects - basis @ (basis.T @ effects)
-        if effects.shape[0] >= effects.shape[1]:
-            return cls.of_normal(effects.T @ effects, effects.T @ target, float(target @ target), spare)
-        values, vectors = _largest(effects @ effects.T, spare)  # of the two normal matrices this has the values too
-        return cls._of(values, (vectors.T @ target) ** 2, float(target @ target), spare)
-
-    @classmethod
-    def of_normal(cls, normal: Array, moment: Array, square: float, spare: int) -> Restricted:
-        """Of E^T E (e, e), E^T r (e,) and r^T r of residuals r and effects E that are orthogonal to the columns without
-        a prior, with as many equations to spare."""
-        values, vectors = _largest(normal, spare)
-        return cls._of(values, (vectors.T @ moment) ** 2 / values, square, spare)
-
-    @classmethod
-    def _of(cls, values: Array, along: Array, square: float, spare: int) -> Restricted:
+        square, many = float(target @ target), effects.shape[0] < effects.shape[1]
+        normal = effects @ effects.T if many else effects.T @ effects  # both have the same values, but for zeros
+        values, vectors = np.linalg.eigh(normal)
+        kept = np.flatnonzero(values > 1e-12 * max(values.max(initial=0.0), 1e-300))[-spare:]  # no rounding
+        values, vectors = values[kept], vectors[:, kept]
+        along = (vectors.T @ target) ** 2 if many else (vectors.T @ (effects.T @ target)) ** 2 / values
         return cls(values, along, max(square - float(along.sum()), 0.0), spare - len(values))
 
     def minus_log(self, noise: Array, size: Array) -> Array:
@@ -76,9 +68,3 @@ class Restricted:
         noise = np.exp(np.clip(vertex, low, high))
         return np.stack([self.minus_log(noise, size), noise])
 
-
-def _largest(normal: Array, most: int) -> tuple[Array, Array]:
-    """(v,) eigenvalues of a normal matrix that are not rounding, `most` of them at most, and their (n, v) vectors."""
-    values, vectors = np.linalg.eigh(normal)
-    kept = np.flatnonzero(values > 1e-12 * max(values.max(initial=0.0), 1e-300))[-most:]
-    return values[kept], vectors[:, kept]
