@@ -18,7 +18,6 @@ from doe.problem.candidates import listed_candidates
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
-from identification.kinematics.parameters import EFFECT
 from identification.threads import single_thread
 
 BEATEN = 1e-8  # relative excess over a bound that is not rounding
@@ -66,8 +65,7 @@ def best_design(
 
 def _over_choices(problem: DesignProblem, choices: Array, runs: int, stop: Callable[[], bool]) -> ApproximateDesign:
     candidates = listed_candidates(problem, choices)
-    missing = any(p.kind == EFFECT and p.name in problem.deviations for p in problem.model.parameters)
-    if missing and problem.criterion.name in POWERS:
+    if problem.missing and problem.criterion.name in POWERS:
         return multiplicative(problem, candidates, runs=runs, stop=stop)
     exact = problem.model.dimension > 1 or problem.parameters <= WIDE  # one number a run: weights hardly settle
     options = {} if exact else {"tolerance": ROUGH}

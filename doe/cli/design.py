@@ -71,7 +71,7 @@ def command(
     """Choose the RUNS postures that calibrate the arm best, with a certificate of how good they are."""
     from doe.plan.file import plan_text
     from doe.plan.order import check_order
-    from doe.plan.tip_error import expected_tip
+    from doe.plan.tip_error import tip_beside_random
     from doe.problem.robust import with_choices
     from doe.report.design_tables import design_tables, missing_lines
     from doe.report.verdict import identify_command
@@ -87,7 +87,7 @@ def command(
         problem = with_choices(problem)
     design, data, extra = _searched(common, problem, loaded, search)
     extra += missing_lines(design) if not search.discriminating else []
-    expected = expected_tip(design.problem, design.plan.postures, common.seed)
+    expected = tip_beside_random(design.problem, design.plan.postures, common.seed)
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
     if search.order is not None:

@@ -20,7 +20,6 @@ from doe.problem.robust import missing_effects, robust_problem, tip_jacobians, w
 from doe.problem.spatial import of_one_arm
 from identification.arrays import Array
 from identification.information import information_matrix, inverses, spectrum
-from identification.kinematics.parameters import EFFECT
 from identification.model.positions import of_positions
 from identification.validate.row_groups import diagnosed
 
@@ -71,10 +70,10 @@ class TipErrors:
         """Over the `workspace`; None where there is no sigma to weigh sizes against, or no library for the model, or
         effects may be missing in it already.
 
-        Of a diagnosed arm nothing is missing: what its data could show is in the model, at typical size they would have.
+        Of a diagnosed arm nothing is missing: what its data could show is in the model, and would have been shown.
         """
         own = of_one_arm(problem.model)
-        if problem.model.sigma is None or own is None or robust(problem):
+        if problem.model.sigma is None or own is None or problem.missing:
             return None
         poses = workspace(problem)  # once: rare postures take long to find
         if diagnosed(own.arm):
@@ -150,11 +149,6 @@ class TipErrors:
         return float(np.sqrt(np.sum(spread * self._weight[:own, :own]) + bias + wide.beyond))
 
 
-def robust(problem: DesignProblem) -> bool:
-    """Whether effects may be missing in a problem's model, in which they are with their prior."""
-    return any(p.kind == EFFECT and p.name in problem.deviations for p in problem.model.parameters)
-
-
 @dataclass(frozen=True)
 class ExpectedTip:
     """What a plan promises beside random ones, where the arm may have what its model lacks: RMS distances [mm].
@@ -179,30 +173,31 @@ class ExpectedTip:
         return known | {"better_than": self.better_than, "random_plans": len(self.random), "fit": self.fit or None}
 
     def __str__(self) -> str:
-        """One sentence."""
+        """One sentence, or two."""
         fit = f"fitted by armcal identify --{self.fit}" if self.fit else "fitted without them"
-        median, count = float(np.median(self.random)), len(self.random)
-        figures = f"{self.plan:.3g} mm by this plan, {median:.3g} mm by the median of {count} random ones"
-        found = f"Tip error expected if the arm has effects of typical size that its file does not name ({fit}): {figures}"
-        share = f"better than {self.better_than:.0%} of them"
+        where = f"Expected error of the tip if the arm has effects and error curves that its file does not name ({fit})"
+        figures = (
+            f"{self.plan:.3g} mm by this plan, {np.median(self.random):.3g} mm by the median of {PLANS} random ones"
+        )
+        share = f"better than {100.0 * self.better_than:.0f} % of them"
         if self.better_than > BETTER:
-            return f"{found}; {share}."
-        instead = "" if self.fit else " armcal design --robust chooses postures against that."
-        return f"{found}: in this the plan is no better than postures chosen at random ({share}).{instead}"
+            return f"{where}: {figures}; {share}."
+        instead = "" if self.fit else " armcal design --robust chooses postures for that."
+        return f"{where}: {figures}. In this the plan is no better than postures chosen at random ({share}).{instead}"
 
 
-def expected_tip(problem: DesignProblem, postures: Array, seed: int = 0) -> ExpectedTip | None:
+def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) -> ExpectedTip | None:
     """What a plan (m, n) promises beside random ones; None where no sizes are known or none are counted.
 
     problem : that the plan was chosen for, robust or not
     """
-    if robust(problem):
+    if problem.missing:
         at, everywhere = problem.criterion, replace(problem, choices=None) if problem.sampled else problem
         targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(everywhere))
         errors: TipErrors | None = TipErrors(problem, problem, targets)
     else:
         errors = TipErrors.of(problem)
-    if errors is None or not robust(errors.wide):
+    if errors is None or not errors.wide.missing:
         return None
     judge = errors.with_prior if problem.fit else errors.missing
     generator, m = np.random.default_rng([seed, len(postures)]), len(postures)

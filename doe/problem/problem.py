@@ -22,7 +22,7 @@ from doe.problem.touching import touches, touching_postures
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
-from identification.kinematics.parameters import PRISMATIC, ParameterSet
+from identification.kinematics.parameters import EFFECT, PRISMATIC, ParameterSet
 from identification.model import Model
 from identification.vectorize import PART, vectorize
 
@@ -162,6 +162,11 @@ class DesignProblem:
     def parameters(self) -> int:
         """p, parameters to identify."""
         return len(self.model.parameters)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Names of the parameters of effects that may be missing, which have a prior."""
+        return tuple(p.name for p in self.model.parameters if p.kind == EFFECT and p.name in self.deviations)
 
     @property
     def fewest_runs(self) -> int:

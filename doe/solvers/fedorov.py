@@ -20,6 +20,7 @@ from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 from identification.errors import InputError
 
+MANY, FEWEST = 100, 2  # parameters from which there are fewer starts; the fewest starts
 CHUNK = 20_000  # starts x candidates compared at once: stays in the processor's cache
 
 
@@ -36,8 +37,10 @@ class Fedorov:
     name: str = "fedorov"
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """Each start is thorough; fewer where there is a prior over many effects."""
-        return self.batch if problem.deviations else self.count
+        """Each start is thorough; fewer for many parameters that have a prior, as each costs the square of them."""
+        if not problem.deviations:
+            return self.count
+        return max(FEWEST, round(self.batch * min(1.0, (MANY / problem.parameters) ** 2)))
 
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget

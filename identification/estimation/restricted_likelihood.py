@@ -67,4 +67,3 @@ class Restricted:
         vertex = ends[1] + 0.25 * (high - low) * share
         noise = np.exp(np.clip(vertex, low, high))
         return np.stack([self.minus_log(noise, size), noise])
-

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from doe.plan.tip_error import expected_tip
+from doe.plan.tip_error import tip_beside_random
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import average_error, robust_problem
 from doe.solvers import solve
@@ -112,7 +112,7 @@ def designs(data: Measurements, runs: int) -> dict[str, tuple[NDArray[np.intp], 
         "I": DesignProblem.of(Model(ARM), choices=data.postures, criterion=average_error(plain)),
     }
     plans = {name: solve(case, runs).plan.postures for name, case in problems.items()}
-    expected = {name: expected_tip(case, plans[name]) for name, case in problems.items()}
+    expected = {name: tip_beside_random(case, plans[name]) for name, case in problems.items()}
     return {name: (rows_of(data, plan), getattr(expected[name], "plan", None)) for name, plan in plans.items()}
 
 

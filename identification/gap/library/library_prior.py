@@ -1,4 +1,4 @@
-"""What may be missing in the model of any arm, as normal blocks: the library's effects, error curves, the posture's own.
+"""What may be missing in the model of any arm, as normal blocks: effects, error curves, the posture's own error.
 
 Which effects are missing in the model of a real arm is unknown, but their typical sizes are not
 (identification/README.md, "Typical sizes"). Each parameter is normal with zero mean and its typical size as standard
@@ -7,9 +7,9 @@ is represented by its K settings, with 1/K of the variance each: the mean and co
 effect with a random setting.
 
 Beyond what has a name every joint has an error curve, a Gaussian process of its angle: waves of all orders k with
-standard deviations that fall as 1/k, as those of a random walk do. Together with a ripple of unknown order this is one
-process, whose covariance between two angles is the sum over orders of v_k cos(k (q - q')): the waves of the ripple carry
-both. And a posture has an error of its own, that no other posture tells anything about.
+standard deviations that fall as 1/k, as those of a random walk do. With a ripple of unknown order this is one process,
+whose covariance at two angles is the sum over orders of v_k cos(k (q - q')): the waves of the ripple carry both. And a
+posture has an error of its own, that no other posture tells anything about.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.plan.tip_error import TipError, TipErrors, expected_tip
+from doe.plan.tip_error import TipError, TipErrors, tip_beside_random
 from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import average_error, missing_effects, robust_problem, tip_jacobians, workspace
@@ -85,7 +85,7 @@ def test_of_a_diagnosed_arm_nothing_is_missing() -> None:
     assert found.right**2 == pytest.approx(expected, rel=1e-9)
     said = found.to_json()
     assert (said["effects_missing"], said["effects_missing_prior"]) == (None, None)
-    assert expected_tip(case, POSTURES) is None
+    assert tip_beside_random(case, POSTURES) is None
 
 
 def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
@@ -161,7 +161,7 @@ def test_what_no_name_has_is_counted_against_simulated_arms() -> None:
 @pytest.mark.parametrize("problem", [PLAIN, WIDE])
 def test_a_plan_beside_random_ones(problem: DesignProblem) -> None:
     """By the fit that it is meant for, each random plan by itself; the same seed gives the same."""
-    found = expected_tip(problem, POSTURES, seed=2)
+    found = tip_beside_random(problem, POSTURES, seed=2)
     assert found is not None
     assert found.fit == problem.fit
     judged = TipErrors(problem, WIDE, tip_jacobians(WIDE, workspace(PLAIN))) if problem.fit else TipErrors.of(PLAIN)
@@ -172,6 +172,10 @@ def test_a_plan_beside_random_ones(problem: DesignProblem) -> None:
     assert np.all(found.random > 0.0)
     said = found.to_json()
     assert said["better_than"] == np.mean(found.random > found.plan)
-    assert said == expected_tip(problem, POSTURES, seed=2).to_json() != expected_tip(problem, POSTURES, 3).to_json()
-    worse = expected_tip(problem, np.tile(POSTURES[:3], (2, 1)), seed=2)
+    assert (
+        said
+        == tip_beside_random(problem, POSTURES, seed=2).to_json()
+        != tip_beside_random(problem, POSTURES, 3).to_json()
+    )
+    worse = tip_beside_random(problem, np.tile(POSTURES[:3], (2, 1)), seed=2)
     assert "no better than postures chosen at random" in str(worse)
