@@ -60,14 +60,14 @@ def robust_problem(
     """
     added = missing_effects(problem) if missing is None else missing
     own = of_one_arm(problem.model)
-    noise = float(np.hypot(problem.model.sigma or 0.0, added.own_error))
+    noise = float(np.hypot(problem.model.sigma or 0.0, added.prior.own_error))
     model = replace(Model(replace(added.arm, sigma=noise)), known=None if own is None else own.known)
     deviations = {**problem.deviations, **added.prior.deviations}
     wide = replace(problem, model=whole(model), deviations=deviations, fit=LIBRARY)
     poses = workspace(wide) if poses is None else poses
     levers = of_positions(model).joint_levers(poses)
     waves = float(np.mean(np.einsum("kdj,j->k", levers**2, added.faster)))
-    wide = replace(wide, beyond=waves + levers.shape[1] * added.own_error**2)
+    wide = replace(wide, beyond=waves + levers.shape[1] * added.prior.own_error**2)
     return replace(wide, criterion=average_error(wide, poses) if criterion is None else criterion)
 
 

@@ -70,10 +70,13 @@ class Prior(ByValue):
 
     deviations : parameter name -> standard deviation > 0 [API unit]; parameters that are not named are free, names
         that a model does not have do not matter
+    own_error : standard deviation [mm] of one coordinate of a posture's own error, of which other postures say nothing:
+        to a fit it is noise
     """
 
     deviations: Mapping[str, float]
     earlier: Earlier | None = None
+    own_error: float = 0.0
 
     def __post_init__(self) -> None:
         for name, deviation in self.deviations.items():

@@ -46,7 +46,6 @@ class LibraryPrior:
     arm : with all effects, those `added` last;  prior : of the parameters of `added`
     left_out : effect -> why it was not added
     faster : (n,) variance of each joint's angle [rad^2] by waves above the fastest that is added
-    own_error : standard deviation [mm] of a posture's own error in one coordinate
     """
 
     arm: Arm
@@ -54,7 +53,6 @@ class LibraryPrior:
     prior: Prior
     left_out: Mapping[str, str]
     faster: Array
-    own_error: float
 
     @property
     def model(self) -> Model:
@@ -134,9 +132,8 @@ def library_prior(
     effects = Model(wide).effects[-len(added) :]
     pairs = [(p, h) for e, h in zip(effects, added, strict=True) for p in e.parameters]
     deviations = {p.name: deviation(h, p.typical or 0.0) for p, h in pairs}
-    own_error = OWN * arm.reach if names is None else 0.0
-    specs = tuple(h.spec for h in added)
-    return LibraryPrior(wide, specs, Prior(deviations), MappingProxyType(left_out), faster, own_error)
+    prior = Prior(deviations, own_error=OWN * arm.reach if names is None else 0.0)
+    return LibraryPrior(wide, tuple(h.spec for h in added), prior, MappingProxyType(left_out), faster)
 
 
 def given_by(measurements: Measurements) -> frozenset[str]:

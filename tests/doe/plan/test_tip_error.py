@@ -144,14 +144,14 @@ def test_what_no_name_has_is_counted_against_simulated_arms() -> None:
     at = np.concatenate([plan, poses])
     drawn = sizes[:, None] * generator.standard_normal((len(sizes), count))
     real = whole.model.jacobian(at).reshape(-1, len(sizes)) @ drawn
-    real += whole.own_error * generator.standard_normal(real.shape)
+    real += whole.prior.own_error * generator.standard_normal(real.shape)
     data = real[:60] + 0.1 * generator.standard_normal((60, count))
     columns = PLAIN.model.jacobian(at).reshape(-1, 4)
     left = columns[60:] @ np.linalg.lstsq(columns[:60], data, rcond=None)[0] - real[60:]
     expected = TipErrors(PLAIN, wide, tip_jacobians(wide, poses)).of_plan(plan)
     slow = wide.model.parameters.vector(missing_effects(PLAIN).prior.deviations, default=1e3)
     rows = wide.model.jacobian(at).reshape(-1, len(slow)) * slow
-    noise = np.hypot(0.1, whole.own_error)
+    noise = np.hypot(0.1, whole.prior.own_error)
     gain = np.linalg.solve(rows[:60].T @ rows[:60] + noise**2 * np.eye(len(slow)), rows[:60].T)
     held = rows[60:] @ gain @ data - real[60:]
     for error, promised in ((left, expected.missing), (held, expected.with_prior)):

@@ -70,9 +70,9 @@ def test_waves_too_fast_to_be_added_are_counted() -> None:
 def test_only_what_is_named_may_be_missing() -> None:
     """No error curve, and no posture has an error of its own; else this is in proportion to the arm."""
     named = library_prior(ARM, names=["gear_ratio"])
-    assert (named.own_error, named.faster.any()) == (0.0, False)
-    assert library_prior(ARM).own_error == pytest.approx(0.05)
-    assert library_prior(Arm([600.0, 400.0])).own_error == pytest.approx(0.1)
+    assert (named.prior.own_error, named.faster.any()) == (0.0, False)
+    assert library_prior(ARM).prior.own_error == pytest.approx(0.05)
+    assert library_prior(Arm([600.0, 400.0])).prior.own_error == pytest.approx(0.1)
 
 
 def test_a_rare_effect_has_its_share_of_the_variance() -> None:
@@ -157,3 +157,25 @@ def test_what_a_narrow_joint_1_cannot_show_is_not_taken_for_frames() -> None:
         squares.append([validate(fit.calibrated_arm(), there).model.rms ** 2 for fit in fits])
     plain, held = np.mean(squares, axis=0)
     assert held < 0.5 * plain
+
+
+def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior() -> None:
+    """20 arms with everything drawn from it, an error of its own at every posture included, measured at 40 postures and
+    judged at others. Each mean square is that of a few errors that go together, relative standard error about
+    sqrt(2 / 5) / sqrt(20) = 14 %: three of them. The postures' own errors are a fifth of it or more."""
+    arm = replace(ARM, sigma=0.02)
+    found, generator = library_prior(arm), np.random.default_rng(12)
+    own, sizes = found.prior.own_error, found.model.parameters.vector(found.prior.deviations, default=0.0)
+    said, reached = [], []
+    for _ in range(20):
+        truth = sizes * generator.standard_normal(len(sizes))
+        postures = generator.uniform(-np.pi, np.pi, (240, 2))
+        real = found.model.position(postures, truth) + own * generator.standard_normal((240, 2))
+        data = Measurements(postures[:40], real[:40] + 0.02 * generator.standard_normal((40, 2)))
+        fit = estimate_with_prior(found.model, data, found.prior)
+        assert fit.expected_tip is not None
+        missed = real[40:] - fit.model.position(postures[40:], fit.parameters)
+        said.append(fit.expected_tip**2)
+        reached.append(np.mean(np.sum(missed**2, axis=1)))
+    assert np.mean(said) == pytest.approx(np.mean(reached), rel=0.42)
+    assert np.mean(said) - 2.0 * own**2 < 0.8 * np.mean(reached)
