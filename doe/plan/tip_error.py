@@ -119,7 +119,8 @@ class TipErrors:
 
     def _information(self, postures: Array) -> Array:
         """(P, P) sum of B^T B of the plan and of what is measured already, without any prior."""
-        return information_matrix(self.wide.scaled_jacobians(np.concatenate([postures, self.problem.kept])))
+        every = np.concatenate([postures, self.problem.kept])
+        return self.wide.weighted_information(every, np.ones(len(every)))
 
     def _identified(self, postures: Array) -> bool:
         own = self.problem.parameters
@@ -187,10 +188,13 @@ class ExpectedTip:
 
 
 def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) -> ExpectedTip | None:
-    """What a plan (m, n) promises beside random ones; None where no sizes are known or none are counted.
+    """What a plan (m, n) promises beside random ones; None where no sizes are known or none are counted, and for more
+    runs than `POOL`, of which random plans are all alike.
 
     problem : that the plan was chosen for, robust or not
     """
+    if len(postures) > POOL:
+        return None
     if problem.missing:
         at, everywhere = problem.criterion, replace(problem, choices=None) if problem.sampled else problem
         targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(everywhere))
@@ -204,6 +208,6 @@ def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) ->
     if problem.choices is not None and not problem.sampled:
         pool = listed_candidates(problem, problem.choices).postures
     else:
-        pool = random_postures(problem, min(PLANS * m, max(POOL, m)), generator)
-    plans = [pool[generator.permutation(len(pool))[:m]] for _ in range(PLANS)]
+        pool = random_postures(problem, min(PLANS * m, POOL), generator)
+    plans = [pool[generator.choice(len(pool), m, replace=len(pool) < m)] for _ in range(PLANS)]
     return ExpectedTip(judge(postures), np.array([judge(plan) for plan in plans]), problem.fit)
