@@ -35,8 +35,8 @@ from identification.measurements import Measurements
 from identification.model import Model
 
 # reasons: identification/README.md, "With a prior"
-CURVE = 1e-3 / np.sqrt(2.0)  # [rad] of an error curve's wave once per turn, as `a` and as `b`
-OWN = 1e-4  # of the reach: of a posture's own error, in one coordinate
+CURVE = 1e-3  # [rad] of an error curve's wave once per turn, as `a` and as `b`
+OWN = 6e-5  # of the reach: of a posture's own error, in one coordinate
 
 
 @dataclass(frozen=True)
