@@ -24,7 +24,7 @@ from identification.estimation.plausibility import (
     outside_limits,
 )
 from identification.estimation.shown import MISFIT
-from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor, noise_floor, with_repeats_doubted
+from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.data_checks import data_warnings, gap_notes, wrong_units
 from identification.inspection.enough import Sufficiency, sufficiency
 from identification.inspection.reading import Readings
@@ -301,7 +301,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
 def _floor(fit: Identification | None, measurements: Measurements) -> NoiseFloor:
     """What repeats scatter by; not known without a fit, which says what small differences of their angles do."""
     if fit is None:
-        return NOTHING_KNOWN
+        return NoiseFloor()
     return noise_floor(fit.residuals_after, measurements, np.ones(len(measurements), dtype=bool), None)
 
 
