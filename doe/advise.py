@@ -19,10 +19,9 @@ from doe.bounds.bound import Bound
 from doe.design import Design
 from doe.plan.addition import with_additions
 from doe.plan.plan import Plan
-from doe.plan.tip_error import TipError, robust_or_none, tip_error
+from doe.plan.tip_error import TipError, TipErrors
 from doe.problem.prior import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import workspace
 from doe.solvers import solve
 from identification.arm import SIGMA_RANGE, Arm
 from identification.arrays import Array
@@ -125,14 +124,13 @@ def advise(
     if target is not None and not (np.isfinite(target) and target > 0.0):
         raise InputError(f"target_mm: {target}, allowed: > 0")
     began, budget = perf_counter(), np.inf if seconds is None else seconds
-    wide = robust_or_none(problem)
-    poses = None if wide is None else workspace(problem)  # once: rare postures take long to find
+    errors = TipErrors.of(problem)
     bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + SHARE * budget)
     designs: dict[int, Design] = {}
     fewer: Design | None = None
 
     def keeps(most: Array, postures: Array) -> bool:
-        return bool(np.all(promised(problem, postures, wide, poses) <= most))
+        return bool(np.all(promised(problem, postures, errors) <= most))
 
     try:
         for done, m in enumerate(sorted(set(runs))):
@@ -141,7 +139,7 @@ def advise(
             if fewer is not None:
                 generator = np.random.default_rng([seed, m])
                 begin = with_additions(problem, fewer.plan.postures, m - len(fewer.plan), generator)
-                most = promised(problem, fewer.plan.postures, wide, poses) * (1.0 + ROUNDING)
+                most = promised(problem, fewer.plan.postures, errors) * (1.0 + ROUNDING)
             design = solve(
                 problem,
                 m,
@@ -158,8 +156,7 @@ def advise(
         if not designs:
             raise
     made = tuple(designs[m] for m in runs if m in designs)
-    errors = () if wide is None else tuple(tip_error(problem, wide, d.plan.postures, poses) for d in made)
-    return Advice(made, target, errors)
+    return Advice(made, target, () if errors is None else tuple(errors.of_plan(d.plan.postures) for d in made))
 
 
 def with_scatter(arm: Arm) -> tuple[Arm, str]:
@@ -174,13 +171,10 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
     return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {given}, is taken for it."
 
 
-def promised(problem: DesignProblem, postures: Array, wide: DesignProblem | None, poses: Array | None) -> Array:
-    """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right.
-
-    wide, poses : as of `tip_error`
-    """
+def promised(problem: DesignProblem, postures: Array, errors: TipErrors | None) -> Array:
+    """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right."""
     design = Design(problem, Plan(postures, joint_types=problem.model.joint_types))
     expected = design.deviations
     deviations = [np.inf, np.inf] if expected is None else [expected.largest_length, expected.largest_angle]
-    errors = [] if wide is None else [tip_error(problem, wide, postures, poses)]
-    return np.array([*deviations, *(figure for error in errors for figure in (error.right, error.worst))])
+    of_tip = [] if errors is None else [errors.of_plan(postures)]
+    return np.array([*deviations, *(figure for error in of_tip for figure in (error.right, error.worst))])

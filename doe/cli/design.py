@@ -72,6 +72,7 @@ def command(
     """Choose the RUNS postures that calibrate the arm best, with a certificate of how good they are."""
     from doe.plan.file import plan_text
     from doe.plan.order import check_order
+    from doe.plan.tip_error import tip_beside_random
     from doe.problem.robust import with_choices
     from doe.report.design import design_document, missing_lines
     from doe.report.identification import identify_command
@@ -87,6 +88,9 @@ def command(
         problem = with_choices(problem)
     design, data, extra = _searched(common, problem, loaded, search)
     extra += missing_lines(design) if not search.discriminating else []
+    expected = tip_beside_random(design.problem, design.plan.postures, common.seed)
+    data["expected_tip"] = None if expected is None else expected.to_json()
+    extra += [] if expected is None else [str(expected)]
     if search.order is not None:
         design = _ordered(design, search.order, common.seed, data, extra)
     extra += output.write_all(

@@ -225,7 +225,6 @@ class Wanted:
         found, said = estimate_with_prior(model, data, prior, sigma=self.sigma), self.said(model, prior)
         if prior.earlier is not None:
             said["prior_from"]["contradicted"] = [one.to_json() for one in found.contradictions]
-        library = replace(library, together=found.prior.together) if library and found.prior else library
         return with_repeats_doubted(found, data), library, said
 
     def without_outliers(

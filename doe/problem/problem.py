@@ -93,6 +93,7 @@ class DesignProblem:
     deviations : parameter name -> standard deviation of what is known of it before anything is measured [API unit],
         around the model's values: a normal prior, which needs sigma; parameters without one are free
     fit : how measurements of its plans are to be fitted, see `Plan`
+    beyond : mean square [mm^2] of the tip's distance that no plan can lower: errors that a posture does not share
     """
 
     model: InformationModel
@@ -106,6 +107,7 @@ class DesignProblem:
     minimum_distance: float = ONE_DEGREE
     deviations: Mapping[str, float] = field(default_factory=dict)
     fit: str = ""
+    beyond: float = 0.0
 
     def __post_init__(self) -> None:
         for name, needed, made in (

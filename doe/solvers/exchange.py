@@ -29,6 +29,7 @@ from identification.information import information_matrix
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 SWEEPS = 60
 TOGETHER = 20_000  # runs of all starts of a batch, at most: keeps memory and time of a batch small
+DEAR, FEWEST = 100, 2  # parameters from which a list has fewer starts; the fewest starts
 CHUNK = 20_000  # listed postures compared at once: stays in the processor's cache
 
 
@@ -93,8 +94,10 @@ class Fedorov:
     name: str = "fedorov"
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """Each start is thorough; fewer where there is a prior over many effects."""
-        return self.batch if problem.deviations else self.count
+        """Each start is thorough; fewer for many parameters that have a prior, as each costs the square of them."""
+        if not problem.deviations:
+            return self.count
+        return max(FEWEST, round(self.batch * min(1.0, (DEAR / problem.parameters) ** 2)))
 
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from doe.problem.bayesian import ensemble_problem, prior_draws
 from doe.problem.problem import DesignProblem
 from doe.report.design import accuracy
 from doe.solvers import solve
-from identification.arm import Arm, Calibration, EffectSpec
+from identification.arm import Arm, Calibration, EffectSpec, Machining
 from identification.document import Sheet
 from identification.errors import InputError
 from identification.model import Model
@@ -21,7 +23,8 @@ ARM = Arm(
     effects=(EffectSpec("gear_ratio", 2), EffectSpec("encoder_eccentricity", 3)),
 )  # fmt: skip
 MODEL = Model(ARM)
-DRAWS = prior_draws(MODEL, 3, np.random.default_rng(1), length=8.0, angle=np.radians(6.0))
+ROUGH = replace(ARM, machining=Machining(8.0, np.radians(6.0)))
+DRAWS = prior_draws(Model(ROUGH), 3, np.random.default_rng(1))
 
 
 def each_log_det(postures: np.ndarray) -> np.ndarray:
