@@ -33,7 +33,7 @@ def write_calibrated(
     if output.out is not None:
         files[output.out] = arm_file(found, path, hidden, before, prior)
     if found.geometry is not None:
-        from identification.files.arm_spatial import corrected_urdf
+        from identification.files.arm_chain import corrected_urdf
 
         files |= urdf_beside(path, output.out)
         files |= {} if urdf is None else {urdf: corrected_urdf(path, found.geometry.real)}

@@ -23,7 +23,7 @@ def command(common: CommonOptions, arm: Path, data: Path) -> Answer:
     """
     from doe.report.inspection_tables import inspection_tables
     from identification.files.arm import load_arm
-    from identification.files.arm_spatial import urdf_masses
+    from identification.files.arm_chain import urdf_masses
     from identification.files.measurement import load_measurements
     from identification.inspection.inspection import inspect
 

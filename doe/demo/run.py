@@ -191,7 +191,7 @@ class Run:
 
     def arm_files(self, base: Identification, diagnosis: Diagnosis, extended: Identification) -> None:
         """Write both calibrated arm files and, for an arm from a URDF file, the corrected URDF (without effects)."""
-        from identification.files.arm_spatial import corrected_urdf
+        from identification.files.arm_chain import corrected_urdf
 
         text = self.scenario.files["arm.toml"]
         self.write("calibrated.toml", with_calibration(text, base.calibration(), self.directory))

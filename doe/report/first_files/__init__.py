@@ -12,9 +12,8 @@ import numpy as np
 
 from identification.arm import MAX_LINKS
 from identification.errors import InputError, printable
-from identification.files.arm_schema import PLANAR, ArmFile
-from identification.files.arm_schema_spatial import SpatialArmFile
 from identification.files.io import PathLike
+from identification.files.schema import json_schema, validated_arm
 from identification.files.urdf import Urdf, read_urdf
 from identification.kinematics.instrument import CONTACTS
 from identification.kinematics.parameters import REVOLUTE
@@ -64,7 +63,7 @@ def planar_files(links: str) -> dict[str, str]:
         "runs": max(5 * n, 20),
         "fresh": 12,
     }
-    return _files(_filled("arm_planar.toml.j2", values), columns, ArmFile, about)
+    return _files(_filled("arm_planar.toml.j2", values), columns, "planar", about)
 
 
 def dh_files(joints: int, instrument: str = "") -> dict[str, str]:
@@ -139,11 +138,11 @@ def _spatial(values: Mapping[str, Any], types: Sequence[str], about: Mapping[str
     steps = {**about, **measured, "joints": n, "spatial": True, "runs": rows * max(5 * n, 20), "fresh": rows * 12}
     named = {**values, **measured, "scatter": SCATTER[kind], "center": _numbers(CENTER)}
     columns = ["order", *joints, *COLUMNS[kind]]
-    return _files(_filled("arm_spatial.toml.j2", named), columns, SpatialArmFile, steps)
+    return _files(_filled("arm_spatial.toml.j2", named), columns, "spatial", steps)
 
 
-def _files(arm: str, columns: Sequence[str], model: Any, about: Mapping[str, Any]) -> dict[str, str]:
-    schema = json.dumps(model.model_json_schema(), indent=1) + "\n"
+def _files(arm: str, columns: Sequence[str], arms: str, about: Mapping[str, Any]) -> dict[str, str]:
+    schema = json.dumps(json_schema(arms), indent=1) + "\n"
     steps = _filled("steps.j2", {"columns": columns, **about})
     return {ARM: arm, DATA: ",".join(columns) + "\n", SCHEMA: schema, STEPS: steps}
 
@@ -160,7 +159,7 @@ def _lengths(links: str) -> tuple[list[float], bool]:
     if not lengths:
         allowed = f"allowed: how many, 1 to {MAX_LINKS}, or lengths [mm], one with a point, 13.0, or 612,572.3,115.7"
         raise InputError(f"--links: found {links!r}, {allowed}")
-    PLANAR.validated({"links_mm": lengths}, "--links: ")
+    validated_arm({"links_mm": lengths}, "--links: ")
     return lengths, False
 
 

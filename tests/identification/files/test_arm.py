@@ -17,9 +17,8 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import readonly
 from identification.errors import InputError
 from identification.files.arm import arm_from_tables, load_arm
-from identification.files.arm_text import dump_arm, with_calibration, with_effects
+from identification.files.arm_text import append_tables, dump_arm, replace_table, with_calibration, with_effects
 from identification.files.io import read_text
-from identification.files.toml import append_tables, replace_table
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
 FULL = """\

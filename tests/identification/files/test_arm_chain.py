@@ -299,7 +299,11 @@ SWAPS = [
     (", 1.0, 0.5]", ", 1.0]", "gravity.link_masses_kg: found 5 values for 6 joints, allowed: 6"),
     ("50.0, 0.0]\n\n[joint", "50.0]\n\n[joint", "gear_ratio: found 5 values for 6 joints, allowed: 6"),
     ("z_mm = [100.0, 2000.0]", "", "constraints[1].z_mm: is missing"),
-    ("z_mm = [100.0, 2000.0]", "z_mm = [100.0, 20.0]", "constraints[1].z_mm: found [100, 20], allowed: the lower one"),
+    (
+        "z_mm = [100.0, 2000.0]",
+        "z_mm = [100.0, 20.0]",
+        "constraints[1].z_mm: found [100.0, 20.0], allowed: the lower one",
+    ),
     ('"keep_out_sphere"', '"keep_out_circle"', "constraints[2].kind: found 'keep_out_circle'"),
     ("end_mm = [350.0, 200.0, 900.0]", "end_mm = [350.0, 200.0, 0.0]", "constraints[3].end_mm: found"),
     ("facing = [0.0, 0.0, 1.0]", "", "constraints[4].acceptance_deg: found without facing"),
