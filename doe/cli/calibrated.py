@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from doe.cli.common import Answer, warn_beside_json
-from doe.cli.options import Output
 from identification.status import Status
 
 if TYPE_CHECKING:
@@ -19,26 +18,27 @@ if TYPE_CHECKING:
 def write_calibrated(
     found: Identification,
     path: Path,
-    output: Output,
-    urdf: Path | None,
+    written: tuple[Path | None, Path | None],
+    force: bool,
     hidden: frozenset[str],
     before: Calibration | None = None,
     prior: Calibration | None = None,
 ) -> list[str]:
-    """Write the calibrated arm and the corrected URDF file, all or none, and return the lines that report them."""
+    """Write the calibrated arm and the corrected URDF file (`written`), all or none; the lines that report them."""
     from identification.files.arm_text import urdf_beside
     from identification.files.io import PathLike, write_together
 
+    out, urdf = written
     files: dict[PathLike, str | bytes] = {}
-    if output.out is not None:
-        files[output.out] = arm_file(found, path, hidden, before, prior)
+    if out is not None:
+        files[out] = arm_file(found, path, hidden, before, prior)
     if found.geometry is not None:
         from identification.files.arm_chain import corrected_urdf
 
-        files |= urdf_beside(path, output.out)
+        files |= urdf_beside(path, out)
         files |= {} if urdf is None else {urdf: corrected_urdf(path, found.geometry.real)}
-    write_together(files, force=output.force)
-    what = {output.out: "calibrated arm", urdf: "corrected URDF file"}
+    write_together(files, force=force)
+    what = {out: "calibrated arm", urdf: "corrected URDF file"}
     lines = [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
     if urdf is not None and found.model.effects:
         lines.append(
@@ -92,15 +92,16 @@ def fit_answer(
     found: Identification,
     shown: list[Any],
     path: Path,
-    output: Output,
-    urdf: Path | None,
+    written: tuple[Path | None, Path | None],
+    force: bool,
     library: LibraryPrior | None = None,
     before: Calibration | None = None,
     prior: Calibration | None = None,
 ) -> Answer:
     """The answer for a fit; writes the requested files unless the fit is not good enough (`no_file`).
 
-    shown : the tables;  prior : the earlier calibration that was the prior
+    shown : the tables;  written : names of the calibrated arm file and of the corrected URDF file
+    prior : the earlier calibration that was the prior
     before : the earlier calibration; parameters that were not estimated keep its covariance and its data
     """
     warn_beside_json(found.warnings)
@@ -109,12 +110,12 @@ def fit_answer(
         data |= {"prior": library.to_json()}
         data["parameters"] = [row for row in data["parameters"] if row["name"] not in hidden]
         shown.append(library.sentence)
-    wanted = [name for name in (output.out, urdf) if name is not None]
+    wanted = [name for name in written if name is not None]
     if not wanted:
         return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
-    if (reason := no_file(found, output.force)) is not None:
+    if (reason := no_file(found, force)) is not None:
         return Answer(data, [*shown, *(f"{name} was not written: {reason}" for name in wanted)], exit_code=1)
-    return Answer(data, shown + write_calibrated(found, path, output, urdf, hidden, before, prior))
+    return Answer(data, shown + write_calibrated(found, path, written, force, hidden, before, prior))
 
 
 def dh_of(found: Identification, arm: Path) -> tuple[tuple[CorrectedValue, ...], list[str]]:

@@ -12,7 +12,7 @@ import click
 
 from doe.cli import calibrated
 from doe.cli.common import Answer, CommonOptions, read_measurements, verb, warn_beside_json
-from doe.cli.options import FILE, LibraryEffects, Output, PriorOrFile, only_option, output_options, prior_options
+from doe.cli.options import File, LibraryEffects, Names, OutFile
 from identification.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,59 +26,60 @@ if TYPE_CHECKING:
     from identification.servo import FollowingError
 
 
-@verb(
-    "armcal identify arm.toml data.csv --out calibrated.toml",
-    "Estimate the arm's parameters from measurements.",
-    PriorOrFile,
-)
-@click.argument("arm", type=FILE)
-@click.argument("data", type=FILE)
-@click.option("--method", help="linear, gauss_newton or paper_steps; left out: the best for the model.")
-@click.option(
-    "--sigma",
-    type=click.Choice(["given", "estimated"]),
-    help="What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.",
-)
-@prior_options
-@click.option(
-    "--prior-from",
-    type=FILE,
-    metavar="FILE",
-    help="An earlier calibration with its covariance as the prior; --prior FILE is the same.",
-)
-@only_option
-@click.option(
-    "--parameters",
-    type=click.Choice(["minimal", "all"]),
-    help="Of a spatial arm: all errors of its geometry, held by [machining] (left out: this), or as many as are free.",
-)
-@click.option(
-    "--without-outliers", is_flag=True, help="Leave rows out that nothing of the model explains, and say which."
-)
-@click.option(
-    "--full", is_flag=True, help="Print every corrected value of a spatial arm, also those hardly determined."
-)
-@click.option("--urdf", type=FILE, metavar="FILE", help="Write the corrected URDF file of a spatial arm.")
-@output_options(out="Write a calibrated arm file (TOML).")
+class PriorOrFile(click.Command):
+    """A command that reads `--prior FILE` as `--prior-from FILE`, since the flag --prior leaves a word too many."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As in click; if that fails, parse again with --prior-from in the place of --prior."""
+        words = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            places = [k for k, word in enumerate(words) if word.partition("=")[0] == "--prior"]
+            if len(places) != 1:
+                raise
+            words[places[0]] = words[places[0]].replace("--prior", "--prior-from", 1)
+            ctx.params.clear()
+            try:
+                return super().parse_args(ctx, words)
+            except click.UsageError:
+                raise error from None
+
+
+@verb("armcal identify arm.toml data.csv --out calibrated.toml", PriorOrFile)
 def command(
     common: CommonOptions,
-    arm: Path,
-    data: Path,
-    method: str | None,
-    sigma: Literal["given", "estimated"] | None,
+    arm: File,
+    data: File,
+    *,
+    method: str | None = None,
+    sigma: Literal["given", "estimated"] | None = None,
     prior: LibraryEffects,
-    prior_from: Path | None,
-    only: tuple[str, ...],
-    parameters: str | None,
-    without_outliers: bool,
-    full: bool,
-    urdf: Path | None,
-    output: Output,
+    prior_from: File | None = None,
+    only: tuple[Names, ...] = (),
+    parameters: Literal["minimal", "all"] | None = None,
+    without_outliers: bool = False,
+    full: bool = False,
+    urdf: OutFile | None = None,
+    out: OutFile | None = None,
+    force: bool = False,
 ) -> Answer:
-    """Estimate the arm's parameters from measurements, with 95 % intervals.
+    """Estimate the arm's parameters from measurements.
 
-    Where a column session distinguishes sessions, each gets a base of its own; the file has that of the first. With
-    --only all other parameters stay at the values of ARM.
+    With 95 % intervals. Where a column session distinguishes sessions, each gets a base of its own; the file has that
+    of the first. With --only all other parameters stay at the values of ARM.
+
+    method : linear, gauss_newton or paper_steps; left out: the best for the model.
+    sigma : What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.
+    prior_from : An earlier calibration with its covariance as the prior; --prior FILE is the same.
+    only : Estimate only these, with commas: lengths, joint_offsets, base, tool, effects, names such as joint_offset:2.
+    parameters : Of a spatial arm: all errors of its geometry, held by [machining] (left out: this), or as many as are
+        free.
+    without_outliers : Leave rows out that nothing of the model explains, and say which.
+    full : Print every corrected value of a spatial arm, also those hardly determined.
+    urdf : Write the corrected URDF file of a spatial arm.
+    out : Write a calibrated arm file (TOML).
+    force : Overwrite an existing file.
     """
     from doe.report.verdict import hardly_better
     from identification.estimation import estimate
@@ -110,7 +111,7 @@ def command(
         offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, fitted)), fitted), found, fitted)
     extra, shown = fit_shown(found, (arm, loaded), fitted, words, library, full=full or old is not None)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
-    answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
+    answered = calibrated.fit_answer(found, shown, arm, (out, urdf), force, library, *kept)
     answered.data |= extra | said | ({} if asked is None else {"fit": asked})
     answered.shown += [*([] if asked is None else [asked_in_words(asked, data)]), *wanted.sentences(said)]
     if offered is not None:
@@ -121,7 +122,7 @@ def command(
     answered = with_commands(answered, following_errors(measurements, loaded.joint_types))
     better = offered is None or offered.better
     told = {"allowed_for": library is not None, "better": better, "mounted_anew": mounted_anew}
-    return with_next(answered, (arm, data), output.out, loaded, **told)
+    return with_next(answered, (arm, data), out, loaded, **told)
 
 
 def as_asked(

@@ -3,46 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated, Literal
 
 import click
 
 from doe.cli.common import Answer, CommonOptions, verb
-from doe.cli.options import FILE, FOLDER
+from doe.cli.options import FilePath, Folder
 from identification.errors import InputError
 from identification.files.io import PathLike, write_together
 
 
-@verb("armcal init --urdf robot.urdf --out calibration", "Write the first files: arm, measurements, what to do.")
-@click.option(
-    "--links",
-    metavar="N|LENGTHS",
-    help="A planar arm: how many links (a whole number, 1 to 12), or their lengths [mm]: 612,572.3 or, of one, 612.0",
-)
-@click.option("--urdf", "robot", type=FILE, metavar="FILE", help="A spatial arm from a URDF file.")
-@click.option("--dh", metavar="N", type=click.IntRange(1, 12), help="A spatial arm from N Denavit-Hartenberg rows.")
-@click.option("--base-link", help="Of the URDF file; left out: its root.")
-@click.option("--tip-link", help="Of the URDF file; left out: tool0, tcp .. or the end with the most joints.")
-@click.option(
-    "--instrument",
-    type=click.Choice(["distance", "sphere", "plane"]),
-    help="Of a spatial arm measured by a ball bar or draw wire, or by touching balls or planes.",
-)
-@click.option("--out", type=FOLDER, default=".", show_default="here", metavar="DIR", help="Folder; made if missing.")
-@click.option("--force", is_flag=True, help="Overwrite existing files.")
+@verb("armcal init --urdf robot.urdf --out calibration")
 def command(
     common: CommonOptions,
-    links: str | None,
-    robot: Path | None,
-    dh: int | None,
-    base_link: str | None,
-    tip_link: str | None,
-    instrument: str | None,
-    out: Path,
-    force: bool,
+    *,
+    links: Annotated[str, "N|LENGTHS"] | None = None,
+    robot: Annotated[Path, FilePath(), "--urdf"] | None = None,
+    dh: Annotated[int, click.IntRange(1, 12), "N"] | None = None,
+    base_link: str | None = None,
+    tip_link: str | None = None,
+    instrument: Literal["distance", "sphere", "plane"] | None = None,
+    out: Folder = Path("."),
+    force: bool = False,
 ) -> Answer:
-    """Write an arm file with comments, the columns of a measurement file, and the steps of a calibration.
+    """Write the first files: arm, measurements, what to do.
 
-    One of --links, --urdf and --dh says which arm; a planar one of three links without any of them.
+    An arm file with comments, the columns of a measurement file, and the steps of a calibration. One of --links, --urdf
+    and --dh says which arm; a planar one of three links without any of them.
+
+    links : A planar arm: how many links (a whole number, 1 to 12), or their lengths [mm]: 612,572.3 or, of one, 612.0
+    robot : A spatial arm from a URDF file.
+    dh : A spatial arm from N Denavit-Hartenberg rows.
+    base_link : Of the URDF file; left out: its root.
+    tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
+    instrument : Of a spatial arm measured by a ball bar or draw wire, or by touching balls or planes.
+    out : Folder; made if missing.
+    force : Overwrite existing files.
     """
     from doe.report.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
 

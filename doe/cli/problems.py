@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from doe.cli.options import FILE, Decorator, grouped
+from doe.cli.options import File, Names, words
 from identification.errors import InputError, nearest
 
 if TYPE_CHECKING:
@@ -19,13 +19,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CriterionOptions:
-    """The criterion, and whether the model may lack effects."""
+    """The criterion, and whether the model may lack effects.
+
+    criterion : D, A, E, I, Ds or Dstar; left out: D, with --robust I.
+    test_poses : CSV of postures that matter, for criterion I.
+    subset : Parameters that matter, for Ds: length_error:1,joint_offset:2
+    robust : The arm may have effects of the library that its file does not name.
+    missing : Only these effects, for --robust: backlash,gear_ratio
+    """
 
     criterion: str | None = None
-    test_poses: Path | None = None
+    test_poses: File | None = None
     subset: str | None = None
     robust: bool = False
-    missing: str | None = None
+    missing: Names | None = None
 
     @property
     def name(self) -> str:
@@ -45,56 +52,27 @@ class CriterionOptions:
             return None
         if not self.robust:
             raise InputError("--missing: found without --robust, allowed: with --robust")
-        return [word.strip() for word in self.missing.split(",")]
+        return words(self.missing)
 
 
 @dataclass(frozen=True)
 class PostureOptions:
-    """Which postures may be chosen, and for which arms."""
+    """Which postures may be chosen, and for which arms.
 
-    keep: Path | None = None
-    candidates: Path | None = None
+    keep : Postures already measured; the plan complements them.
+    candidates : CSV of allowed postures to choose from.
+    repeats : A posture may be measured more than once.
+    minimum_distance_deg : Postures differ by this in some joint (1 deg).
+    uncertain : average or worst: a plan for an arm known only by a prior (default) or by its calibration covariance.
+    draws : Arms drawn for --uncertain.
+    """
+
+    keep: File | None = None
+    candidates: File | None = None
     repeats: bool = False
     minimum_distance_deg: float | None = None
     uncertain: str | None = None
-    draws: int = 5
-
-
-ROBUST = (
-    click.option("--robust", is_flag=True, help="The arm may have effects of the library that its file does not name."),
-    click.option("--missing", metavar="NAMES", help="Only these effects, for --robust: backlash,gear_ratio"),
-)
-
-
-def criterion_options(names: str) -> Decorator:
-    """--criterion (one of `names`), --test-poses, --subset, --robust and --missing, as the argument `criterion`."""
-    return grouped(
-        CriterionOptions,
-        "criterion",
-        click.option("--criterion", show_default="D; with --robust I", help=names),
-        click.option("--test-poses", type=FILE, metavar="FILE", help="CSV of postures that matter, for criterion I."),
-        click.option("--subset", help="Parameters that matter, for Ds: length_error:1,joint_offset:2"),
-        *ROBUST,
-    )
-
-
-robust_options = grouped(CriterionOptions, "criterion", *ROBUST)
-
-posture_options = grouped(
-    PostureOptions,
-    "postures",
-    click.option("--keep", type=FILE, metavar="FILE", help="Postures already measured; the plan complements them."),
-    click.option("--candidates", type=FILE, metavar="FILE", help="CSV of allowed postures to choose from."),
-    click.option("--repeats", is_flag=True, help="A posture may be measured more than once."),
-    click.option("--minimum-distance-deg", type=float, help="Postures differ by this in some joint (1 deg)."),
-    click.option(
-        "--uncertain",
-        help="average or worst: a plan for an arm known only by a prior (default) or by its calibration covariance.",
-    ),
-    click.option(
-        "--draws", type=click.IntRange(1, 50), default=5, show_default=True, help="Arms drawn for --uncertain."
-    ),
-)
+    draws: Annotated[int, click.IntRange(1, 50)] = 5
 
 
 def design_problem(
@@ -195,7 +173,7 @@ def allowed_postures(path: Path, arm: Arm) -> Any:
 
 def indices(text: str, names: tuple[str, ...]) -> list[int]:
     """Parameter names, separated by commas, as indices; raises `InputError` with the nearest name."""
-    wanted = [word.strip() for word in text.split(",")]
+    wanted = words(text)
     for word in wanted:
         if word not in names:
             raise InputError(f"--subset: unknown parameter {word!r}, {nearest(word, names)}")
