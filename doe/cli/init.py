@@ -54,7 +54,15 @@ def command(
         files = urdf_files(robot, base_link, tip_link, instrument or "")
     else:
         files = planar_files(links or "3") if dh is None else dh_files(dh, instrument or "")
-    written = _write(files, out, robot, force)
+    new: dict[PathLike, str | bytes] = {out / name: text for name, text in files.items()}
+    if robot is not None and (copy := out / robot.name).exists() and copy.samefile(robot):  # it stands there already
+        del new[copy]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out: {out} cannot be made ({error.strerror}), allowed: a folder") from None
+    write_together(new, force)
+    written = list(map(str, new))
     first = ("armcal design", "armcal check")  # of touches there is no plan
     step = next(line for word in first for line in files[STEPS].splitlines() if line.startswith(word))
     made_up = ["replace what is marked EXAMPLE in " + str(out / ARM)] if "EXAMPLE" in files[ARM] else []
@@ -62,22 +70,3 @@ def command(
     made_up += [upright] if "\n[gravity]" in files[ARM] else []
     steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {step.partition('  #')[0].rstrip()}"]
     return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
-
-
-def _write(files: dict[str, str], folder: Path, source: Path | None, force: bool) -> list[str]:
-    """Write all of the files or none, except a URDF file that exists already, and return their paths."""
-    kept = {} if source is None else {source.name: source}
-    paths = {folder / name: text for name, text in files.items()}
-    new: dict[PathLike, str | bytes] = {
-        path: text for path, text in paths.items() if not _same(path, kept.get(path.name))
-    }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out: {folder} cannot be made ({error.strerror}), allowed: a folder") from None
-    write_together(new, force)
-    return list(map(str, new))
-
-
-def _same(path: Path, other: Path | None) -> bool:
-    return other is not None and path.exists() and path.samefile(other)
