@@ -121,8 +121,10 @@ class StrictTable(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _has_no_key_of_other_arms(cls, values: Any, info: ValidationInfo) -> Any:
+        if not isinstance(values, dict) or values.keys() - cls.model_fields.keys():
+            return values  # a misspelt key says more
         for key, mark in _marks(cls):
-            if isinstance(values, dict) and key in values and mark.dimension != _dimension(info):
+            if key in values and mark.dimension != _dimension(info):
                 raise PydanticCustomError("other_arm", "of another kind of arm", {"key": key, "value": values[key]})
         return values
 
@@ -485,8 +487,8 @@ def validated_arm(tables: Mapping[str, Any], place: str = "") -> ArmFile:
         return ArmFile.model_validate(tables, context={"dimension": dimension})
     except ValidationError as error:
         # a misspelt key is both unknown and missing: the first of the two says more
-        errors = error.errors(include_url=False)
-        first = min(errors, key=lambda detail: detail["type"] not in ("extra_forbidden", "other_arm"))
+        says_most = {"extra_forbidden": 0, "other_arm": 1}
+        first = min(error.errors(include_url=False), key=lambda detail: says_most.get(detail["type"], 2))
         raise InputError(f"{place}{_sentence(first, dimension)}") from None
 
 

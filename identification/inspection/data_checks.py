@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -52,10 +53,9 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     """
     if measurements.links != arm.links:
         raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
-    bare = _bare(arm, measurements)
-    said = wrong_units(measurements, bare)
-    if said or arm.chain is None or _few(measurements, bare):
-        return said
+    bare, units = _bare(arm, measurements), wrong_units(measurements, arm)
+    if units or arm.chain is None or _few(measurements, bare):
+        return units
     return [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
 
 
@@ -76,9 +76,9 @@ def gap_notes(measurements: Measurements) -> list[str]:
     """Rows of which nothing says from which side their joints came, in a sentence; none where directions are given."""
     if measurements.gaps is None or measurements.directions is not None:
         return []
-    found = f"before {int(measurements.gaps.sum())} of {len(measurements)} rows numbers of order are left out"
+    left_out = f"before {int(measurements.gaps.sum())} of {len(measurements)} rows numbers of order are left out"
     how = "keep order 1, 2, 3 .. without steps, or give columns direction1, direction2 .."
-    return [f"{found}: from which side the joints came is not known there (play in gears needs it; {how})"]
+    return [f"{left_out}: from which side the joints came is not known there (play in gears needs it; {how})"]
 
 
 def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
@@ -87,11 +87,11 @@ def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
     In the other units the rows are those of the drawing, but for what one may be off by; as read they are far from it
     for how far apart they are.
     """
-    found = _units(measurements, arm)
-    if found.misfit > DRAWN or CERTAINLY * found.relative >= found.relative_as_read:
+    units = _units(measurements, arm)
+    if units.misfit > DRAWN or CERTAINLY * units.relative >= units.relative_as_read:
         return None
-    near = f"read that way, half of the rows agree with the drawing to {100.0 * found.misfit:.2g} % of the reach"
-    return f"{'; '.join(found.sentences)} ({near})"
+    near = f"read that way, half of the rows agree with the drawing to {100.0 * units.misfit:.2g} % of the reach"
+    return f"{'; '.join(units.sentences)} ({near})"
 
 
 def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
@@ -101,7 +101,7 @@ def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
     Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
     are those of the other is measured, and a unit is named where that is a unit's factor (`FITS`).
     """
-    return _units(measurements, arm).sentences
+    return list(_units(measurements, arm).sentences)
 
 
 class _Units(NamedTuple):
@@ -114,9 +114,13 @@ class _Units(NamedTuple):
     relative_as_read: float = 0.0
 
 
+@lru_cache(maxsize=2)  # asked for before a fit, and again for its warnings
 def _units(measurements: Measurements, arm: Arm) -> _Units:
     arm = _bare(arm, measurements)
-    huge = [_huge(arm)] if arm.reach > HUGE else []
+    huge = []
+    if arm.reach > HUGE:
+        how = "lengths that were written in millimetres there come out 1000 times too large"
+        huge = [f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}"]
     if _few(measurements, arm):
         return _Units(huge)
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
@@ -152,13 +156,6 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     if factor != 1.0:
         said += [_other_lengths(factor, axes, huge=bool(huge))]
     return _Units(said, misfits[best] * drawn[turned] / arm.reach, misfits[best], misfits[1.0, 1.0])
-
-
-def _huge(arm: Arm) -> str:
-    return (
-        f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and lengths that were written in "
-        "millimetres there come out 1000 times too large"
-    )
 
 
 def _spread(points: Array) -> float:

@@ -27,8 +27,13 @@ from identification.estimation.shown import MISFIT
 from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.data_checks import data_warnings, gap_notes, wrong_units
 from identification.inspection.enough import Sufficiency, sufficiency
-from identification.inspection.reading import Readings
-from identification.inspection.readings import as_written, joints_of_unseen_sign, out_of_step, read_differently
+from identification.inspection.readings import (
+    Readings,
+    as_written,
+    joints_of_unseen_sign,
+    out_of_step,
+    read_differently,
+)
 from identification.inspection.sag import Sag, sag
 from identification.inspection.set_up import constant_length, other_base, turned_frame
 from identification.kinematics.counting import in_columns
