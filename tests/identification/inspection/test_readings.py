@@ -220,7 +220,7 @@ def test_a_wrist_whose_axes_meet_has_two_explanations(tmp_path: Path) -> None:
     )
 
 
-# -- a reading in words, and what it makes of columns --------------------------------------------------------------------
+# -- a reading in words, and what it makes of columns ------------------------------------------------------------------
 PLAIN = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), rms=300.0)
 SWAPPED = Reading((1, 0, 2), (1, 1, -1), (0, 3, 0), mirrored=True, turn=0.1, rms=0.9)
 REVERSED = Reading((0, 1, 2), (-1, 1, 1), (0, 0, 0), rms=0.91)
@@ -296,7 +296,7 @@ def test_one_two_or_no_explanations() -> None:
     assert said.endswith(f"Closest: {way}, which leaves 0.91 mm instead of 300")
 
 
-# -- runs of parallel axes, counted by hand ------------------------------------------------------------------------------
+# -- runs of parallel axes, counted by hand -----------------------------------------------------------------------------
 
 
 def test_of_an_elbow_arm_joints_two_to_four() -> None:
