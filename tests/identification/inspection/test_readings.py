@@ -296,7 +296,7 @@ def test_one_two_or_no_explanations() -> None:
     assert said.endswith(f"Closest: {way}, which leaves 0.91 mm instead of 300")
 
 
-# -- runs of parallel axes, counted by hand -----------------------------------------------------------------------------
+# -- runs of parallel axes, counted by hand ----------------------------------------------------------------------------
 
 
 def test_of_an_elbow_arm_joints_two_to_four() -> None:
