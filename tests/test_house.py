@@ -23,6 +23,7 @@ LAYERS = {
     "identification.progress": 0,
     "identification.data_frames": 1,
     "identification.html_tables": 0,
+    "identification.document": 0,
     "identification.numbers_in_text": 0,
     "identification.threads": 0,
     "identification.files": 1,
@@ -222,11 +223,10 @@ def test_every_layer_has_a_module() -> None:
 # names of several modules that mean the same in each
 SAME = {
     "command": "a verb of the command line",
-    "html text remarks": "a result as it is shown: of a fit, of a diagnosis",
+    "html remarks": "a result as it is shown",
     "arm_of data_set hidden true_values": "cells of the blind study, in the plane and in space",
     "outside_effect many_effects sized family": "what they hide, in the plane and in space",
     "random_truth position base_jacobian column": "its simulators, in the plane and in space",
-    "write_pictures": "the pictures of a study",
 }
 
 

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from doe.report.first_files import urdf_files
-from doe.report.page import Section, Sheet, page
+from doe.report.page import page
 from doe.studies.monte_carlo.file import load_study
+from identification.document import Document, Section, Sheet
 from identification.errors import InputError
 from identification.files.arm import load_arm
 from identification.files.urdf import parse_urdf
@@ -130,7 +131,7 @@ def test_names_in_a_robots_file_stay_names(tmp_path: Path) -> None:
 
 def test_pages_escape_everything() -> None:
     evil = "<script>alert('x')</script>"
-    text = page(evil, evil, [Section(evil, evil, [Sheet([evil], [[evil]])])])
+    text = page(Document(evil, [evil], [Section(evil, [evil, Sheet([evil], [[evil]])])]))
     assert evil not in text
     assert text.count("&lt;script&gt;") >= 7
 

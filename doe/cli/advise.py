@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from doe.cli.common import Answer, CommonOptions, stated, verb, warn_beside_json, with_collisions
 from doe.cli.options import File, Names, Picture, Seconds, written
 from identification.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from doe.advise import Advice
 
 
 @verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
@@ -36,7 +41,7 @@ def command(
     """
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
-    from doe.report.advice import advice_figure, advice_tables
+    from doe.report.design import advice_document
     from identification.files.arm import load_arm
     from identification.model import Model
     from identification.validate.reuse import only as only_these
@@ -52,11 +57,19 @@ def command(
     fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
     found = f"identifiable from {fewest} or more at well-chosen postures; how accurately, the table says"
     enough = f"{', '.join(words)} alone: {found}"
-    shown = [*([enough] if words else []), *advice_tables(advice), *([given_sigma] if given_sigma else [])]
+    document = advice_document(advice).plus(*([given_sigma] if given_sigma else []))
+    shown = [*([enough] if words else []), document]
     warn_beside_json([given_sigma] if given_sigma else [])
     answer = Answer(advice.to_json() | said, shown)
-    written({picture: lambda: advice_figure(advice)}, force)
+    written({picture: lambda: advice_drawing(advice)}, force)
     return with_collisions(answer, loaded)
+
+
+def advice_drawing(advice: Advice) -> Figure:
+    """Efficiency and expected accuracy against the number of runs."""
+    from doe.report.figures import advice_figure  # deferred: matplotlib takes longer to load than a small advice
+
+    return advice_figure(advice)
 
 
 def run_range(text: str, fewest: int) -> range:

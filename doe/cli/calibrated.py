@@ -90,7 +90,6 @@ def hidden_by(library: LibraryPrior | None) -> frozenset[str]:
 
 def fit_answer(
     found: Identification,
-    shown: list[Any],
     path: Path,
     written: tuple[Path | None, Path | None],
     force: bool,
@@ -100,12 +99,12 @@ def fit_answer(
 ) -> Answer:
     """The answer for a fit; writes the requested files unless the fit is not good enough (`no_file`).
 
-    shown : the tables;  written : names of the calibrated arm file and of the corrected URDF file
+    written : names of the calibrated arm file and of the corrected URDF file
     prior : the earlier calibration that was the prior
     before : the earlier calibration; parameters that were not estimated keep its covariance and its data
     """
     warn_beside_json(found.warnings)
-    hidden, data = hidden_by(library), found.to_json()
+    hidden, data, shown = hidden_by(library), found.to_json(), list[Any]()
     if library is not None:
         data |= {"prior": library.to_json()}
         data["parameters"] = [row for row in data["parameters"] if row["name"] not in hidden]
@@ -121,7 +120,7 @@ def fit_answer(
 def dh_of(found: Identification, arm: Path) -> tuple[tuple[CorrectedValue, ...], list[str]]:
     """The corrected Denavit-Hartenberg table of an arm file that has one, and base, tool and the
     radius of a sphere beside it; else empty."""
-    from doe.report.identification_tables import dh_table
+    from doe.report.identification import dh_table
     from identification.estimation.dh_values import Calibrated
 
     if found.geometry is None or found.not_identifiable:

@@ -28,7 +28,7 @@ from identification.files.io import check_writable, provide_temporary_folder
 from identification.progress import Progress
 
 if TYPE_CHECKING:
-    from doe.report.origin import Origin
+    from doe.report.page import Origin
     from identification.arm import Arm
     from identification.measurements import Measurements
 
@@ -41,7 +41,7 @@ UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 
 @dataclass
 class Answer:
-    """The result of a verb: `data` for --json, `shown` (rich renderables or strings) for the terminal."""
+    """The result of a verb: `data` for --json, `shown` (parts of a document, or Markdown) for the terminal."""
 
     data: dict[str, Any]
     shown: list[Any] = field(default_factory=list)
@@ -169,7 +169,7 @@ def _argument(name: str, hint: Any, default: Any) -> click.Argument:
 # -- what verbs share --------------------------------------------------------------------------------------------------
 def origin(seed: int, files: Iterable[Path | None]) -> Origin:
     """The command line as it was typed and its input files, for a page that the running command makes."""
-    from doe.report.origin import Origin
+    from doe.report.page import Origin
 
     typed = click.get_current_context().meta.get(WORDS, ())
     return Origin(shlex.join(("armcal", *typed)), seed, [path for path in files if path is not None])
@@ -324,12 +324,16 @@ def _print(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
+    from identification.document import rendered
+
     columns = os.environ.get("COLUMNS", "")
     width = int(columns) if columns.isdecimal() and int(columns) else None if sys.stdout.isatty() else PIPE
     console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
-    for part in answer.shown:  # names in files may have control characters, which a terminal would obey
-        segments = (Segment(re.sub(r"[^\n]", _visible, s.text), s.style) for s in console.render(part))
-        console.print(Segments(segments), end="")
+    for part in answer.shown:
+        for one in [part] if hasattr(part, "__rich_console__") else rendered(part, console.width):
+            # names in files may have control characters, which a terminal would obey
+            segments = (Segment(re.sub(r"[^\n]", _visible, s.text), s.style) for s in console.render(one))
+            console.print(Segments(segments), end="")
 
 
 def _visible(match: re.Match[str]) -> str:

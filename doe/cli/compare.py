@@ -56,7 +56,7 @@ def command(
     seconds : Limit of one run [s].
     """
     from doe.jobs.row_table import RowTable
-    from doe.report.comparison import comparison_tables
+    from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.solvers.solvability import check_runs
     from doe.studies.comparison import Comparison, compare, compared_problem, summary
@@ -76,7 +76,7 @@ def command(
         RowTable.open(table_file, resume=job.resume, force=job.force) as table,
     ):
         rows = compare(comparison, table, where, seed=common.seed, progress=common.report)
-    shown = comparison_tables(rows)
+    shown = comparison_parts(rows)
     if job.out is not None and table_file != job.out:
         write_results(job.out, rows)
         shown.append(f"rows, summary and pictures written to {job.out}")
@@ -94,8 +94,8 @@ def rows_file(out: Path | None) -> Path | None:
 def write_results(out: Path, rows: polars.DataFrame) -> None:
     """Summary and pictures beside the rows."""
     from doe.jobs.row_table import parquet
-    from doe.report.comparison import profile_figure, time_figure
     from doe.report.page import svg
+    from doe.report.studies import profile_figure, time_figure
     from doe.studies.comparison import summary
     from identification.files.io import PathLike, write_together
 

@@ -23,7 +23,7 @@ def command(
     force : Overwrite an existing file.
     """
     from doe.problem.constraints import constraints_of
-    from doe.report.compensation_tables import compensation_tables
+    from doe.report.identification import compensation_document
     from identification.compensate import compensate
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets
@@ -38,4 +38,4 @@ def command(
     warn_beside_json(found.warnings)
     columns = found.targets, found.left, arm.joint_types, found.orientations, found.left_angles, found.reached
     lines = written({out: commands_text(found.safe_commands, *columns, found.messages)}, force, "commands")
-    return Answer(found.to_json(), [*compensation_tables(found), *lines])
+    return Answer(found.to_json(), [compensation_document(found).plus(*lines)])

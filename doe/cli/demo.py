@@ -26,20 +26,21 @@ def command(common: CommonOptions, *, spatial: bool = False, out: Folder | None 
     from doe.demo.planar import planar
     from doe.demo.run import run_demo
     from doe.demo.spatial import spatial as six_axes
-    from doe.report.demo_overview import overview_figure
-    from doe.report.demo_page import demo_data, demo_page, demo_tables
-    from doe.report.pictures import save
+    from doe.report.demo import demo_data, demo_document, overview_figure
+    from doe.report.figures import save
+    from doe.report.page import page
 
     directory = next_free(Path("armcal-demo")) if out is None else out
     make_directory(directory, force)
     try:
         demo = run_demo(directory, six_axes() if spatial else planar(), common.seed, common.report, force)
-        page = demo_page(demo, origin(common.seed, [directory / name for name in demo.files]))
-        write_whole(directory / "report.html", page, force=True)
+        document = demo_document(demo, directory)
+        text = page(document, origin(common.seed, [directory / name for name in demo.files]))
+        write_whole(directory / "report.html", text, force=True)
         save(overview_figure(demo), directory / "overview.png", force=True)
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
-    return with_collisions(Answer(demo_data(demo, directory), demo_tables(demo, directory)), demo.arm)
+    return with_collisions(Answer(demo_data(demo, directory), [document]), demo.arm)
 
 
 def next_free(path: Path) -> Path:

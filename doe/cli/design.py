@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -68,8 +69,8 @@ def command(
     from doe.plan.file import plan_text
     from doe.plan.order import check_order
     from doe.problem.robust import with_choices
-    from doe.report.design_tables import design_tables, missing_lines
-    from doe.report.verdict import identify_command
+    from doe.report.design import design_document, missing_lines
+    from doe.report.identification import identify_command
     from identification.files.arm import load_arm
 
     for option, needed in (("loss", search.discriminating), ("draws", postures.uncertain)):
@@ -92,7 +93,7 @@ def command(
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then {identify_command(str(arm), 'DATA', problem.fit)}" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    return with_collisions(Answer(design.to_json() | data, [*design_tables(design), *extra]), loaded)
+    return with_collisions(Answer(design.to_json() | data, [design_document(design).plus(*extra)]), loaded)
 
 
 def _searched(
@@ -105,18 +106,18 @@ def _searched(
     if not search.discriminating:
         return solve(problem, search.runs, progress=common.report, **effort), {}, []
     from doe.discrimination.design import discrimination_design
-    from doe.report.detectability_tables import discriminating_data, discriminating_tables
+    from doe.report.design import discriminating_data, discriminating_parts
 
     found = discrimination_design(problem, arm, search.runs, loss=search.loss, progress=common.report, **effort)
-    return found.design, discriminating_data(found), discriminating_tables(found)
+    return found.design, discriminating_data(found), discriminating_parts(found)
 
 
 def _ordered(design: Design, order: str, seed: int, data: dict[str, Any], extra: list[Any]) -> Design:
     """The same runs in the requested order; adds the travel to `data` and `extra`."""
     from doe.plan.order import ordered
-    from doe.report.design_tables import order_line
 
     sequence = ordered(design.plan, order, seed=seed)
     data["travel_deg"] = sequence.to_json()
-    extra.append(order_line(sequence))
+    before, after = (math.degrees(travel) for travel in (sequence.before, sequence.after))
+    extra.append(f"order {order}: joint travel {before:.0f} -> {after:.0f} deg ({sequence.saved:.0%} saved)")
     return replace(design, plan=sequence.plan)

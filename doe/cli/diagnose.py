@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,13 +45,14 @@ def command(
     out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
     force : Overwrite an existing file.
     """
-    from doe.report.gap_sections import gap_page
-    from doe.report.gap_tables import diagnosis_tables
-    from doe.report.verdict import diagnosis_actions, next_steps
+    from doe.report.gap import diagnosis_document
+    from doe.report.page import page
     from identification.files.arm import load_arm
     from identification.gap.curves.curve import curves_text
     from identification.gap.diagnose import diagnose
+    from identification.measurements import rms_distance
     from identification.servo import with_servo_errors
+    from identification.validate import drawing_residuals
     from identification.validate.judgement import judged
 
     loaded = load_arm(arm)
@@ -64,16 +66,18 @@ def command(
     if curves is not None and loaded.counting is not None:
         said = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
         warnings.warn(f"{curves}: {said}; armcal compensate writes commands as the controller counts", stacklevel=2)
-    answer = Answer(found.to_json(), diagnosis_tables(found))
+    nominal = rms_distance(drawing_residuals(found.arm, measurements))
+    answer = Answer(found.to_json())
+    document = diagnosis_document(answer.data, found, [*map(str, (arm, *data))], out, nominal)
     try:
-        named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
-        page = gap_page(found, measurements, origin(common.seed, named), out, [arm, *data]) if report else ""
-        texts = {curves: curves_text(found.curves), report: page}
-        answer.shown += write_diagnosis(found, arm, out, texts, force=force, named_only=named_only)
-        answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), [*map(str, data)], out))
+        read = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
+        text = page(document, origin(common.seed, read)) if report else ""
+        texts = {curves: curves_text(found.curves), report: text}
+        lines = write_diagnosis(found, arm, out, texts, force=force, named_only=named_only)
+        answer.shown = [document.plus(*lines)]
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))
-        answer.exit_code = error.exit_code
+        answer.shown, answer.exit_code = [replace(document, actions=())], error.exit_code
     return answer
 
 

@@ -39,8 +39,9 @@ def command(
     force : Overwrite an existing file.
     """
     from doe.discrimination.t_optimal import discriminate
-    from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
+    from doe.report.design import missing_payload, next_columns, next_data, next_document
     from identification.files.arm import load_arm
+    from identification.files.measurement_columns import csv_text
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
@@ -63,9 +64,9 @@ def command(
     found = discriminate(loaded, diagnosis, measurements, runs, common.seed, masses, stop=late)
     lines = [
         f"{line}; measure them and append the rows to {data[-1]}"
-        for line in written({out: next_text(found)}, force, "next postures")
+        for line in written({out: csv_text(next_columns(found))}, force, "next postures")
     ]
-    shown = [*next_tables(diagnosis, found), *lines, *missing_payload(loaded, measurements, found)]
+    shown = [next_document(diagnosis, found), *lines, *missing_payload(loaded, measurements, found)]
     return with_collisions(Answer(next_data(diagnosis, found), shown), loaded)
 
 

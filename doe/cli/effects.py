@@ -14,14 +14,14 @@ def command(common: CommonOptions, name: str | None = None) -> Answer:
     the arm file that some of them need. Effects of installed packages (entry points armcal.effects) are in the
     list.
     """
-    from doe.report.catalogue_tables import entry_tables, gravity_tables, library_tables
+    from doe.report.library import entry_document, gravity_document, library_document
     from identification.effects.catalogue import GRAVITY, entries, entry
 
     if name == "gravity":
         needed = [found.name for found in entries() if "gravity" in found.needs]
-        return Answer({"name": name, "needed_by": needed, "block": GRAVITY}, gravity_tables(needed))
+        return Answer({"name": name, "needed_by": needed, "block": GRAVITY}, [gravity_document(needed)])
     if name is not None:
         found = entry(name.partition(":")[0])
-        return Answer(found.to_json(), entry_tables(found))
+        return Answer(found.to_json(), [entry_document(found)])
     listed = entries()
-    return Answer({"effects": [found.to_json() for found in listed]}, library_tables(listed))
+    return Answer({"effects": [found.to_json() for found in listed]}, [library_document(listed)])

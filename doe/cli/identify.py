@@ -17,13 +17,11 @@ from identification.errors import InputError
 
 if TYPE_CHECKING:
     from identification.arm import Arm
-    from identification.arrays import Array
     from identification.estimation import Identification
     from identification.estimation.prior import Earlier, Prior
     from identification.gap.library.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
-    from identification.servo import FollowingError
 
 
 class PriorOrFile(click.Command):
@@ -81,7 +79,7 @@ def command(
     out : Write a calibrated arm file (TOML).
     force : Overwrite an existing file.
     """
-    from doe.report.verdict import hardly_better
+    from doe.report.identification import hardly_better, identification_actions, identification_document
     from identification.estimation import estimate
     from identification.files.arm import load_arm
     from identification.model import Model
@@ -89,6 +87,7 @@ def command(
     from identification.sessions import with_sessions
     from identification.validate.judgement import prior_judged
     from identification.validate.reuse import with_place_doubted, words_of
+    from identification.validate.row_groups import diagnosed
     from identification.validate.set_up import with_mounting_doubted
 
     loaded, words = load_arm(arm), words_of(only)
@@ -109,20 +108,22 @@ def command(
     offered = None
     if library is not None and not words and old is None:
         offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, fitted)), fitted), found, fitted)
-    extra, shown = fit_shown(found, (arm, loaded), fitted, words, library, full=full or old is not None)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
-    answered = calibrated.fit_answer(found, shown, arm, (out, urdf), force, library, *kept)
-    answered.data |= extra | said | ({} if asked is None else {"fit": asked})
-    answered.shown += [*([] if asked is None else [asked_in_words(asked, data)]), *wanted.sentences(said)]
-    if offered is not None:
-        answered.data["offered"] = offered.to_json()
-        if not offered.better:
-            answered.shown.insert(0, hardly_better(answered.data["offered"]))
-            warn_beside_json([hardly_better(answered.data["offered"])])
-    answered = with_commands(answered, following_errors(measurements, loaded.joint_types))
+    answer = calibrated.fit_answer(found, arm, (out, urdf), force, library, *kept)
+    answer.data |= fit_data(found, (arm, loaded), fitted, words) | said | ({} if asked is None else {"fit": asked})
     better = offered is None or offered.better
+    if offered is not None:
+        answer.data["offered"] = offered.to_json()
+        warn_beside_json([] if better else [hardly_better(answer.data["offered"])])
+    if errors := following_errors(measurements, loaded.joint_types):
+        answer.data["servo_error"] = [error.to_json() for error in errors]
+    every = full or old is not None or found.machining_factor is None  # as where [machining] holds no value
+    document = identification_document(found, answer.data, calibrated.hidden_by(library), full=every)
+    lines = [*([] if asked is None else [asked_in_words(asked, data)]), *wanted.sentences(said)]
     told = {"allowed_for": library is not None, "better": better, "mounted_anew": mounted_anew}
-    return with_next(answered, (arm, data), out, loaded, **told)
+    actions = identification_actions(str(arm), str(data), out, diagnosed=diagnosed(loaded), **told)
+    answer.shown = [replace(document.plus(*answer.shown, *lines), actions=[] if answer.exit_code else actions)]
+    return answer
 
 
 def as_asked(
@@ -174,38 +175,21 @@ def rows_fitted(measurements: Measurements, said: dict[str, Any]) -> Measurement
     return measurements if len(kept) == len(measurements) else measurements.rows(kept)
 
 
-def with_next(answered: Answer, files: Sequence[Path], out: Path | None, arm: Arm, **told: bool) -> Answer:
-    """The answer with the next steps, if there is a calibration; files, told : see `identification_actions`."""
-    from doe.report.verdict import identification_actions, next_steps
-    from identification.validate.row_groups import diagnosed
-
-    if answered.exit_code == 0:
-        told["diagnosed"] = diagnosed(arm)
-        answered.shown += next_steps(identification_actions(str(files[0]), str(files[1]), out, **told))
-    return answered
-
-
-def fit_shown(
-    found: Identification,
-    arm: tuple[Path, Arm],
-    data: Measurements,
-    words: Sequence[str],
-    library: LibraryPrior | None,
-    *,
-    full: bool,
-) -> tuple[dict[str, Any], list[Any]]:
-    """JSON keys beside those of a fit, and its tables;  full : every value, as where [machining] holds none."""
-    from doe.report.identification_tables import identification_tables
+def fit_data(found: Identification, arm: tuple[Path, Arm], data: Measurements, words: Sequence[str]) -> dict[str, Any]:
+    """JSON keys beside those of a fit."""
     from identification.estimation.left_out import left_out_rms
     from identification.measurements import rms_distance
+    from identification.validate import drawing_residuals
 
-    drawing, left, dh = drawing_left(arm[1], data), left_out_rms(found, data), calibrated.dh_of(found, arm[0])
-    rms, known = None if drawing is None else rms_distance(drawing), arm[1].calibration is not None
-    nominal = rms if known and words and set(words) <= {"base", "tool"} else None
-    before, full = None if known or words else drawing, full or found.machining_factor is None
-    shown = identification_tables(found, calibrated.hidden_by(library), nominal, left, drawing=before, full=full, dh=dh)
-    extra = {"cross_validated_mm": left, "rms_drawing_mm": rms} | ({} if nominal is None else {"rms_nominal_mm": rms})
-    return extra | ({"dh_table": [row.to_json() for row in dh[0]], "dh_places": dh[1]} if dh[0] else {}), shown
+    try:
+        drawing = rms_distance(drawing_residuals(arm[1], data))
+    except InputError:  # too few rows
+        drawing = None
+    extra = {"cross_validated_mm": left_out_rms(found, data), "rms_drawing_mm": drawing}
+    if arm[1].calibration is not None and words and set(words) <= {"base", "tool"} and drawing is not None:
+        extra["rms_nominal_mm"] = drawing
+    rows, places = calibrated.dh_of(found, arm[0])
+    return extra | ({"dh_table": [row.to_json() for row in rows], "dh_places": places} if rows else {})
 
 
 @dataclass(frozen=True)
@@ -302,32 +286,12 @@ class Wanted:
         return found
 
 
-def drawing_left(arm: Arm, measurements: Measurements) -> Array | None:
-    """(m, d) residuals [mm] of the drawing, where it stands fitted; None with too few rows."""
-    from identification.validate import drawing_residuals
-
-    try:
-        return drawing_residuals(arm, measurements)
-    except InputError:
-        return None
-
-
 def check_with_prior(minimal: bool, method: str | None) -> None:
     """Raise `InputError` for options that a fit with a prior does not have."""
     if minimal:
         raise InputError("--parameters: minimal with --prior, allowed: all")
     if method not in (None, "gauss_newton"):
         raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
-
-
-def with_commands(said: Answer, errors: tuple[FollowingError, ...]) -> Answer:
-    """The answer with the servo errors (readings less commands) added, if the data have both."""
-    from doe.report.identification_tables import servo_table
-
-    if errors:
-        said.data["servo_error"] = [error.to_json() for error in errors]
-        said.shown.append(servo_table(errors))
-    return said
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:

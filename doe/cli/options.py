@@ -99,7 +99,7 @@ def written(contents: Mapping[Path | None, Content], force: bool, what: str = ""
         if isinstance(content, str | bytes):
             files[path] = content
         else:
-            from doe.report.pictures import picture_bytes
+            from doe.report.figures import picture_bytes
 
             files[path] = picture_bytes(content(), path)
     write_together(files, force=force)
@@ -108,7 +108,7 @@ def written(contents: Mapping[Path | None, Content], force: bool, what: str = ""
 
 def plan_drawing(arm: Arm, postures: Array) -> Figure:
     """An arm at the postures (m, n) [rad]."""
-    from doe.report.pictures import plan_figure  # deferred: matplotlib takes longer to load than a small design
+    from doe.report.figures import plan_figure  # deferred: matplotlib takes longer to load than a small design
 
     return plan_figure(arm, postures)
 

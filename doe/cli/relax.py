@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
@@ -73,7 +73,7 @@ def command(
     from doe.cross_check import cross_check
     from doe.plan.file import plan_text
     from doe.problem.robust import with_choices
-    from doe.report.approximate import cross_check_table, relax_tables
+    from doe.report.design import cross_check_table, relax_document
     from identification.files.arm import load_arm
 
     loaded = load_arm(arm)
@@ -87,7 +87,7 @@ def command(
     new = chosen.runs or (problem.parameters if problem.deviations else None)
     stop, end = chosen.limits(solver)
     found = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
-    data, shown = found.to_json(), relax_tables(found)
+    data, shown = found.to_json(), list[Any]([relax_document(found)])
     if chosen.check:
         common.report(1, 2, "cross-check")
         runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)

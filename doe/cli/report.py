@@ -18,16 +18,14 @@ def command(common: CommonOptions, files: tuple[File, ...], *, out: OutFile, for
     out : Write the page.
     force : Overwrite an existing file.
     """
-    from doe.report.campaign_page import campaign_page
-    from doe.report.given_files import read_given
-    from doe.report.origin import hashes
+    from doe.report.campaign import campaign_page
+    from doe.report.page import hashes
     from identification.files.io import write_whole
 
-    given = read_given(files)
-    text, campaign = campaign_page(given, origin(common.seed, files))
+    text, campaign = campaign_page(files, origin(common.seed, files))
     write_whole(out, text, force=force)
     listed = [
-        {"file": name, "kind": given.kinds[name], "bytes": size, "sha256": digest}
+        {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
         for name, size, digest in hashes(files)
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}

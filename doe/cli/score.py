@@ -53,7 +53,7 @@ def command(
     from doe.plan.observability import criterion_values, observability
     from doe.problem.problem import DesignProblem
     from doe.problem.robust import average_error
-    from doe.report.design_tables import criteria_line, design_tables, observability_line
+    from doe.report.design import criteria_lines, design_document
     from identification.files.arm import load_arm
     from identification.model import Model
 
@@ -75,12 +75,12 @@ def command(
         "preflight": None if sees is None else sees.to_json(),
     }
     written(pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)}, force)
-    shown = [*design_tables(design), *lines, criteria_line(values, error), observability_line(indices), *tables]
-    return with_collisions(Answer(data, shown), loaded)
+    document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
+    return with_collisions(Answer(data, [document]), loaded)
 
 
 def _alias_drawing(sees: Detectability) -> Figure:
-    from doe.report.gap_figures import alias_figure  # deferred: matplotlib takes longer to load than a score
+    from doe.report.figures import alias_figure  # deferred: matplotlib takes longer to load than a score
 
     return alias_figure(sees)
 
@@ -106,7 +106,7 @@ def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions, seco
 def _preflight(arm: Arm, given: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
     """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
     from doe.problem.spatial import without_prior
-    from doe.report.detectability_tables import preflight_tables
+    from doe.report.design import preflight_parts
     from identification.gap.hypotheses.detectability import detectability
 
     try:
@@ -115,4 +115,4 @@ def _preflight(arm: Arm, given: Plan, path: Path, aliases: Path | None) -> tuple
         if aliases is not None:
             raise InputError(f"--aliases: {path}: {error}") from error
         return None, [f"missing effects: {error}"]
-    return sees, preflight_tables(sees)
+    return sees, preflight_parts(sees)

@@ -89,7 +89,7 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
     """A Monte Carlo study that a file describes."""
     from dataclasses import replace
 
-    from doe.report.monte_carlo import study_tables
+    from doe.report.studies import monte_carlo_parts
     from doe.studies.monte_carlo import load_study, run_study
     from doe.studies.monte_carlo.study import CELLS, discard, require_some
 
@@ -106,17 +106,17 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
         raise
     failed = result.cells.filter(result.cells["status"] != "done")
     data = {"out": folder, "cells": result.cells.to_dicts(), "failed": len(failed)}
-    return Answer(data, [*study_tables(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
+    return Answer(data, [*monte_carlo_parts(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
 
 
 def _paper(replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
     """The paper reproduced."""
-    from doe.report.paper import paper_tables, write_pictures
+    from doe.report.studies import paper_parts, paper_pictures
     from doe.studies.paper.study import paper_study
 
     found = paper_study(replications, folder, workers, **options)
-    write_pictures(folder, found)
-    return _tables_answer(found, folder, paper_tables(found))
+    paper_pictures(folder, found)
+    return _tables_answer(found, folder, paper_parts(found))
 
 
 def _blind(
@@ -128,14 +128,14 @@ def _blind(
     space: bool = False,
 ) -> Answer:
     """Diagnoses of data with hidden effects, of planar arms or of arms in space; of all cells or of those named."""
-    from doe.report.blind import blind_tables, write_pictures
+    from doe.report.studies import blind_parts, blind_pictures
     from doe.studies.blind.spatial_cells import CELLS
     from doe.studies.blind.study import blind_study
 
     reported = [name for name, spec in CELLS.items() if spec.reported] if space else None
     found = blind_study(cells or reported, replications, folder, workers, **options)
-    write_pictures(folder, found)
-    return _tables_answer(found, folder, blind_tables(found))
+    blind_pictures(folder, found)
+    return _tables_answer(found, folder, blind_parts(found))
 
 
 def _tables_answer(found: BlindStudy | PaperStudy, folder: Path, shown: list[Any]) -> Answer:

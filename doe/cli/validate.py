@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
 from doe.cli.common import Answer, CommonOptions, read_measurements, verb, warn_beside_json
 from doe.cli.options import File, Picture, written
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from identification.validate import Validation
 
 
 @verb("armcal validate calibrated.toml other_session.csv --picture transfer.png")
@@ -28,17 +34,24 @@ def command(
     picture : Draw residuals against time and over the workspace (PNG, SVG, PDF).
     force : Overwrite an existing file.
     """
-    from doe.report.validation import better, validation_figure, validation_tables
-    from doe.report.verdict import next_steps, validation_actions
+    from doe.report.identification import validation_actions
     from identification.files.arm import load_arm
-    from identification.validate import validate
+    from identification.validate import is_better, validate
     from identification.validate.row_groups import mostly_outside
 
     arm = load_arm(model)
     found = validate(arm, read_measurements(data, arm), refit)
     beyond = arm.chain is not None and mostly_outside(arm, found.measurements.postures)
-    actions = validation_actions(better(found), refit, str(model), str(data), beyond=beyond)
-    answer = Answer(found.to_json(), [*validation_tables(found), *next_steps(actions)])
-    written({picture: lambda: validation_figure(found)}, force)
+    data_of = found.to_json()
+    actions = validation_actions(is_better(data_of), refit, str(model), str(data), beyond=beyond)
+    answer = Answer(data_of, [replace(found.document(), actions=actions)])
+    written({picture: lambda: validation_drawing(found)}, force)
     warn_beside_json(f"{data}: {note}" for note in found.notes)
     return answer
+
+
+def validation_drawing(found: Validation) -> Figure:
+    """Residuals against time and over the workspace."""
+    from doe.report.figures import validation_figure  # deferred: matplotlib takes longer to load than a validation
+
+    return validation_figure(found)

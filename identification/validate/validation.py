@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
+from identification.document import Document, Section, Sheet
 from identification.errors import InputError, nearest
 from identification.estimation import estimate
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.gap.confirmation.confirmation import LEVEL, mean_of
 from identification.gap.confirmation.holdout import groups_of
-from identification.html_tables import html_lines, html_table
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
+from identification.numbers_in_text import in_a_sentence, number
 from identification.sessions import placing, with_sessions
 from identification.validate.refit import fresh_points, placed_values, refit_model, refit_parameters
 from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
@@ -155,28 +156,20 @@ class Validation:
             for name, v in values.items()
         ]
 
+    def document(self) -> Document:
+        """What the model is worth, drawing and model over all rows, then block by block."""
+        data, kind = self.to_json(), "positions" if self.measurements.dimension > 1 else "readings"
+        notes = [note for note in self.notes if HARDLY not in note]
+        parts = validation_sections(data, "" if self.arm.chain is None else ", measured points")
+        return Document("Validation", [predicted_in_words(data, kind), *notes], parts)
+
     def __str__(self) -> str:
-        lines = [f"{self._heading}; distances [mm]:"]
-        lines.append(f"  {'':<10} {'RMS':>8} {'mean':>8} {'95 %':>8} {'maximum':>8}")
-        for name, figures in self._compared:
-            lines.append(f"  {name:<10} " + " ".join(f"{value:8.4f}" for value in vars(figures).values()))
-        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+        return str(self.document())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        figures = [[name, *(f"{value:.4f}" for value in vars(f).values())] for name, f in self._compared]
-        table = html_table(("distance [mm]", "RMS", "mean", "95 % below", "maximum"), figures)
-        return html_lines([self._heading]) + table + html_lines(f"note: {note}" for note in self.notes)
-
-    @property
-    def _heading(self) -> str:
-        refit = "nothing refitted" if self.refit == "none" else f"{self.refit} refitted"
-        return f"{len(self.residuals)} rows, {refit}"
-
-    @property
-    def _compared(self) -> tuple[tuple[str, Figures], ...]:
-        return ("drawing", self.nominal), ("model", self.model)
+        return self.document()._repr_html_()
 
 
 def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:
@@ -314,3 +307,40 @@ def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) 
                 yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
     if undetermined:
         yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
+
+
+# -- in words ----------------------------------------------------------------------------------------------------------
+def validation_sections(data: Mapping[str, Any], points: str = "") -> list[Section]:
+    """Drawing and model over all rows, and block by block;  points : what is refitted of a spatial arm beside"""
+    keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
+    what = {"base": "position and rotation of the base", "offsets": "joint offsets, position of the base"}
+    said = f"{data['rows']} rows, nothing refitted"
+    if data["refit"] != "none":
+        sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
+        said = f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
+    figures = ("RMS", "mean", "95 %\nbelow", "largest")
+    both = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
+    both.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])
+    blocks = [
+        [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[f"{key}_mm"]) for key in keys)]
+        for b in data["blocks"]
+    ]
+    headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
+    shown = [Section("Validation", [Sheet(("", *figures), both, "Distances in mm"), said])]
+    return shown + ([Section("Validation, block by block, in mm", [Sheet(headings, blocks)])] if blocks else [])
+
+
+def is_better(data: Mapping[str, Any]) -> bool:
+    """Whether the model is better than the drawing, by more than the rows scatter."""
+    return data["rms_mm"] < data["rms_nominal_mm"] and not any(HARDLY in note for note in data["notes"])
+
+
+def predicted_in_words(data: Mapping[str, Any], kind: str) -> str:
+    """How well the model predicts, and what the calibration is worth, in a sentence or two."""
+    model, drawing = in_a_sentence(data["rms_mm"]), in_a_sentence(data["rms_nominal_mm"])
+    rows = f"The model predicts these {data['rows']} {kind}"
+    if not is_better(data):
+        worse = HARDLY if data["rms_mm"] < data["rms_nominal_mm"] else "no better"
+        return f"{rows} {worse} than the drawing: {model} mm RMS against {drawing} mm RMS, {DRAWN[data['refit']]}."
+    gain = f"The calibration removes {100.0 * (1.0 - data['rms_mm'] / data['rms_nominal_mm']):.0f} % of the error."
+    return f"{rows} to {model} mm RMS; drawing: {drawing} mm RMS, {DRAWN[data['refit']]}. {gain}"

@@ -17,7 +17,7 @@ from doe.discrimination.swaps import Swaps, extended_problem, has_repeats, impro
 from doe.problem.constraints import InsideBox
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.report import detectability_tables
+from doe.report import design as report
 from doe.solvers import solve
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import CELLS, arm_of, truth_of
@@ -192,12 +192,12 @@ def test_random_postures_are_plans_of_as_many_runs() -> None:
 
 def test_what_a_very_long_plan_can_detect_is_not_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor silently so."""
-    for module in (design, detectability_tables):
+    for module in (design, report):
         monkeypatch.setattr(module, "MOST_SEEN", 19)
     found = designed([-180, -120], [180, 120], 20, starts=1, seconds=0.1)
     assert found.sees is None
     assert found.best_sees is None
-    lines = [str(line) for line in detectability_tables.discriminating_tables(found)]
+    lines = [str(line) for line in report.discriminating_parts(found)]
     assert lines[-1] == "what a plan of more than 19 runs can detect is not worked out"
 
 

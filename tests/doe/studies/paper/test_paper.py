@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from doe.cli.study import command
 from doe.jobs.workers import processes, serial
-from doe.report.paper import figure_1_picture, figure_2_picture
+from doe.report.studies import figure_1_picture, figure_2_picture
 from doe.studies.paper import study as paper_run
 from doe.studies.paper.equations import Erratum
 from doe.studies.paper.errata import errata

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from doe.report.pictures import plan_figure
-from doe.report.spatial_pictures import outlines
-from identification.arm import Arm
+from doe.report.figures import outlines, plan_figure, workspace_arrows
+from identification.arm import Arm, Calibration, EffectSpec
 from tests.doe.problem.test_spatial_constraints import ARM, PILLAR, POSTURES, SIGHT, SPHERE
 
 
@@ -46,3 +45,12 @@ def test_of_very_many_postures_some_are_drawn() -> None:
         tip = 300.0 * np.exp(1j * q[0]) + 200.0 * np.exp(1j * (q[0] + q[1]))
         np.testing.assert_allclose([line.get_xdata()[-1], line.get_ydata()[-1]], [tip.real, tip.imag])
     assert sum(len(shown.get_offsets()) for shown in joints.collections) == 2 * 4000
+
+
+def test_the_base_is_drawn_where_the_arm_stands() -> None:
+    place = {"base_offset.x0": 1200.0, "base_offset.y0": -300.0}
+    stands = Arm([300.0, 200.0], effects=(EffectSpec("base_offset"),), calibration=Calibration(place))
+    for arm, expected in ((stands, (1200.0, -300.0)), (Arm([300.0, 200.0]), (0.0, 0.0))):
+        points, residuals = np.random.default_rng(8).normal(size=(2, 5, 2))
+        axes = workspace_arrows(arm, points, ((residuals, "before"), (residuals, "after"))).axes
+        assert [tuple(np.ravel(axis.lines[0].get_xydata())) for axis in axes] == [expected] * 2

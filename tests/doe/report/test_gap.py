@@ -1,26 +1,32 @@
-"""Verdicts in words, and what to do next, from the JSON objects of the commands."""
+"""What a person reads of a diagnosis: the verdict, what follows from it, and the tables, by its JSON object."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import pytest
 
-from doe.report.verdict import (
-    design_verdict,
+from doe.report.gap import (
+    curve_sections,
     diagnosis_actions,
     diagnosis_verdict,
     effects_in_words,
-    identification_actions,
-    identification_verdict,
-    next_steps,
-    validation_actions,
-    validation_verdict,
+    estimate_rows,
+    excluded_by_kind,
+    holds_in_words,
 )
+from identification.arm import Calibration, EffectSpec
+from identification.document import Sheet
+from identification.gap.candidate import Candidate, Estimate
 
 GAP = {"rms_before_mm": 0.5, "rms_after_mm": 0.125}
 TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
+HELD_OUT = {"transfer": "another session", "file": "more.csv", "by": "holdout", "rows": 25, "groups": 8}
+NOTHING = Calibration.of(np.zeros(2), np.zeros(2), MappingProxyType({}), (), np.zeros((0, 0)), MappingProxyType({}))
+RIPPLE = "transmission_ripple:2"
 
 
 def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int = 1) -> dict[str, Any]:
@@ -69,33 +75,6 @@ def test_many_effects_are_counted() -> None:
     (verdict, which, _) = diagnosis_verdict(said("named", *kinds))
     assert verdict == "Missing from the model: 7 effects."
     assert "gear ratio in the controller is wrong (gear_ratio:1, gear_ratio:2); and 2 more." in which
-
-
-def test_the_other_commands_in_a_sentence_each() -> None:
-    design = {"runs": 20, "criterion": "D", "efficiency": 0.98765, "certified_optimal": False}
-    assert design_verdict(design) == "The plan of 20 runs has the efficiency 0.9877 (D)."
-    assert "no known bound" in design_verdict(design | {"efficiency": None})
-    error = {"criterion": "I", "efficiency": 0.329, "expected_error_mm": {"plan": 0.158, "bound": 0.0808}}
-    runs = "The plan of 20 runs (criterion I) lets expect an error of 0.158 mm at the tip, RMS over the workspace"
-    bound = "bound allows fractions of a run. Judge by the mm."
-    error["bound"] = {"value": -9.0, "source": "grid", "rigorous": True, "candidates": 2000}
-    least = f"{runs}; no plan from the list of 2,000 postures is below 0.0808 mm. Efficiency"
-    assert design_verdict(design | error) == f"{least} 0.3290. Do not expect it near 1: the {bound}"
-    assert design_verdict(design | error | {"efficiency": 0.95}) == f"{least} 0.9500. The {bound}"
-    assert design_verdict(design | error | {"efficiency": None}) == f"{runs}."
-    everywhere = error | {"bound": {"value": -9.0, "source": "continuous", "rigorous": False}}
-    assert "; no plan from all postures is below 0.0808 mm (a numerical bound). " in design_verdict(design | everywhere)
-    sure = design | {"certified_optimal": True, "optimality": "numerical", "bound": {"source": "continuous"}}
-    assert design_verdict(sure).endswith("(D, optimal up to a numerical bound).")
-    assert design_verdict(sure | {"optimality": "proven"}).endswith("(D, proven optimal).")
-    assert "3.00 to 0.250 mm" in identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25})
-    figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base"}
-    assert validation_verdict(figures, "c.toml", "d.csv", seen=True).startswith(
-        "On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error from 1.00 mm (drawing, after "
-        "fitting where the arm stands) to 0.100 mm"
-    )
-    said = identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25, "rms_drawing_mm": 1.0})
-    assert "from 1.00 mm (drawing, after fitting where the arm stands) to 0.250 mm" in said
 
 
 def test_what_curves_describe_has_a_size_and_no_cause() -> None:
@@ -148,24 +127,6 @@ def test_a_file_that_was_written_is_named_in_what_follows() -> None:
     assert any("--out extended.toml" in action.command for action in diagnosis_actions(data))
 
 
-def test_commands_of_next_steps_stand_on_lines_of_their_own() -> None:
-    good, poor, refitted = (
-        validation_actions(*case, "m.toml", "d.csv") for case in ((True, "base"), (False, "base"), (False, "offsets"))
-    )
-    assert next_steps(good) == [
-        "next: Correct the robot's commands with it:\n      armcal compensate m.toml targets.csv --out commands.csv"
-    ]
-    assert [action.command for action in poor] == [
-        "armcal validate m.toml d.csv --refit offsets",
-        "armcal identify m.toml d.csv --only joint_offsets,base",
-    ]
-    assert refitted == poor[1:]
-    for case, others in (((True, "base"), good), ((False, "base"), poor), ((False, "offsets"), refitted)):
-        first, *rest = validation_actions(*case, "m.toml", "d.csv", beyond=True)
-        assert "--library-prior" in first.command
-        assert rest == others
-
-
 @pytest.mark.parametrize("verdict", ["none", "named", "ambiguous", "unknown"])
 def test_next_steps_name_every_file_that_was_diagnosed(verdict: str) -> None:
     data = said(verdict, "backlash:2", "gear_ratio:2", sets=2)
@@ -176,12 +137,93 @@ def test_next_steps_name_every_file_that_was_diagnosed(verdict: str) -> None:
     assert not any(command.startswith("armcal identify") for command in reading)  # which takes one file
 
 
-def test_after_an_identification() -> None:
-    first = identification_actions("a.toml", "d.csv", None, diagnosed=False)
-    assert first[0].text.endswith("add --out calibrated.toml to this command.")
-    assert first[1].command.startswith("armcal diagnose a.toml d.csv")
-    kept = identification_actions("a.toml", "d.csv", Path("mine.toml"), diagnosed=True)
-    assert [action.command.split()[:3] for action in kept] == [
-        ["armcal", "validate", "mine.toml"],
-        ["armcal", "compensate", "mine.toml"],
+@pytest.mark.parametrize(
+    ("shrinks", "as_predicted", "confirmed", "sentence"),
+    [
+        (True, True, True, "The model holds for more.csv (25 rows in 8 independent groups): the gap shrinks."),
+        (
+            True,
+            None,
+            True,
+            "The error shrinks on rows not fitted (more.csv); 25 rows in 8 independent groups are too few to say "
+            "whether by as much as expected.",
+        ),
+        (
+            None,
+            None,
+            None,
+            "The rows are too few to say whether the model holds for more.csv (25 rows in 8 independent groups).",
+        ),
+        (
+            True,
+            False,
+            False,
+            "For more.csv (25 rows in 8 independent groups) the gap shrinks, but by less than predicted.",
+        ),
+    ],
+)
+def test_rows_that_no_fit_has_seen(
+    shrinks: bool | None, as_predicted: bool | None, confirmed: bool, sentence: str
+) -> None:
+    test = HELD_OUT | {"shrinks": shrinks, "as_predicted": as_predicted, "confirmed": confirmed}
+    assert holds_in_words(test) == sentence
+    other = holds_in_words(test | {"file": None, "by": "cross-validation"})
+    assert "another session" in other
+    assert "cross-validated" in other
+
+
+def candidate(named: dict[str, EffectSpec], *parameters: str) -> Candidate:
+    estimates = tuple(Estimate(name, "deg", 0.03, 0.01, 0.01, 0.05) for name in parameters)
+    return Candidate(tuple(named), tuple(named.values()), (), 0.0, 10.0, 0.001, estimates, NOTHING)
+
+
+def test_the_number_of_periods_is_part_of_the_name_of_the_effect() -> None:
+    six, seven = (EffectSpec("transmission_ripple", 2, MappingProxyType({"k": k})) for k in (6.0, 7.0))
+    play, figures = {"backlash:1": EffectSpec("backlash", 1)}, ["0.0300", "0.0100", "0.0500", "deg"]
+
+    one = candidate({f"{RIPPLE}[k=6]": six}, f"{RIPPLE}.a")
+    assert (one.title, one.keys) == (f"{RIPPLE}[k=6]", (RIPPLE,))
+    assert one.to_json()["settings"] == {f"{RIPPLE}.k": 6.0}
+    assert estimate_rows(one.to_json())[1] == [[f"{RIPPLE}[k=6].a", *figures]]
+
+    beside = candidate(play | {f"{RIPPLE}[k=6]": six}, "backlash:1.b", f"{RIPPLE}.a")
+    assert beside.title == f"backlash:1 + {RIPPLE}[k=6]"
+    assert estimate_rows(beside.to_json())[1] == [["backlash:1.b", *figures], [f"{RIPPLE}[k=6].a", *figures]]
+
+    # two at one joint: parameters and settings carry the label, too
+    two = candidate({f"{RIPPLE}[k=6]": six, f"{RIPPLE}[k=7]": seven}, f"{RIPPLE}[k=6].a", f"{RIPPLE}[k=7].a")
+    assert two.to_json()["settings"] == {f"{RIPPLE}[k=6].k": 6.0, f"{RIPPLE}[k=7].k": 7.0}
+    assert estimate_rows(two.to_json())[1] == [[f"{RIPPLE}[k=6].a", *figures], [f"{RIPPLE}[k=7].a", *figures]]
+
+
+def test_sizes_that_are_excluded_are_grouped_by_kind_the_largest_at_the_tip_first() -> None:
+    sizes = {
+        "backlash:1": (0.02, "deg", 0.05),
+        "backlash:2": (0.003, "deg", 0.02),
+        "backlash:4": (0.04, "deg", 0.04),
+        "base_drift": (0.2, "mm/session", 0.06),
+        "gear_ratio:1": (None, "1", None),
+        "gear_ratio:2": (1e-4, "1", 0.01),
+        "transmission_ripple:1[any k]": (0.11, "mm", 0.11),
+        "transmission_ripple:1": (0.01, "deg", 0.03),
+    }
+    keys = ("value", "unit", "tip_mm")
+    excluded = {name: dict(zip(keys, size, strict=True)) for name, size in sizes.items()}
+    assert excluded_by_kind({"excluded": excluded}) == [
+        ["gear_ratio", "1 and 2", "0.0001 to invisible", "any"],
+        ["transmission_ripple[any k]", "1", "0.11 mm", "0.110"],
+        ["base_drift", "–", "0.2 mm/session", "0.060"],
+        ["backlash", "1, 2 and 4", "0.003 to 0.04 deg", "0.050"],
+        ["transmission_ripple", "1", "0.01 deg", "0.030"],
     ]
+
+
+def test_shapes_of_curves_are_said_in_short() -> None:
+    waves = [{"order": order, "share": share} for order, share in ((11.0, 0.5), (14.0, 0.25), (2.0, 0.125))]
+    curve = {"joint": 2, "angle_deg": [-10.0, 0.0, 10.0], "error_deg": [0.03] * 3, "std_deg": [0.01] * 3}
+    said = "waves: 11 per turn, 0.02 deg; 14 per turn, 0.01 deg; 2 per turn, 0.01 deg (88 %) over -10 to 10 deg"
+    curves = [curve | {"shape": said, "waves": waves}, curve | {"shape": "smooth curve over 1 to 2 deg", "waves": []}]
+    (section,) = curve_sections({"curves": curves})
+    table = section.parts[0]
+    assert isinstance(table, Sheet)
+    assert [row[-1] for row in table.rows] == ["waves 11, 14, 2 (88 %)", "smooth curve"]
