@@ -62,7 +62,7 @@ def load_arm(path: PathLike) -> Arm:
     """The arm that a TOML file describes.
 
     Raises `InputError`, one line naming file, key, what was found and what is allowed. Warns (`UserWarning`) when the
-    joint limits of a planar arm look like radians.
+    joint limits look like radians.
     """
     tables = read_toml(path)
     try:
