@@ -26,7 +26,7 @@ def command(common: CommonOptions, *, spatial: bool = False, out: Folder | None 
     from doe.demo.planar import planar
     from doe.demo.run import run_demo
     from doe.demo.spatial import spatial as six_axes
-    from doe.report.demo import demo_data, demo_document, overview_figure
+    from doe.report.demo import demo_document, overview_figure
     from doe.report.figures import save
     from doe.report.page import page
 
@@ -34,13 +34,14 @@ def command(common: CommonOptions, *, spatial: bool = False, out: Folder | None 
     make_directory(directory, force)
     try:
         demo = run_demo(directory, six_axes() if spatial else planar(), common.seed, common.report, force)
-        document = demo_document(demo, directory)
+        document = demo_document(demo)
         text = page(document, origin(common.seed, [directory / name for name in demo.files]))
         write_whole(directory / "report.html", text, force=True)
         save(overview_figure(demo), directory / "overview.png", force=True)
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
-    return with_collisions(Answer(demo_data(demo, directory), [document]), demo.arm)
+    look = f"Look at {directory / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
+    return with_collisions(Answer(demo.to_json(directory), [document.plus(look)]), demo.arm)
 
 
 def next_free(path: Path) -> Path:

@@ -106,10 +106,10 @@ def _searched(
     if not search.discriminating:
         return solve(problem, search.runs, progress=common.report, **effort), {}, []
     from doe.discrimination.design import discrimination_design
-    from doe.report.design import discriminating_data, discriminating_parts
+    from doe.report.design import discriminating_parts
 
     found = discrimination_design(problem, arm, search.runs, loss=search.loss, progress=common.report, **effort)
-    return found.design, discriminating_data(found), discriminating_parts(found)
+    return found.design, found.to_json(), discriminating_parts(found)
 
 
 def _ordered(design: Design, order: str, seed: int, data: dict[str, Any], extra: list[Any]) -> Design:

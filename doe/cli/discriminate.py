@@ -39,7 +39,7 @@ def command(
     force : Overwrite an existing file.
     """
     from doe.discrimination.t_optimal import discriminate
-    from doe.report.design import missing_payload, next_columns, next_data, next_document
+    from doe.report.design import missing_payload, next_document
     from identification.files.arm import load_arm
     from identification.files.measurement_columns import csv_text
     from identification.gap.diagnose import diagnose
@@ -64,10 +64,12 @@ def command(
     found = discriminate(loaded, diagnosis, measurements, runs, common.seed, masses, stop=late)
     lines = [
         f"{line}; measure them and append the rows to {data[-1]}"
-        for line in written({out: csv_text(next_columns(found))}, force, "next postures")
+        for line in written({out: csv_text(found.columns)}, force, "next postures")
     ]
     shown = [next_document(diagnosis, found), *lines, *missing_payload(loaded, measurements, found)]
-    return with_collisions(Answer(next_data(diagnosis, found), shown), loaded)
+    rivals = [list(candidate.effects) for candidate in diagnosis.candidates]
+    keys = {"verdict": diagnosis.verdict, "candidates": rivals}
+    return with_collisions(Answer(keys | found.to_json(), shown), loaded)
 
 
 def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:

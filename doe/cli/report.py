@@ -18,12 +18,12 @@ def command(common: CommonOptions, files: tuple[File, ...], *, out: OutFile, for
     out : Write the page.
     force : Overwrite an existing file.
     """
-    from doe.report.campaign import campaign_page
-    from doe.report.page import hashes
+    from doe.report.campaign import Campaign
+    from doe.report.page import hashes, page
     from identification.files.io import write_whole
 
-    text, campaign = campaign_page(files, origin(common.seed, files))
-    write_whole(out, text, force=force)
+    campaign = Campaign.of(files)
+    write_whole(out, page(campaign.document(), origin(common.seed, files)), force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
         for name, size, digest in hashes(files)

@@ -124,6 +124,29 @@ class Demo:
         """(m, d) positions [mm] of a fitted model at the fresh postures."""
         return found.model.position(self.fresh.postures, found.parameters, self.fresh.conditions)
 
+    def to_json(self, directory: Path) -> dict[str, Any]:
+        """The JSON object of `armcal demo`."""
+        return {
+            "directory": directory,
+            "design": self.design.to_json(),
+            "identify": self.base.to_json() | {"rms_drawing_mm": self.drawing_left},
+            "diagnose": self.diagnosis.to_json(),
+            "fresh_gap_mm": {
+                "drawing": self.drawing_gap,
+                "identified": self.gap(self.base),
+                "extended": self.gap(self.extended),
+                "noise": self.noise,
+            },
+            "hidden": {
+                "parameters": self.checked,
+                "model_error_mm": self.model_error,
+                "targets_reached": int(self.compensation.reached.sum()),
+                "targets_as_drawn_mm": self.target_errors[0],
+                "targets_corrected_mm": self.target_errors[1],
+            },
+            "files": list(self.files),
+        }
+
 
 def run_demo(
     directory: Path, scenario: Scenario, seed: int = 0, progress: Progress = silent, force: bool = True

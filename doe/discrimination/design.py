@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, takewhile
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +71,24 @@ class DiscriminationDesign:
         """D-efficiency relative to the best plan found."""
         criterion, p = self.design.problem.criterion, self.design.problem.parameters
         return criterion.efficiency(self.design.value, self.best.value, p)
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys that `--discriminating` adds to those of a design.
+
+        `not_visible`: effects of which less than a hundredth of a column's norm is left for the tests to see.
+        """
+        invisible = [
+            [] if sees is None else [n for n, left in zip(sees.names, sees.norm_fractions, strict=True) if left < 0.01]
+            for sees in (self.sees, self.best_sees)
+        ]
+        wrong = {"plan": self.wrong, "best_plan": self.best_wrong, "random_postures": self.random_wrong}
+        return {
+            "relative_efficiency": self.relative_efficiency,
+            "wrong_name_at_most": wrong,
+            "preflight": None if self.sees is None else self.sees.to_json(),
+            "not_visible": invisible[0],
+            "not_visible_in_best_plan": invisible[1],
+        }
 
 
 def discrimination_design(

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -29,6 +30,7 @@ from doe.problem.spatial import refuse_contacts
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
+from identification.files.measurement_columns import posture_columns
 from identification.gap.candidate import Candidate
 from identification.gap.result import Diagnosis
 from identification.measurements import Conditions, Measurements
@@ -65,6 +67,27 @@ class NextPostures:
         cut = ", their search was cut" if self.status is Status.time_limit else ""
         chance = f"at most {100.0 * self.chance:.0f} %"
         return f"{len(self.plan)} postures{cut}; probability of resolving the ambiguity: {chance}"
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns of the plan file: run, angles, and payload and directions where they matter."""
+        columns: dict[str, Any] = {"run": np.arange(1, len(self.plan) + 1)}
+        columns |= posture_columns(self.plan.postures, self.joint_types or None)
+        columns |= {} if self.payload is None else {"payload_kg": self.payload}
+        sides = () if self.directions is None else self.directions.T
+        return columns | {f"direction{j}": column for j, column in enumerate(sides, start=1)}
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `armcal discriminate` beside those of the diagnosis."""
+        angles = posture_columns(self.plan.postures, self.joint_types or None)
+        return {
+            "postures_deg": np.column_stack([*angles.values()]),
+            "payload_kg": self.payload,
+            "directions": self.directions,
+            "chance": self.chance,
+            "status": self.status.name,
+            "pairs": [{"candidate": a, "rival": b, "lambda": size} for (a, b), size in self.pairs.items()],
+        }
 
 
 @dataclass(frozen=True)

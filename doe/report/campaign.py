@@ -28,7 +28,6 @@ from doe.report.identification import (
     rows_listed,
     validation_verdict,
 )
-from doe.report.page import Origin, page
 from doe.report.signed_residuals import Compared
 from identification.arm import Arm
 from identification.document import Action, Document, Pictures, Section, Sheet
@@ -332,9 +331,3 @@ def commands_section(name: str, commands: CsvTable, arm: Arm) -> Section:
     lead = f"{commanded_in_words(name, commands)} The miss is the calibrated model's, not the robot's accuracy."
     table = Sheet(["row", *axes, *joints, "miss [mm]", "why there is none"], cells, "", 24, "the file has all")
     return Section(f"Joint commands: {name}", [lead, table])
-
-
-def campaign_page(paths: Sequence[Path], origin: Origin) -> tuple[str, Campaign]:
-    """The page and what is on it."""
-    campaign = Campaign.of(paths)
-    return page(campaign.document(), origin), campaign

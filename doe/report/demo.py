@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,7 +9,7 @@ from matplotlib.figure import Figure
 from doe.demo.run import Demo
 from doe.design import optimality_in_words
 from doe.report.design import design_verdict, plan_section
-from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm, draw_side, run_colors
+from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm, draw_side
 from doe.report.gap import diagnosis_sections, diagnosis_verdict
 from doe.report.signed_residuals import Compared, joint_errors
 from identification.document import Action, Document, Pictures, Section, Sheet
@@ -20,16 +17,15 @@ from identification.model import Model
 from identification.numbers_in_text import number, to_significant_digits, unit_or_dash
 
 
-def demo_document(demo: Demo, directory: Path) -> Document:
+def demo_document(demo: Demo) -> Document:
     """Plan, certificate, identification, gap, and what was hidden."""
-    data, report = demo.diagnosis.to_json(), directory / "report.html"
-    rows = (
-        "With the named effect refitted (sigma from the arm file), beside what was hidden, as the simulation has it: "
+    data = demo.diagnosis.to_json()
+    lead = (
+        "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only."
     )
-    truth = Section("Against the truth", [rows + "the fits saw the measurements only.", *truth_tables(demo)])
+    truth = Section("Against the truth", [lead, *truth_tables(demo)])
     sections = [identified_section(demo), *diagnosis_sections(data, demo.diagnosis, demo.drawing_left), truth]
     actions = [
-        Action(f"Look at {report} in a browser, and at the files beside it: {', '.join(demo.files)}."),
         Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
         Action(
             "Make a page of any of them:", "armcal report arm.toml plan.csv extended.toml fresh.csv --out page.html"
@@ -62,30 +58,6 @@ def demo_summary(demo: Demo) -> str:
         f"Commands corrected with this model miss their targets by {corrected:.3f} mm, uncorrected ones by "
         f"{drawn:.2f} mm."
     )
-
-
-def demo_data(demo: Demo, directory: Path) -> dict[str, Any]:
-    """The JSON object of `armcal demo`."""
-    return {
-        "directory": directory,
-        "design": demo.design.to_json(),
-        "identify": demo.base.to_json() | {"rms_drawing_mm": demo.drawing_left},
-        "diagnose": demo.diagnosis.to_json(),
-        "fresh_gap_mm": {
-            "drawing": demo.drawing_gap,
-            "identified": demo.gap(demo.base),
-            "extended": demo.gap(demo.extended),
-            "noise": demo.noise,
-        },
-        "hidden": {
-            "parameters": demo.checked,
-            "model_error_mm": demo.model_error,
-            "targets_reached": int(demo.compensation.reached.sum()),
-            "targets_as_drawn_mm": demo.target_errors[0],
-            "targets_corrected_mm": demo.target_errors[1],
-        },
-        "files": list(demo.files),
-    }
 
 
 def identified_section(demo: Demo) -> Section:
@@ -149,7 +121,7 @@ def overview_figure(demo: Demo) -> Figure:
     places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
     postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection="3d" if space else None)
     if space:
-        draw_side(axes, demo.arm, postures, run_colors(len(postures)), zoom=1.1)
+        draw_side(axes, demo.arm, postures, zoom=1.1)
         axes.set(zlabel="")  # it would stand in the next picture
     else:
         draw_arm(axes, demo.arm, postures)

@@ -64,7 +64,7 @@ def design_verdict(data: Data) -> str:
     if not (error := data.get("expected_error_mm")):
         known = "" if data["efficiency"] is None else f" has the efficiency {data['efficiency']:.4f}"
         return f"The plan of {data['runs']} runs{known or ' has no known bound'} ({data['criterion']}{optimal})."
-    said = f"The plan of {data['runs']} runs (criterion {data['criterion']}{optimal}) lets expect an error of "
+    said = f"With the plan of {data['runs']} runs (criterion {data['criterion']}{optimal}) expect an error of "
     said += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace or --test-poses"
     said += f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""
     if error["bound"] is None or data["efficiency"] is None or data.get("outside_limits"):
@@ -84,6 +84,12 @@ def design_facts(data: Data, status: str) -> Facts:
     words, value = bound_in_words(bound) if known else "-", f"{number(bound['value'], 7)} " if known else ""
     efficiency = f"-: {data['no_efficiency']}" if data["no_efficiency"] else number(data["efficiency"], 6)
     searched = f"{data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
+    optimal = optimality_in_words(data["optimality"], bound) or "no"
+    optimal += ": the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else ""
+    if outside := data["outside_limits"]:
+        listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")
+        are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
+        optimal = f"no: {are} outside joint limits or constraints"
     return Facts(
         [
             ("criterion", f"{kind}, {data['runs']} runs, {data['links']} links"),
@@ -94,22 +100,12 @@ def design_facts(data: Data, status: str) -> Facts:
                 f"{value}({words})" if value and not in_mm else None,
             ),
             ("efficiency", f"{efficiency} of the bound ({words})" if known and in_mm else efficiency),
-            ("optimal", optimal_in_words(data)),
+            ("optimal", optimal),
             ("deviation from orthogonality (Table I)", None if table_1 is None or kind == "I" else number(table_1, 6)),
             ("solver", data["solver"] and f"{data['solver']}, {searched}"),
             ("status", status),
         ]
     )
-
-
-def optimal_in_words(data: Data, most: int = 10) -> str:
-    """`proven optimal` and so on, `no`, or which runs lie outside the problem, so that no bound applies."""
-    if outside := data["outside_limits"]:
-        listed = ", ".join(map(str, outside[:most])) + (", ..." if len(outside) > most else "")
-        are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
-        return f"no: {are} outside joint limits or constraints"
-    words = optimality_in_words(data["optimality"], data["bound"])
-    return f"{words}: the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else words or "no"
 
 
 def posture_headings(plan: Plan) -> list[str]:
@@ -264,7 +260,16 @@ def plan_steps(arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = 
     if plan.weights is not None or len(plan) > MOST_RUNS or numbers > MOST_NUMBERS:
         return None
     jacobians = problem.scaled_jacobians(plan.postures).reshape(len(plan), -1)
-    cells = plan_cells(plan, table)
+    if table is None:  # else its cells, with decimal points as the file separates columns by commas
+        angles = posture_columns(plan.postures, plan.joint_types or None)
+        cells = {name: [repr(float(angle)) for angle in column] for name, column in angles.items()}
+    else:
+        texts = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
+        pointed = table.decimal_commas
+        cells = {
+            name: [text.replace(",", ".") if pointed and DECIMAL.fullmatch(text) else text for text in column]
+            for name, column in texts.items()
+        }
     return {
         "file": f"{name}-edited.csv",
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
@@ -277,20 +282,6 @@ def plan_steps(arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = 
         "known": to_digits(problem.precisions, 12),
         "points": to_digits(Model(arm).points(plan.postures), 5),
         "outlines": [{"line": to_digits(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
-    }
-
-
-def plan_cells(plan: Plan, table: CsvTable | None) -> Mapping[str, list[str]]:
-    """Column -> cells of the edited plan's file: those of the table, with decimal points as the file separates columns
-    by commas, or the postures to the last digit."""
-    if table is None:
-        found = posture_columns(plan.postures, plan.joint_types or None)
-        return {name: [repr(float(cell)) for cell in cells] for name, cells in found.items()}
-    columns = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
-    commas = table.decimal_commas
-    return {
-        name: [cell.replace(",", ".") if commas and DECIMAL.fullmatch(cell) else cell for cell in cells]
-        for name, cells in columns.items()
     }
 
 
@@ -439,44 +430,15 @@ def discriminating_parts(result: DiscriminationDesign) -> list[Sheet | str]:
         "gear ripple, backlash and drift are left out",
     ]
     if result.sees is not None and result.best_sees is not None:
-        clear, blind = (", ".join(nearly_invisible(sees)) or "none" for sees in (result.sees, result.best_sees))
+        data = result.to_json()
+        clear, blind = (", ".join(data[f"not_visible{which}"]) or "none" for which in ("", "_in_best_plan"))
         return [*parts, f"effects it cannot see: {clear} (the best plan: {blind})", *preflight_parts(result.sees)]
     if len(result.design.plan) > MOST_SEEN:
         parts.append(f"what a plan of more than {MOST_SEEN:,} runs can detect is not worked out")
     return parts
 
 
-def discriminating_data(result: DiscriminationDesign) -> dict[str, Any]:
-    """The JSON keys that `--discriminating` adds."""
-    wrong = {"plan": result.wrong, "best_plan": result.best_wrong, "random_postures": result.random_wrong}
-    return {
-        "relative_efficiency": result.relative_efficiency,
-        "wrong_name_at_most": wrong,
-        "preflight": None if result.sees is None else result.sees.to_json(),
-        "not_visible": nearly_invisible(result.sees),
-        "not_visible_in_best_plan": nearly_invisible(result.best_sees),
-    }
-
-
-def nearly_invisible(sees: Detectability | None) -> list[str]:
-    """Effects of which less than a hundredth of a column's norm is left for the tests to see."""
-    if sees is None:
-        return []
-    return [name for name, left in zip(sees.names, sees.norm_fractions, strict=True) if left < 0.01]
-
-
 # -- armcal discriminate -----------------------------------------------------------------------------------------------
-def next_columns(result: NextPostures) -> dict[str, Any]:
-    """Columns of the plan file: run, angles, and payload and directions where they matter."""
-    columns: dict[str, Any] = {"run": np.arange(1, len(result.plan) + 1)}
-    columns |= posture_columns(result.plan.postures, result.joint_types or None)
-    if result.payload is not None:
-        columns["payload_kg"] = result.payload
-    if result.directions is not None:
-        columns |= {f"direction{j + 1}": column for j, column in enumerate(result.directions.T)}
-    return columns
-
-
 def missing_payload(arm: Arm, measurements: Measurements, result: NextPostures) -> list[str]:
     """What to do before the rows can be appended: data without a payload column mean the arm's own payload."""
     if result.payload is None or measurements.payload is not None or arm.gravity is None:
@@ -484,24 +446,8 @@ def missing_payload(arm: Arm, measurements: Measurements, result: NextPostures) 
     return [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
 
 
-def next_data(diagnosis: Diagnosis, result: NextPostures) -> dict[str, Any]:
-    """The JSON object of `armcal discriminate`."""
-    return {
-        "verdict": diagnosis.verdict,
-        "candidates": [list(candidate.effects) for candidate in diagnosis.candidates],
-        "postures_deg": np.column_stack(
-            list(posture_columns(result.plan.postures, result.joint_types or None).values())
-        ),
-        "payload_kg": result.payload,
-        "directions": result.directions,
-        "chance": result.chance,
-        "status": result.status.name,
-        "pairs": [{"candidate": a, "rival": b, "lambda": size} for (a, b), size in result.pairs.items()],
-    }
-
-
 def next_document(diagnosis: Diagnosis, result: NextPostures) -> Document:
     """The rivals, the chance, the postures."""
-    columns = next_columns(result)
+    columns = result.columns
     rows = [[f"{value:g}" for value in row] for row in zip(*columns.values(), strict=True)]
     return Document("Next postures", [str(result)], [diagnosis.sentence, Sheet(list(columns), rows, "Next postures")])

@@ -58,8 +58,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
         figure = Figure(figsize=(10.0, 8.6))
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
         for k, side in enumerate(SIDES, start=1):
-            axes = top.add_subplot(1, len(SIDES), k, projection="3d")
-            draw_side(axes, arm, shown, run_colors(len(shown)), side)
+            draw_side(top.add_subplot(1, len(SIDES), k, projection="3d"), arm, shown, side)
         top.subplots_adjust(left=0.03, right=0.93, bottom=0.06, top=0.94, wspace=0.3)
         top.suptitle(f"{count}, from two sides; light to dark in order of measurement", fontsize=9)
         bottom.subplots_adjust(left=0.06, right=0.97, bottom=0.2)
@@ -95,43 +94,35 @@ def run_colors(m: int) -> Array:
     return np.asarray(colormaps["viridis_r"](np.linspace(0.1, 1.0, m)))
 
 
-def draw_arm(axes: Axes, arm: Arm, postures: Array) -> None:
-    """Stick figures of the arm as it is best known; in a plane, for an arm in one."""
+def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
+    """Stick figures of the arm as it is best known, in the frame of its base; axes : in a plane or in space, as it"""
     for line, color in zip(Model(arm).points(postures), run_colors(len(postures)), strict=True):
-        axes.plot(line[:, 0], line[:, 1], color=color, lw=1.2, alpha=0.75)
-        axes.plot(*line[-1], "o", color=color, ms=4)
-    axes.plot(0, 0, "ks", ms=6)
-    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+        axes.plot(*line.T, color=color, lw=1.2, alpha=0.75)
+        axes.plot(*line[-1:].T, "o", color=color, ms=3)
+    dimension = 2 if arm.chain is None else 3
+    axes.plot(*np.zeros((dimension, 1)), "ks", ms=6)
+    axes.set(aspect="equal" if dimension == 2 else "auto")
+    axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in "xyz"[:dimension]})
 
 
-def draw_constraints(axes: Axes, arm: Arm) -> None:
-    """Workspace boxes, keep-out circles and the tracker's cone."""
+def draw_constraints(axes: Any, arm: Arm) -> None:
+    """Workspace boxes, what to keep out of, the tracker and its cone."""
     for line, color in outlines(arm):
-        axes.plot(*line.T, color=color, lw=1, ls="--")
-        if color == FORBIDDEN:
+        axes.plot(*line.T, color=color, lw=0.8, ls="--")
+        if color == FORBIDDEN and line.shape[1] == 2:
             axes.fill(*line.T, color=color, alpha=0.25, lw=0)
     for constraint in arm.constraints:
         if isinstance(constraint, LineOfSight):
-            axes.plot(*np.array([constraint.tracker]).T, "k^", ms=7)
+            axes.plot(*np.array([constraint.tracker]).T, "k^", ms=6)
 
 
-def draw_side(
-    axes: Any, arm: Arm, postures: Array, colors: Array, side: tuple[float, float] = SIDES[0], zoom: float = 1.0
-) -> None:
-    """The skeletons of a spatial arm at postures (m, n) and what constrains them, from one side, in the base's frame.
+def draw_side(axes: Any, arm: Arm, postures: Array, side: tuple[float, float] = SIDES[0], zoom: float = 1.0) -> None:
+    """A spatial arm at postures (m, n) and what constrains it, from one side.
 
     zoom : of the box in its place, whose sides have the same scale
     """
-    for line, color in zip(Model(arm).points(postures), colors, strict=True):
-        axes.plot(*line.T, color=color, lw=1.1, alpha=0.75)
-        axes.plot(*line[-1:].T, "o", color=color, ms=3)
-    axes.plot([0], [0], [0], "ks", ms=6)
-    for outline, color in outlines(arm):
-        axes.plot(*outline.T, color=color, lw=0.8)
-    for constraint in arm.constraints:
-        if isinstance(constraint, LineOfSight):
-            axes.plot(*np.array([constraint.tracker]).T, "k^", ms=6)
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
+    draw_arm(axes, arm, postures)
+    draw_constraints(axes, arm)
     axes.tick_params(labelsize=7)
     for one in (axes.xaxis, axes.yaxis, axes.zaxis):
         one.set_major_locator(MaxNLocator(4))
@@ -370,12 +361,21 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def curves_figure(diagnosis: Diagnosis) -> Figure:
-    """Error curves with 95 % bands, and what groups of rows leave along the lever arm beside them, as angles."""
-    seen, half = curve_residuals(diagnosis), quantile_95(min(diagnosis.named.freedom, default=np.inf))
+    """Error curves with 95 % bands, and what up to 200 groups of rows say along the lever arm, as angles."""
+    half, kept = quantile_95(min(diagnosis.named.freedom, default=np.inf)), rows_kept(diagnosis)
+    model, after = Model(diagnosis.arm), diagnosis.residuals.after[kept]
+    joints = [diagnosis.residuals.against[f"joint {j + 1} [rad]"] for j in range(model.joints)]
+    postures = np.column_stack(joints)[kept]
+    levers = model.joint_levers(postures)
 
     def draw(axis: Axes, curve: Any) -> None:
+        q, lever = postures[:, curve.joint - 1], levers[:, :, curve.joint - 1]
+        weight = np.sum(lever**2, axis=1)
+        along = np.sum(lever * after, axis=1) + weight * curve.table.at(q)
+        groups = np.array_split(np.argsort(q, kind="stable"), min(200, max(1, len(q) // 2)))
+        means = [(float(np.mean(q[g])), float(along[g].sum() / weight[g].sum())) for g in groups]
+        axis.plot(*np.degrees(means).T, ".", color=LIMIT, ms=3, label="rows, in groups")
         angles, error, band = np.degrees([curve.angles, curve.error, half * curve.std])
-        axis.plot(*seen[curve.key], ".", color=LIMIT, ms=3, label="rows, in groups")
         axis.fill_between(angles, error - band, error + band, color=AFTER, alpha=0.25, lw=0, label="95 %")
         axis.plot(angles, error, color=AFTER, lw=1.4, label="curve")
         axis.set(xlabel=f"$q_{curve.joint}$ [deg]", ylabel="error [deg]")
@@ -398,22 +398,6 @@ def panels(
         axis.set_visible(False)
     axes[0].legend(frameon=False, fontsize=8)
     return figure
-
-
-def curve_residuals(diagnosis: Diagnosis) -> dict[str, tuple[Array, Array]]:
-    """Curve -> angles and errors [deg] of up to 200 groups of rows: what they leave along the lever arm beside it."""
-    model, kept = Model(diagnosis.arm), rows_kept(diagnosis)
-    angles = [diagnosis.residuals.against[f"joint {j + 1} [rad]"] for j in range(model.joints)]
-    postures, after = np.column_stack(angles)[kept], diagnosis.residuals.after[kept]
-    levers, points = model.joint_levers(postures), {}
-    for curve in diagnosis.curves:
-        q, lever = postures[:, curve.joint - 1], levers[:, :, curve.joint - 1]
-        weight = np.sum(lever**2, axis=1)
-        along = np.sum(lever * after, axis=1) + weight * curve.table.at(q)
-        groups = np.array_split(np.argsort(q, kind="stable"), min(200, max(1, len(q) // 2)))
-        errors = [float(along[g].sum() / weight[g].sum()) for g in groups]
-        points[curve.key] = np.degrees([float(np.mean(q[g])) for g in groups]), np.degrees(errors)
-    return points
 
 
 def rows_kept(diagnosis: Diagnosis) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ import pytest
 
 from doe.demo.run import Demo, run_demo
 from doe.demo.spatial import ARM, AXES, FLANGE, POINTS, REFLECTOR, hidden_arm, spatial, urdf
-from doe.report.demo import demo_data, demo_document, overview_figure
+from doe.report.demo import demo_document, overview_figure
 from identification.files.arm import load_arm
 from identification.files.urdf import read_urdf
 from identification.model import Model
@@ -67,8 +67,8 @@ def test_its_files_and_what_is_said(demo: tuple[Path, Demo]) -> None:
         np.testing.assert_allclose(joint.origin, real.origin, atol=1e-9)
     assert len(load_arm(folder / "extended.toml").effects) == 1
     with pytest.warns(UserWarning, match="beside the last axis is assumed"):  # of the plan
-        shown = str(demo_document(found, folder))
+        shown = str(demo_document(found))
     assert "with encoder_eccentricity:2" in shown
-    assert "corrected.urdf" in shown
-    assert demo_data(found, folder)["hidden"]["targets_reached"] == len(found.compensation.targets)
+    assert "corrected.urdf" in found.to_json(folder)["files"]
+    assert found.to_json(folder)["hidden"]["targets_reached"] == len(found.compensation.targets)
     assert [axes.name for axes in overview_figure(found).axes] == ["3d", "rectilinear", "rectilinear"]

@@ -88,7 +88,7 @@ def test_a_plan_in_a_sentence() -> None:
     assert design_verdict(design) == "The plan of 20 runs has the efficiency 0.9877 (D)."
     assert "no known bound" in design_verdict(design | {"efficiency": None})
     error = {"criterion": "I", "efficiency": 0.329, "expected_error_mm": {"plan": 0.158, "bound": 0.0808}}
-    runs = "The plan of 20 runs (criterion I) lets expect an error of 0.158 mm at the tip, RMS over the workspace"
+    runs = "With the plan of 20 runs (criterion I) expect an error of 0.158 mm at the tip, RMS over the workspace"
     runs += " or --test-poses"
     bound = "bound allows fractions of a run. Judge by the mm."
     error["bound"] = {"value": -9.0, "source": "grid", "rigorous": True, "candidates": 2000}
