@@ -27,6 +27,7 @@ from identification.model.placed import one_unnamed, placed_model, tip_frames
 
 PLACED = 6  # numbers of a center, or a plane with three turns, and a measured point
 STANDS = 6  # numbers of where an arm stands, of each session
+IN_PLANE = 3  # numbers of where a planar arm stands
 SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
 LARGE_ANGLE = 7.0  # [rad], more than a turn, above which numbers may be degrees
 ANGLES = {  # factors to radians as read, and what the numbers then were
@@ -69,7 +70,8 @@ def _few(measurements: Measurements, arm: Arm) -> bool:
     """Whether base and measured points alone might explain the data in any unit."""
     points = 1 if measurements.marker is None else len(measurements.marker_names)
     fitted = PLACED if measurements.dimension == 1 else STANDS + arm.dimension * points
-    return arm.chain is not None and measurements.positions.size < 4 * fitted * len(measurements.session_rows)
+    unknowns = IN_PLANE if arm.chain is None else fitted * len(measurements.session_rows)
+    return measurements.positions.size < 4 * unknowns
 
 
 def gap_notes(measurements: Measurements) -> list[str]:
