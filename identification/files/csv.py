@@ -82,10 +82,8 @@ class Table:
                 others = [name for name in self.columns if not KNOWN.fullmatch(name)]
                 close = close_names(column, others) or [name for name in others if _of_same_joint(name, column)]
                 hint = suggestion(close[:1]).replace("did you mean", "did you mean to rename")
-                found = ", ".join(self.columns)
-                raise InputError(
-                    f"{self.path}: column {column!r} is missing, found: {found}; {hint}allowed: a column of that name"
-                )
+                state = f"column {column!r} is missing, found: {', '.join(self.columns)}"
+                raise InputError(f"{self.path}: {state}; {hint}allowed: a column of that name")
 
     def place(self, row: int, column: str) -> str:
         """`data.csv: row 3 (line 4), column x_mm`; `row` counts from 0."""
@@ -110,8 +108,8 @@ class Table:
             values, good = np.where(blank, empty, values), good | blank
         if not good.all():
             row = int(np.argmin(good))
-            found = "an empty cell" if text[row] is None else repr(text[row])
-            raise InputError(f"{self.place(row, column)}: found {found}, allowed: {allowed}")
+            cell = "an empty cell" if text[row] is None else repr(text[row])
+            raise InputError(f"{self.place(row, column)}: found {cell}, allowed: {allowed}")
         return values
 
     def texts(self, column: str) -> NDArray[np.str_]:

@@ -166,8 +166,8 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
     Raises `InputError` for text that is no XML or has a document type, links or joints of equal names, links with two
     parents.
     """
-    if found := re.search(r"<!(DOCTYPE|ENTITY)", text):
-        raise InputError(f"{path}: found {found.group()}, allowed: XML without document types and entities")
+    if declared := re.search(r"<!(DOCTYPE|ENTITY)", text):
+        raise InputError(f"{path}: found {declared.group()}, allowed: XML without document types and entities")
     try:
         root = ElementTree.fromstring(_declared_first(text))
     except ElementTree.ParseError as error:
@@ -192,7 +192,7 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
 def _declared_first(text: str) -> str:
     """The text for a parser of XML, which allows nothing before its declaration: where blank lines are before it, it is
     blank too, so that places in the text stay the same."""
-    return re.sub(r"\A\s+<\?xml\b[^>]*>", lambda found: re.sub(r"[^\s]", " ", found[0]), text)
+    return re.sub(r"\A\s+<\?xml\b[^>]*>", lambda before: re.sub(r"[^\s]", " ", before[0]), text)
 
 
 def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> str:

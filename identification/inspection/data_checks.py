@@ -27,6 +27,7 @@ from identification.model.placed import one_unnamed, placed_model, tip_frames
 
 PLACED = 6  # numbers of a center, or a plane with three turns, and a measured point
 STANDS = 6  # numbers of where an arm stands, of each session
+IN_PLANE = 3  # numbers of where a planar arm stands
 SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
 LARGE_ANGLE = 7.0  # [rad], more than a turn, above which numbers may be degrees
 ANGLES = {  # factors to radians as read, and what the numbers then were
@@ -69,7 +70,8 @@ def _few(measurements: Measurements, arm: Arm) -> bool:
     """Whether base and measured points alone might explain the data in any unit."""
     points = 1 if measurements.marker is None else len(measurements.marker_names)
     fitted = PLACED if measurements.dimension == 1 else STANDS + arm.dimension * points
-    return arm.chain is not None and measurements.positions.size < 4 * fitted * len(measurements.session_rows)
+    unknowns = IN_PLANE if arm.chain is None else fitted * len(measurements.session_rows)
+    return measurements.positions.size < 4 * unknowns
 
 
 def gap_notes(measurements: Measurements) -> list[str]:
@@ -151,11 +153,11 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
         return _Units(huge)
     turned, factor = best
     axes = ("distance",) if measurements.dimension == 1 else "xyz"[: arm.dimension]
-    said = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
-    said += huge
+    sentences = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
+    sentences += huge
     if factor != 1.0:
-        said += [_other_lengths(factor, axes, huge=bool(huge))]
-    return _Units(said, misfits[best] * drawn[turned] / arm.reach, misfits[best], misfits[1.0, 1.0])
+        sentences += [_other_lengths(factor, axes, huge=bool(huge))]
+    return _Units(sentences, misfits[best] * drawn[turned] / arm.reach, misfits[best], misfits[1.0, 1.0])
 
 
 def _spread(points: Array) -> float:
@@ -175,30 +177,30 @@ def _drawn_tips(arm: Arm, postures: Array) -> Array:
 def _length_factor(misfit: Callable[[float], float], guess: float) -> float:
     """What positions are to be multiplied by to lie nearest to the drawing."""
     near = min(guess * STEPS, key=misfit)
-    found = minimize_scalar(
+    nearest = minimize_scalar(
         lambda k: misfit(float(np.exp(k))), bounds=np.log([near / 2.0, near * 2.0]), options={"xatol": 1e-4}
     )
-    return float(np.exp(found.x))
+    return float(np.exp(nearest.x))
 
 
 def _other_lengths(factor: float, axes: Sequence[str], *, huge: bool) -> str:
     """How many times the lengths of one file are those of the other, and what would make them agree.
 
-    factor : that makes positions what the arm's lengths are;  huge : it is said already that these are too large
+    factor : that makes positions what the arm's lengths are;  huge : another sentence says that these are too large
     """
     small, large = ("measurements", "arm file") if factor > 1.0 else ("arm file", "measurements")
     times = max(factor, 1.0 / factor)
-    said = f"the lengths of the {large} are {times:.4g} times those of the {small}"
+    lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
     if huge and factor > 1.0:
-        return said
+        return lengths
     unit = next((unit for unit in UNITS if abs(times / unit - 1.0) <= FITS), None)
     if unit is None:
-        return f"{said}, which is the factor of no unit: another arm, or a length that is mistyped?"
+        return f"{lengths}, which is the factor of no unit: another arm, or a length that is mistyped?"
     if small == "arm file":
-        return f"{said}: they agree if the arm file's lengths are in {UNITS[unit]} (multiply them by {unit:g})"
+        return f"{lengths}: they agree if the arm file's lengths are in {UNITS[unit]} (multiply them by {unit:g})"
     names, in_metres = (", ".join(f"{axis}_{end}" for axis in axes) for end in ("mm", "m"))
     how = f"name the columns {in_metres} instead of {names}" if unit == 1000.0 else f"multiply {names} by {unit:g}"
-    return f"{said}: they agree if the positions are in {UNITS[unit]} ({how})"
+    return f"{lengths}: they agree if the positions are in {UNITS[unit]} ({how})"
 
 
 def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
@@ -268,10 +270,10 @@ def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
 
 
 def _distances(arm: Arm, measurements: Measurements, kept: NDArray[np.bool_]) -> Array:
-    """(m,) from the nominal arm [mm], base and measured points found from the rows kept, in each session anew."""
-    found = np.empty(len(kept))
+    """(m,) from the nominal arm [mm], base and measured points found from the rows kept, in each session separately."""
+    off = np.empty(len(kept))
     for rows in measurements.session_rows:
         here = measurements.rows(rows)
         placed = placed_model(Model(arm), here.rows(kept[rows]) if kept[rows].any() else here)
-        found[rows] = distances(here.positions - placed.position(here.postures, conditions=here.conditions))
-    return found
+        off[rows] = distances(here.positions - placed.position(here.postures, conditions=here.conditions))
+    return off

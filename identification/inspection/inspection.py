@@ -283,10 +283,10 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
 def _fit(arm: Arm, measurements: Measurements) -> Identification | None:
     """The geometry of the arm fitted, None if the rows are too few for it."""
     try:
-        found = estimate(Model(with_sessions(arm, measurements)), measurements)
+        fit = estimate(Model(with_sessions(arm, measurements)), measurements)
     except InputError:
         return None
-    return with_repeats_doubted(found, measurements)
+    return with_repeats_doubted(fit, measurements)
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
