@@ -62,10 +62,9 @@ class Facts:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Figures, drawn where a rendering shows them, which no terminal does;  caption : how they are read"""
+    """Figures and paragraphs on how they are read, made where a rendering shows them, which no terminal does."""
 
-    draw: Callable[[], Sequence[Figure]]
-    caption: str = ""
+    draw: Callable[[], Sequence[Figure | str]]
 
 
 @dataclass(frozen=True)
@@ -138,8 +137,9 @@ def html(part: Part, picture: Callable[[Figure], str] | None = None, name: str =
     if isinstance(part, Facts):
         return html_facts((in_symbols(fact), in_symbols(text)) for fact, text in part.said())
     if isinstance(part, Pictures):
-        shown = "".join(map(picture or html_image, part.draw()))
-        return f'{html(part.caption)}<div class="pictures">{shown}</div>\n'
+        drawn = part.draw()
+        shown = "".join((picture or html_image)(one) for one in drawn if not isinstance(one, str))
+        return "".join(html(one) for one in drawn if isinstance(one, str)) + f'<div class="pictures">{shown}</div>\n'
     if isinstance(part, PlanSteps):
         return html(part.caption)
     if isinstance(part, Section):
@@ -160,11 +160,11 @@ def as_text(part: Part, width: int = 100) -> str:
     """A part as a terminal of this many characters shows it."""
     from rich.console import Console
 
-    console = Console(file=io.StringIO(), width=width, highlight=False, markup=False)
-    with console.capture() as capture:
-        for one in rendered(part, width):
-            console.print(one)
-    return capture.get()
+    plain: dict[str, Any] = {"force_terminal": False, "force_jupyter": False, "color_system": None}
+    console = Console(file=(text := io.StringIO()), width=width, highlight=False, markup=False, **plain)
+    for one in rendered(part, width):
+        console.print(one)
+    return "".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines())
 
 
 def rendered(part: Part, width: int) -> Iterator[RenderableType]:
@@ -206,7 +206,7 @@ def terminal_table(table: Sheet, rows: Sequence[Sequence[str]], width: int) -> R
         shown.add_column(Text(heading), justify="right" if figures else "left", overflow="fold", no_wrap=figures)
     for row in rows:
         shown.add_row(*map(Text, row))
-    free = Console(width=10_000)
+    free = Console(width=10_000, force_jupyter=False)
     for shown.padding in ((0, 0, 0, 1), 0):
         if Measurement.get(free, free.options, shown).maximum <= width:
             return shown

@@ -66,12 +66,14 @@ def command(
     if curves is not None and loaded.counting is not None:
         said = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
         warnings.warn(f"{curves}: {said}; armcal compensate writes commands as the controller counts", stacklevel=2)
-    nominal = rms_distance(drawing_residuals(found.arm, measurements))
     answer = Answer(found.to_json())
-    document = diagnosis_document(answer.data, found, [*map(str, (arm, *data))], out, nominal)
+    about = answer.data, found, [*map(str, (arm, *data))], out
+    document, text = diagnosis_document(*about), ""
     try:
         read = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
-        text = page(document, origin(common.seed, read)) if report else ""
+        if report is not None:
+            nominal = rms_distance(drawing_residuals(found.arm, measurements))
+            text = page(diagnosis_document(*about, nominal), origin(common.seed, read))
         texts = {curves: curves_text(found.curves), report: text}
         lines = write_diagnosis(found, arm, out, texts, force=force, named_only=named_only)
         answer.shown = [document.plus(*lines)]

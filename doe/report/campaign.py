@@ -26,7 +26,6 @@ from doe.report.identification import (
     identification_verdict,
     identify_command,
     rows_listed,
-    validation_verdict,
 )
 from doe.report.signed_residuals import Compared
 from identification.arm import Arm
@@ -43,7 +42,7 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances
 from identification.model import Model
 from identification.numbers_in_text import as_sentence, number
-from identification.validate import Validation, validate, validation_sections
+from identification.validate import Validation, validate, validation_sections, validation_verdict
 from identification.validate.reuse import same_drawing
 from identification.validate.row_groups import data_hashes, diagnosed, outside
 

@@ -107,7 +107,7 @@ def plan_sections(demo: Demo) -> list[Section]:
         "the largest d found at each angle of a joint; dots are the plan's postures."
     )
     postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain is None else (128, 25)
-    picture = Pictures(lambda: [certificate_figure(demo.problem, postures, *effort)], certificate)
+    picture = Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])
     return [
         plan_section(demo.arm, demo.design.plan, lead=lead),
         Section("The certificate", [picture]),

@@ -244,7 +244,7 @@ def plan_section(
     if (steps := plan_steps(arm, plan, table, Path(name).stem)) is not None:
         return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
     said = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
-    return Section(title, [Pictures(lambda: [plan_figure(arm, plan.postures)], said.strip())])
+    return Section(title, [Pictures(lambda: [said.strip(), plan_figure(arm, plan.postures)])])
 
 
 def plan_steps(arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = "plan") -> dict[str, Any] | None:

@@ -275,44 +275,33 @@ def draw_workspace(
     figure: Figure | SubFigure, arm: Arm, positions: Array, pairs: Sequence[tuple[Array, str]]
 ) -> list[list[Axes]]:
     """Residual arrows of two models in two columns of axes, with one for each projection, on one scale: the largest
-    arrow is an eighth of the reach."""
-    views = projections(pairs[0][0].shape[1])
-    grid = figure.subplots(len(views), 2, sharex=True, sharey="row", squeeze=False)
+    arrow is an eighth of the reach; and where a planar arm stands."""
+    dimension, known = pairs[0][0].shape[1], Model(arm).best_known if arm.chain is None else {}
+    grid = figure.subplots(len(projections(dimension)), 2, sharex=True, sharey="row", squeeze=False)
     scale = 0.12 * arm.reach / (max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0)
+    style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
     for column, (residuals, name), color in zip(grid.T, pairs, (BEFORE, AFTER), strict=True):
-        for axis in column:
+        title = f"{name}: RMS {rms_distance(residuals):.4g} mm{f', arrows x {scale:.0f}' if dimension > 1 else ''}"
+        column[0].set_title(title, fontsize=9, parse_math=False)
+        for axis, (across, up) in zip(column, projections(dimension), strict=True):
             axis.tick_params(labelleft=True)  # on a phone the columns stand below each other
-        draw_residual_arrows(column, arm, positions, residuals, color, name, scale)
+            if dimension == 1:  # lengths, as they are, against what was measured
+                axis.plot(positions[:, 0], residuals[:, 0], ".", color=color, ms=4, alpha=0.7)
+                axis.set(xlabel="measured length [mm]", ylabel="residual [mm]")
+                continue
+            x, y, along, upward = (v[:, k] for v in (positions, residuals * scale) for k in (across, up))
+            axis.quiver(x, y, along, upward, color=color, rasterized=len(positions) > MANY, **style)
+            axis.update_datalim(np.column_stack([x + along, y + upward]))  # whole arrows
+            axis.autoscale_view()
+            axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
+            if arm.chain is None:
+                axis.plot(known.get("base_offset.x0", 0.0), known.get("base_offset.y0", 0.0), "ks", ms=5)
     return [list(column) for column in grid.T]
 
 
 def projections(dimension: int) -> list[tuple[int, int]]:
     """Pairs of coordinates that a workspace is seen in: from above, in space from the side too; of lengths one view."""
     return [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)]
-
-
-def draw_residual_arrows(
-    axes: Sequence[Axes], arm: Arm, positions: Array, residuals: Array, color: str, name: str, scale: float
-) -> None:
-    """Residuals (m, d) as arrows at the measured positions, enlarged by `scale`, in each projection, with the place of
-    a planar arm; of lengths, d = 1, as they are, against what was measured."""
-    title = f"{name}: RMS {rms_distance(residuals):.4g} mm"
-    if residuals.shape[1] == 1:
-        axes[0].plot(positions[:, 0], residuals[:, 0], ".", color=color, ms=4, alpha=0.7)
-        axes[0].set(xlabel="measured length [mm]", ylabel="residual [mm]")
-        axes[0].set_title(title, fontsize=9, parse_math=False)
-        return
-    style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004, "color": color}
-    for axis, (across, up) in zip(axes, projections(residuals.shape[1]), strict=True):
-        x, y, along, upward = (v[:, k] for v in (positions, residuals * scale) for k in (across, up))
-        axis.quiver(x, y, along, upward, rasterized=len(positions) > MANY, **style)
-        axis.update_datalim(np.column_stack([x + along, y + upward]))  # whole arrows
-        axis.autoscale_view()
-        axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
-        if arm.chain is None:
-            known = Model(arm).best_known
-            axis.plot(known.get("base_offset.x0", 0.0), known.get("base_offset.y0", 0.0), "ks", ms=5)
-    axes[0].set_title(f"{title}, arrows x {scale:.0f}", fontsize=9, parse_math=False)
 
 
 def draw_distances(axis: Axes, x: Array, pairs: Sequence[tuple[Array, str]]) -> None:
@@ -343,6 +332,13 @@ def validation_figure(result: Validation) -> Figure:
 
 
 # -- diagnoses ---------------------------------------------------------------------------------------------------------
+def gap_figure(diagnosis: Diagnosis) -> Figure:
+    """Residual arrows over the workspace, before and after, without outlier rows."""
+    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
+    pairs = (shown.before[kept], "before"), (shown.after[kept], "after")
+    return workspace_arrows(diagnosis.extended_arm(), shown.positions[kept], pairs)
+
+
 def against_figure(diagnosis: Diagnosis) -> Figure:
     """Residual distances before and after, against each joint, time, torque.
 

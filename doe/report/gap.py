@@ -190,7 +190,7 @@ def diagnosis_sections(data: Data, diagnosis: Diagnosis | None = None, nominal: 
     sections += curve_sections(data, diagnosis)
     if diagnosis is not None:
         how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
-        pictures = Pictures(lambda: [_figures().against_figure(diagnosis)], how)
+        pictures = Pictures(lambda: [how, _figures().against_figure(diagnosis)])
         sections.append(Section("Against time and torque", [pictures], folded=True))
     return [*sections, *further_sections(data, diagnosis)]
 
@@ -287,28 +287,27 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
         *([] if nominal is None else [f"Drawing: {number(nominal)} mm RMS, {DRAWN['base']}."]),
     ]
     if diagnosis is not None:
-        shown, kept = diagnosis.residuals, _figures().rows_kept(diagnosis)
-        pairs = (shown.before[kept], "before"), (shown.after[kept], "after")
-        arm, positions = diagnosis.extended_arm(), shown.positions[kept]
-        parts.append(Pictures(lambda: [_figures().workspace_arrows(arm, positions, pairs)]))
+        parts.append(Pictures(lambda: [_figures().gap_figure(diagnosis)]))
     return Section("The gap, before and after", parts)
 
 
 def signed_section(diagnosis: Diagnosis) -> Section:
     """Residuals of the data with their sign, against each joint."""
-    from doe.report.signed_residuals import READ, Compared
 
-    shown, kept = diagnosis.residuals, _figures().rows_kept(diagnosis)
-    named = (*diagnosis.effects, *(curve.key for curve in diagnosis.curves))
-    postures = np.column_stack([values for name, values in shown.against.items() if name.startswith("joint ")])
-    postures, before, after = (values[kept] for values in (postures, shown.before, shown.after))
-    rows = postures, before, after, shown.conditions.rows(kept)
-    compared = Compared(diagnosis.arm, *rows, Model(diagnosis.extended_arm()), named)
-    pictures = compared.pictures("the model without what is named", "the model with what is named")
-    if not named:
+    def draw() -> Sequence[Any]:
+        from doe.report.signed_residuals import READ, Compared  # deferred: as `_figures`
+
+        shown, kept = diagnosis.residuals, _figures().rows_kept(diagnosis)
+        named = (*diagnosis.effects, *(curve.key for curve in diagnosis.curves))
+        angles = [values for name, values in shown.against.items() if name.startswith("joint ")]
+        postures, before, after = (values[kept] for values in (np.column_stack(angles), shown.before, shown.after))
+        rows = postures, before, after, shown.conditions.rows(kept)
+        compared = Compared(diagnosis.arm, *rows, Model(diagnosis.extended_arm()), named)
+        pictures = compared.pictures("the model without what is named", "the model with what is named").draw()
         nothing = f"{READ} Nothing is named: before and after are nearly one model."
-        pictures = Pictures(pictures.draw, nothing)
-    return Section("Signed error against each joint", [pictures])
+        return pictures if named else [nothing, *pictures[1:]]
+
+    return Section("Signed error against each joint", [Pictures(draw)])
 
 
 def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Section]:

@@ -23,7 +23,7 @@ from identification.kinematics.instrument import RADIUS
 from identification.kinematics.parameters import REVOLUTE
 from identification.numbers_in_text import estimate_text, in_a_sentence, number, unit_or_dash
 from identification.sessions import placing
-from identification.validate import DRAWN
+from identification.validate import DRAWN, drawing_in_words
 
 Data = Mapping[str, Any]  # what a command says with --json
 
@@ -140,11 +140,6 @@ def hardly_better(offered: Data) -> str:
     return (
         f"This model predicts {sure} than the geometry alone: {model} against {geometry} in rows that no fit has seen."
     )
-
-
-def drawing_in_words(rms: float, refit: str = "base") -> str:
-    """What the drawing leaves [mm], and what was fitted of it;  refit : as for `validate`"""
-    return f"{in_a_sentence(rms)} mm (drawing, {DRAWN[refit]})"
 
 
 def expected_elsewhere(data: Data) -> str:
@@ -336,16 +331,6 @@ def calibrated_actions(
 
 
 # -- armcal validate ---------------------------------------------------------------------------------------------------
-def validation_verdict(
-    data: Data, model: str = "the model", rows: str = "other measurements", seen: bool = False
-) -> str:
-    """Residuals of a calibrated model on other measurements, compared with the drawing's."""
-    which = ", which it was fitted to" if seen else ""
-    figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
-    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
-    return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}; {most}."
-
-
 def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyond: bool = False) -> list[Action]:
     """What to do with a model that predicts other measurements, or does not;  beyond : as for the document"""
     why = "Most rows are at angles that the calibration has not seen. A fit that reaches farther from its data:"
@@ -405,12 +390,12 @@ def rows_listed(rows: Sequence[int]) -> str:
 def command_rows(targets: Array, commands: Array, miss: Array, digits: int = 3) -> list[list[str]]:
     """A row of text for each target: its number, (k, d) targets [mm], (k, n) commands [file units], (k,) miss [mm].
 
-    digits : decimals of commands
+    digits : decimals of commands, two more than of targets
     """
     return [
         [
             str(row),
-            *(f"{value:.1f}" for value in target),
+            *(f"{value:.{digits - 2}f}" for value in target),
             *("-" if np.isnan(value) else f"{value:.{digits}f}" for value in command),
             miss_text(error),
         ]

@@ -57,22 +57,7 @@ class Compared:
 
     def pictures(self, before: str, after: str) -> Pictures:
         """The pictures and how they are read; before, after : the models in words."""
-        return Pictures(lambda: signed_figures(self), caption(before, after, self.named))
-
-
-@dataclass(frozen=True)
-class Share:
-    """What an effect adds at a joint: (POINTS,) errors densely over its range, NaN where it is off, and (m, d) what it
-    does to the rows [mm]."""
-
-    effect: Effect
-    line: Array
-    moved: Array
-
-    def of_angle(self, q: Array, lever: Array) -> bool:
-        """Whether it is a function of the angle alone, as far as the rows show: a backlash is none."""
-        left = self.moved - lever * np.interp(q, dense(q), np.nan_to_num(self.line))[:, None]
-        return bool(np.linalg.norm(left) <= OTHERWISE * np.linalg.norm(self.moved))
+        return Pictures(lambda: [caption(before, after, self.named), *signed_figures(self)])
 
 
 def joint_errors(levers: Array, residuals: Array) -> Array:
@@ -125,18 +110,25 @@ def done_by(model: Model, effect: Effect, postures: Array, conditions: Condition
     return np.nan_to_num(np.subtract(*position))
 
 
-def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> Share:
-    """A curve acts where all curves hold, and is drawn where there are such rows."""
+def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> tuple[Array, Array, bool]:
+    """What an effect adds at its joint: (POINTS,) errors densely over the range, NaN where it is off; (m, d) what it
+    does to the rows [mm]; whether it is a function of the angle alone, as far as the rows show: a backlash is none.
+
+    A curve acts where all curves hold, and is drawn where there are such rows.
+    """
     assert effect.joint is not None
     q, line = rows.postures[:, effect.joint - 1], joint_error(model, effect, rows.postures)
+    grid = dense(q)
     if effect.curve is None:
-        return Share(effect, line, done_by(model, effect, rows.postures, rows.conditions)[:, : lever.shape[1]])
+        moved = done_by(model, effect, rows.postures, rows.conditions)[:, : lever.shape[1]]
+        left = moved - lever * np.interp(q, grid, line)[:, None]
+        return line, moved, bool(np.linalg.norm(left) <= OTHERWISE * np.linalg.norm(moved))
     curves = [(e.joint - 1, e.curve) for e in model.effects if e.curve is not None and e.joint is not None]
-    hold, grid = all_hold(curves, rows.postures), dense(q)
+    hold = all_hold(curves, rows.postures)
     there = np.concatenate([[-np.inf], np.sort(q[hold > 0.5]), [np.inf]])
     after = np.searchsorted(there, grid)
     near = np.minimum(grid - there[after - 1], there[after] - grid) < FAR * (float(np.ptp(q)) or 1.0)
-    return Share(effect, np.where(near, line, np.nan), lever * (hold * effect.curve.at(q))[:, None])
+    return np.where(near, line, np.nan), lever * (hold * effect.curve.at(q))[:, None], True
 
 
 def signed_figures(rows: Compared) -> list[Figure]:
@@ -165,21 +157,23 @@ def draw_joint(axes: Axes, rows: Compared, joint: int, levers: Array, factor: fl
     Shown are the named effects that are functions of the joint's angle, as lines, or else those that are not, at rows.
     """
     q, lever = rows.postures[:, joint], levers[:, :, joint]
-    effects = [] if rows.model is None else [e for e in rows.model.effects if e.joint == joint + 1]
-    shares = [share_of(rows.model, e, rows, lever) for e in effects if rows.model and e.label in rows.named]
-    smooth = [share for share in shares if share.effect.curve is not None or share.of_angle(q, lever)]
+    model, named = rows.model, set(rows.named)
+    effects = [] if model is None else [e for e in model.effects if e.joint == joint + 1 and e.label in named]
+    shares = {e.label: share_of(model, e, rows, lever) for e in effects if model}
+    smooth = {label: share for label, share in shares.items() if share[2]}
     shares = smooth or shares
     before, after = (values[:, : levers.shape[1]] for values in (rows.before, rows.after))
-    moved = sum((share.moved for share in shares), np.zeros_like(after))
+    moved = sum((share[1] for share in shares.values()), np.zeros_like(after))
     errors = [joint_errors(levers, values)[:, joint] for values in (after + moved if shares else before, after)]
     draw_errors(axes, factor * q, [factor * values for values in errors], ("before", "after"))
     if shares and not smooth:
         axes.plot(factor * q, factor * joint_errors(levers, moved)[:, joint], "k.", ms=3)
     elif shares:
-        axes.plot(factor * dense(q), factor * np.sum([share.line for share in shares], axis=0), color="k", lw=1.3)
+        line = np.sum([share[0] for share in shares.values()], axis=0)
+        axes.plot(factor * dense(q), factor * line, color="k", lw=1.3)
     elif not at_joints(rows.named):
         axes.plot(*(factor * values for values in line_between(q, lever, before - after)), color="k", lw=1.3)
-    return "\n".join(share.effect.label + ("" if share.moved.any() else " (off here)") for share in shares)
+    return "\n".join(label + ("" if share[1].any() else " (off here)") for label, share in shares.items())
 
 
 def at_joints(named: Collection[str]) -> list[str]:

@@ -56,16 +56,18 @@ def facts(found: Identification) -> list[tuple[str, str | None]]:
     known = "given" if found.sigma_known else "estimated"
     sigma = "unknown" if found.sigma is None else f"{found.sigma:.4g} mm per axis ({known})"
     chi2 = None if found.p_value is None else f"{found.chi2:.4g}, {p_value_in_words(found.p_value)}"
-    measured = f"{number(found.expected_tip_measured)} mm at the tip at postures like those measured"
     doubt = "; but chi2 says that it is not" if found.misfit else ""
-    tip = f"{measured}, {number(found.expected_tip)} mm over the joint limits (RMS), if the model is right{doubt}"
+    tip = None
+    if found.expected_tip is not None:
+        measured = f"{found.expected_tip_measured:.4g} mm at the tip at postures like those measured"
+        tip = f"{measured}, {found.expected_tip:.4g} mm over the joint limits (RMS), if the model is right{doubt}"
     angles = None if found.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(found.rms_angles))
     return [
         ("method", f"{found.method}: {found.outcome}"),
         ("RMS", f"{found.rms_before:.4g} -> {found.rms_after:.4g} mm"),
         ("largest", f"{found.max_before:.4g} -> {found.max_after:.4g} mm"),
         ("orientations, RMS", angles),
-        ("expected error", None if found.expected_tip is None else tip),
+        ("expected error", tip),
         ("sigma", f"{sigma}, {found.dof} degrees of freedom"),
         ("chi2", chi2 and f"{chi2}: the residuals scatter {number(found.scatter, 5)} mm"),
         ("95 % intervals", found.uncertainty.sentence),

@@ -5,10 +5,12 @@ from identification.validate.validation import (
     HARDLY,
     Figures,
     Validation,
+    drawing_in_words,
     drawing_residuals,
     is_better,
     validate,
     validation_sections,
+    validation_verdict,
 )
 
 __all__ = [
@@ -16,8 +18,10 @@ __all__ = [
     "HARDLY",
     "Figures",
     "Validation",
+    "drawing_in_words",
     "drawing_residuals",
     "is_better",
     "validate",
     "validation_sections",
+    "validation_verdict",
 ]

@@ -158,10 +158,10 @@ class Validation:
 
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
-        data, kind = self.to_json(), "positions" if self.measurements.dimension > 1 else "readings"
+        data = self.to_json()
         notes = [note for note in self.notes if HARDLY not in note]
         parts = validation_sections(data, "" if self.arm.chain is None else ", measured points")
-        return Document("Validation", [predicted_in_words(data, kind), *notes], parts)
+        return Document("Validation", [validation_verdict(data), *notes], parts)
 
     def __str__(self) -> str:
         return str(self.document())
@@ -335,12 +335,20 @@ def is_better(data: Mapping[str, Any]) -> bool:
     return data["rms_mm"] < data["rms_nominal_mm"] and not any(HARDLY in note for note in data["notes"])
 
 
-def predicted_in_words(data: Mapping[str, Any], kind: str) -> str:
-    """How well the model predicts, and what the calibration is worth, in a sentence or two."""
-    model, drawing = in_a_sentence(data["rms_mm"]), in_a_sentence(data["rms_nominal_mm"])
-    rows = f"The model predicts these {data['rows']} {kind}"
-    if not is_better(data):
-        worse = HARDLY if data["rms_mm"] < data["rms_nominal_mm"] else "no better"
-        return f"{rows} {worse} than the drawing: {model} mm RMS against {drawing} mm RMS, {DRAWN[data['refit']]}."
-    gain = f"The calibration removes {100.0 * (1.0 - data['rms_mm'] / data['rms_nominal_mm']):.0f} % of the error."
-    return f"{rows} to {model} mm RMS; drawing: {drawing} mm RMS, {DRAWN[data['refit']]}. {gain}"
+def validation_verdict(
+    data: Mapping[str, Any], model: str = "the model", rows: str = "other measurements", *, seen: bool = False
+) -> str:
+    """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
+    better;  model, rows : names of files;  seen : it was fitted to these rows"""
+    which = ", which it was fitted to" if seen else ""
+    figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
+    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
+    gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
+    worth = f"{'no better' if gain <= 0.0 else HARDLY} than the drawing"
+    worth = f"{100.0 * gain:.0f} % of the error is removed" if is_better(data) else worth
+    return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
+
+
+def drawing_in_words(rms: float, refit: str = "base") -> str:
+    """What the drawing leaves [mm], and what was fitted of it;  refit : as for `validate`"""
+    return f"{in_a_sentence(rms)} mm (drawing, {DRAWN[refit]})"

@@ -13,9 +13,9 @@ NASTY = "[red]<b>x & y</b>[/red]"
 DRAWN: list[str] = []
 
 
-def figures() -> list[Figure]:
+def figures() -> list[Figure | str]:
     DRAWN.append("drawn")
-    return [Figure(figsize=(1.0, 1.0))]
+    return ["How it is read.", Figure(figsize=(1.0, 1.0))]
 
 
 DOCUMENT = Document(
@@ -26,7 +26,7 @@ DOCUMENT = Document(
         Facts([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
         Section("Open", [Sheet(["effect", "value [mm]"], [["ripple[k=4]", "1.5"], [NASTY, "-22.75"]]), "After it."]),
         Section("Closed", ["Hidden at first.", Sheet(["a"], [["b"]], "In a fold")], folded=True),
-        Section("Seen", [Pictures(figures, "How it is read.")]),
+        Section("Seen", [Pictures(figures)]),
         Section("Stepped through", [PlanSteps({"file": "plan.csv"}, "Step.")]),
         Sheet(["never"], []),
     ],
@@ -78,6 +78,15 @@ def test_a_terminal_shows_what_is_open_without_drawing_a_picture() -> None:
     assert DRAWN == []
     longer = str(DOCUMENT.plus("One more."))
     assert longer.index("After it.") < longer.index("One more.") < longer.index("next:")
+
+
+def test_text_has_no_colors_wherever_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does a notebook print it twice: rich would, when it finds itself in one."""
+    plain = str(DOCUMENT)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert str(DOCUMENT) == plain
+    assert "\x1b" not in plain
 
 
 def test_figures_end_at_the_right_and_words_begin_at_the_left() -> None:

@@ -159,7 +159,7 @@ def test_long_and_weighted_plans_are_drawn_only() -> None:
     drawn = plan_section(ARM, plan)
     (pictures,) = drawn.parts
     assert isinstance(pictures, Pictures)
-    assert len(pictures.draw()) == 1
+    assert len(pictures.draw()) == 2
 
 
 @pytest.mark.parametrize("plan", [np.ones((4, 2)), np.random.default_rng(2).uniform(-1.0, 1.0, (30, 2))])

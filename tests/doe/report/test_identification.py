@@ -16,7 +16,6 @@ from doe.report.identification import (
     identification_verdict,
     in_short,
     validation_actions,
-    validation_verdict,
     without_command,
 )
 from identification.arm import Arm, Calibration
@@ -24,7 +23,7 @@ from identification.compensate.compensation import Compensation
 from identification.document import Sheet, as_text
 from identification.estimation.corrected_values import CorrectedValue
 from identification.measurements import Measurements
-from identification.validate import HARDLY, is_better, validate
+from identification.validate import HARDLY, is_better, validate, validation_verdict
 
 ARM = Arm([300.0, 200.0], calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))
 
@@ -82,7 +81,7 @@ def test_corrected_values_have_three_significant_digits_of_the_standard_deviatio
 
 def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     assert "3.00 to 0.250 mm" in identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25})
-    figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base"}
+    figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base", "notes": []}
     assert validation_verdict(figures, "c.toml", "d.csv", seen=True).startswith(
         "On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error from 1.00 mm (drawing, after "
         "fitting where the arm stands) to 0.100 mm"
@@ -107,15 +106,17 @@ def test_tables_and_picture() -> None:
     assert "monday" in text
     assert "no better than the drawing" not in text
     kept = found.model.rms / found.nominal.rms
-    said = f"The calibration removes {100.0 * (1.0 - kept):.0f} % of the error."
-    predicted = f"The model predicts these 16 positions to {found.model.rms:.3f} mm RMS; drawing: "
+    said = f" to {found.model.rms:.3f} mm: {100.0 * (1.0 - kept):.0f} % of the error is removed; "
+    predicted = (
+        f"On 16 rows of other measurements, the model takes the RMS error from {found.nominal.rms:.2f} mm (drawing"
+    )
     assert text.startswith(predicted)
-    assert f"{found.nominal.rms:.2f} mm RMS, after fitting where the arm stands. " in " ".join(text.split())
+    assert "mm (drawing, after fitting where the arm stands) to " in " ".join(text.split())
     assert said in " ".join(text.split())
     swapped = replace(found, residuals=found.nominal_residuals, nominal_residuals=found.residuals)
     doubtful = replace(found, notes=(f"{HARDLY} ...",))
     for worse, word in ((swapped, "no better"), (doubtful, HARDLY)):
-        assert str(worse).startswith(f"The model predicts these 16 positions {word} than the drawing: ")
+        assert f" mm: {word} than the drawing; " in " ".join(str(worse).split())
         assert not is_better(worse.to_json())
     assert is_better(found.to_json())
     figure = validation_figure(found)
