@@ -48,7 +48,7 @@ def command(
     from doe.report.gap import diagnosis_document
     from doe.report.page import page
     from identification.files.arm import load_arm
-    from identification.gap.curves.curve import curves_text
+    from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
     from identification.servo import with_servo_errors
@@ -96,7 +96,7 @@ def parts(
     """The measurements to diagnose, and those held out."""
     import numpy as np
 
-    from identification.gap.confirmation.holdout import split
+    from identification.gap.confirmation import split
 
     measurements = read_sessions(data, arm)
     if isinstance(holdout, float):

@@ -32,7 +32,7 @@ from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.gap.hypotheses.detectability import Detectability
+from identification.gap.detectability import Detectability
 from identification.information import covariance, information_matrix, log_determinants
 from identification.kinematics.parameters import REVOLUTE
 from identification.progress import Progress, silent

@@ -30,9 +30,9 @@ from identification.document import Action, Document, Facts, Pictures, PlanSteps
 from identification.estimation.corrected_values import NARROWED
 from identification.files.csv import Table as CsvTable
 from identification.files.measurement_columns import posture_columns
-from identification.gap.hypotheses.detectability import Detectability
-from identification.gap.notes import untested
+from identification.gap.detectability import Detectability
 from identification.gap.result import Diagnosis
+from identification.gap.words import untested
 from identification.kinematics.parameters import EFFECT
 from identification.measurements import Measurements
 from identification.model import Model

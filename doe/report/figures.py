@@ -22,7 +22,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.intervals import quantile_95
 from identification.files.io import write_whole
-from identification.gap.hypotheses.detectability import Detectability
+from identification.gap.detectability import Detectability
 from identification.gap.result import Diagnosis
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 from identification.measurements import distances, rms_distance

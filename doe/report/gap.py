@@ -12,11 +12,10 @@ from doe.report.identification import correct, corrected_section, hardly_better
 from identification.document import Action, Document, Pictures, Section, Sheet
 from identification.effects import library
 from identification.estimation.corrected_values import corrected_values
-from identification.gap.hypotheses.detectability import Size
-from identification.gap.notebook import gap_rows, tests_of
+from identification.gap.detectability import Size
 from identification.gap.result import Diagnosis
 from identification.gap.scatter import Finding
-from identification.gap.summary import of_joints
+from identification.gap.words import gap_rows, of_joints, tests_of
 from identification.model import Model
 from identification.numbers_in_text import as_sentence, estimate_text, in_a_sentence, number, unit_or_dash
 from identification.validate import DRAWN
@@ -251,8 +250,8 @@ def replication_sections(data: Data) -> list[Section]:
     """Each named effect in each session, where there are several."""
     lead = (
         "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
-        "session alone. Explained: the share of the session's squares that the values of the other sessions explain, "
-        "with only the base of this one adapted. An effect replicates where that is more than chance."
+        "session alone. P(the same): how likely it is that they are those of the other sessions. An effect replicates "
+        "where that is 0.9 or more."
     )
     rows = []
     for effect in data["replication"]:
@@ -263,9 +262,8 @@ def replication_sections(data: Data) -> list[Section]:
             ]
             answer = {True: "yes", False: "no", None: "open"}[session["replicates"]]
             fitted = ",\n".join(values) if len(values) <= 3 else ""
-            share = f"{100.0 * session['explained']:.1f} %"
-            rows.append([effect["effect"], session["session"], fitted, share, answer])
-    headings = ("effect", "session", "fitted there", "explained\nby others", "replicates")
+            rows.append([effect["effect"], session["session"], fitted, number(session["probability"], 2), answer])
+    headings = ("effect", "session", "fitted there", "P(the same)", "replicates")
     return [Section("Across sessions", [lead, Sheet(headings, rows)])] if rows else []
 
 

@@ -13,8 +13,7 @@ from doe.studies.blind.cells import DataSet
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.estimation.intervals import freedom_of, quantile_95
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.measurements import rms_distance
 from identification.model import Model

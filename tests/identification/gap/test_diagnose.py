@@ -15,10 +15,9 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
 from identification.errors import InputError
 from identification.estimation import estimate as identify
-from identification.gap.candidates import candidate_of, certainty
+from identification.gap.candidate import candidate_of
 from identification.gap.diagnose import diagnose
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
@@ -334,7 +333,7 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     p = 300.0 * np.exp(1j * (q[:, 0] - 2e-5 * tau)) + 0.02 * rng.normal(size=(60, 2)) @ [1, 1j]
     rows = Rows.of(Measurements(q, np.column_stack([p.real, p.imag])))
     fitted = fit(Model(arm.with_effects(EffectSpec("joint_compliance", 1))), rows)
-    (estimate,) = candidate_of(fitted, 1, certainty(fitted, None, doubtful=False), 0.0, None).parameters
+    (estimate,) = candidate_of(fitted, 1).parameters
     std = fitted.sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
     assert estimate.value == estimate.low_95 == 0.0
     assert estimate.std == pytest.approx(std, rel=1e-3)  # the link is 300 mm to 1e-4

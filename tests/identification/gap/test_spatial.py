@@ -12,7 +12,7 @@ from doe.studies.blind.spatial_cells import SpatialCell, arm_of, measured, rando
 from identification.arm import Arm
 from identification.effects import Effect
 from identification.gap.diagnose import diagnose
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows
 from identification.gap.hypotheses.hypotheses import hypotheses, untested_joints
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model

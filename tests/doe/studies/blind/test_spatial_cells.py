@@ -17,8 +17,7 @@ from doe.studies.blind.spatial_hidden_effects import OUTSIDE, PHYSICS, column, l
 from doe.studies.blind.spatial_simulator import base_jacobian, position
 from identification.arm import Arm, EffectSpec
 from identification.effects import build_all
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.model import Model
 from identification.model.minimal import practical
 

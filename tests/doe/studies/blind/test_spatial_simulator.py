@@ -14,8 +14,7 @@ from doe.studies.blind.simulator import RowConditions, session
 from doe.studies.blind.spatial_simulator import SpatialTruth
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
 from identification.measurements import Measurements

@@ -1,18 +1,21 @@
-"""A diagnosis in a notebook: tables with the figures of its JSON object, nothing unescaped, the rest behind a fold."""
+"""A diagnosis in words: what is short, and what does not contradict the tables; and in a notebook: tables with the
+figures of its JSON object, nothing unescaped, the rest behind a fold."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from identification.arm import Arm
 from identification.gap.diagnose import diagnose
-from identification.gap.notebook import gap_rows
 from identification.gap.result import Diagnosis
+from identification.gap.words import gap_rows, headline, likely, of_joints
 from identification.measurements import Measurements
 
 LENGTHS = np.array([300.0, 200.0])
@@ -84,3 +87,43 @@ def test_where_nothing_is_named_the_sizes_that_are_excluded_are_behind_a_fold() 
 def test_nothing_is_read_as_markup() -> None:
     assert "<b>&" in replace(diagnosed(0.0), warnings=("<img>",))._repr_html_()
     assert "<img>" not in replace(diagnosed(0.0), warnings=("<img>",), notes=("<img>",))._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("joints", "words"),
+    [
+        ([2], "joint 2"),
+        ([1, 2], "joints 1 and 2"),
+        ([1, 3], "joints 1 and 3"),
+        ([1, 2, 3], "joints 1 to 3"),
+        ([1, 2, 4], "joints 1, 2 and 4"),
+    ],
+)
+def test_joints(joints: list[int], words: str) -> None:
+    assert of_joints(joints) == words
+
+
+@pytest.mark.parametrize(
+    ("joints", "others", "words"),
+    [
+        ((1, 2, 3), (), "error curves of joints 1 to 3 describe the errors"),
+        ((1,), ("backlash:2",), "error curves of joint 1 + backlash:2 describe the errors"),
+    ],
+)
+def test_curves_describe_what_has_no_name(joints: tuple[int, ...], others: tuple[str, ...], words: str) -> None:
+    curves = [SimpleNamespace(joint=j, shape=f"waves of joint {j}") for j in joints]
+    given = {"verdict": "unknown", "where": "joint:1", "shape": "waves of joint 1", "candidates": ()}
+    found = cast(Diagnosis, SimpleNamespace(effects=others, curves=curves, confirmed=False, offered=None, **given))
+    assert headline(found) == f"not confirmed: cause unknown (joint 1 first): no effect in the library fits; {words}"
+
+
+def test_a_probability_says_what_it_is_among() -> None:
+    def said(effects: tuple[str, ...], shapes: tuple[str, ...], *confirmed: bool | None) -> str:
+        tests, known = [SimpleNamespace(confirmed=one) for one in confirmed], {"none": 0.2, "ripple": 0.8}
+        given = {"candidates": (), "probability": known, "other_sets": {}}
+        found = SimpleNamespace(effects=effects, shapes=shapes, tests=tests, **given)
+        return likely(cast(Diagnosis, found)).removesuffix(": none 0.20, ripple 0.80")
+
+    assert said(("ripple",), (), True) == said(("ripple",), (), None, True) == said((), (), None) == "probability"
+    assert said(("ripple",), ("k",), True) == "probability (among the library's shapes, whatever makes them)"
+    assert said(("ripple",), (), None, None) == "probability (too few rows to confirm it on others)"

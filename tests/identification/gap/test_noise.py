@@ -1,4 +1,4 @@
-"""The noise floor and the lack of fit that repeats of one posture tell."""
+"""The noise floor and the lack of fit that repeats of one posture tell, and what is left against a given sigma."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from identification.arm import Arm
 from identification.estimation import estimate
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
-from identification.gap.noise.repeats import NoiseFloor, noise_floor, repeat_finding, with_repeats_doubted
+from identification.gap.fit import Rows, fit
+from identification.gap.noise import NoiseFloor, misfit, noise_floor, repeat_finding, with_repeats_doubted
 from identification.measurements import Measurements
 from identification.model import Model
 
 ARM = Arm([300.0, 200.0, 150.0])
-SERIES_A = Path(__file__).parents[5] / "shared" / "data" / "ur10_planar" / "series_A.csv"
+SERIES_A = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "series_A.csv"
 
 
 def test_repeats_tell_ripple_from_noise() -> None:
@@ -143,3 +143,31 @@ def test_an_identification_compares_its_residuals_with_repeats(sigma: float | No
     )
     assert found.warnings[0].startswith(f"misfit: the residuals {expected}{repeats:.3g} mm)")
     np.testing.assert_array_equal(found.covariance, plain.covariance)
+
+
+RNG = np.random.default_rng(4)
+DATA = Measurements(RNG.uniform(-3.0, 3.0, (50, 3)), np.zeros((50, 2)))
+LEFT = 0.14 * RNG.normal(size=(50, 2))
+KEPT = np.arange(50) > 3
+
+
+def test_chi_square_of_what_is_left() -> None:
+    found = misfit(LEFT, 6, DATA, 0.1, KEPT)
+    assert found is not None
+    chi2 = np.sum((LEFT[4:] / 0.1) ** 2)
+    assert (found.chi2, found.dof) == (pytest.approx(chi2), 86)
+    assert found.p_value == pytest.approx(stats.chi2(86).sf(chi2))
+    assert found.ratio == pytest.approx(1.4, abs=0.2)
+    assert found.significant
+    assert not misfit(LEFT, 6, DATA, 0.14, KEPT).significant  # type: ignore[union-attr]
+
+
+def test_sigma_of_the_rows_counts_before_that_of_the_arm() -> None:
+    rows = replace(DATA, sigma=np.linspace(0.1, 0.2, 50))
+    found = misfit(LEFT, 6, rows, 5.0, KEPT)
+    assert found is not None
+    assert found.chi2 == pytest.approx(np.sum((LEFT / np.linspace(0.1, 0.2, 50)[:, None])[4:] ** 2))
+
+
+def test_without_a_sigma_nothing_is_said() -> None:
+    assert misfit(LEFT, 6, DATA, None, KEPT) is None

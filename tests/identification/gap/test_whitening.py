@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows
 from identification.measurements import Measurements
 
 RNG = np.random.default_rng(8)

@@ -7,8 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -43,22 +42,6 @@ def test_agrees_with_scipy_within_bounds(flexibility: float) -> None:
     at_bound = flexibility < 0.0
     assert (found.by_name["link_bending.flexibility"] == 0.0) == at_bound
     assert bool(found.free.all()) != at_bound
-
-
-def test_tied_parameters_are_equal_and_best() -> None:
-    arm = Arm([300.0, 200.0, 150.0], gravity=GRAVITY, effects=(EffectSpec("joint_compliance"),))
-    names = ["joint_compliance.c1", "joint_compliance.c2", "joint_compliance.c3"]
-    rows = _rows(arm, dict.fromkeys(names, 3e-5), 2)
-    model = Model(arm)
-    found = fit(model, rows, ties=[names])
-    assert len({found.by_name[name] for name in names}) == 1
-    assert found.count == len(model.names) - 2
-    index = [model.names.index(name) for name in names]
-    for step in (-1e-7, 1e-7):
-        moved = found.values.copy()
-        moved[index] += step
-        change = rows.whiten(rows.positions - model.position(rows.postures, moved, rows.conditions))
-        assert change @ change > found.squares
 
 
 def test_rank_counts_only_what_the_data_determine() -> None:

@@ -1,4 +1,4 @@
-"""What another set-up of a hold-out changes, on points moved in plain numpy."""
+"""When and where a hold-out was measured: on points moved in plain numpy."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.gap.confirmation.set_up import Predicted, SetUp, point_names, set_up_of
+from identification.gap.confirmation import split
+from identification.gap.set_up import Predicted, SetUp, held_out_conditions, point_names, set_up_of, transfer_of
 from identification.measurements import Measurements
+from tests.identification.gap.test_confirmation import DATA
 
 ROWS, NOISE, REACH = 60, 0.1, 1300.0
 SHIFT, TURN = np.array([300.0, -80.0, 40.0]), Rotation.from_rotvec([0.2, -1.1, 0.5]).as_matrix()
@@ -91,3 +93,27 @@ def test_points_have_the_numbers_of_the_data() -> None:
     assert numbers is not None
     assert (numbers.tolist(), fresh) == ([0.0] * 4, ())
     assert point_names(data, replace(data, marker=None, marker_names=())) == (None, ())
+
+
+def test_the_order_of_measurement_says_what_is_tested() -> None:
+    first, second = DATA.rows(np.arange(60)), DATA.rows(np.arange(60, 100))
+    assert transfer_of(first, second) == "a later time"
+    assert transfer_of(second, first) == "an earlier time"
+    assert transfer_of(*split(DATA, 0.4, np.random.default_rng(0))) == "other postures"
+    assert transfer_of(first, first) == "another session"  # numbers start again
+    assert transfer_of(first, replace(second, order=second.order + 100.0)) == "another session"  # a long pause
+    assert transfer_of(first, replace(second, order=None)) == "other rows"
+
+
+def test_time_goes_on_within_a_session_and_starts_again_in_another() -> None:
+    first, second = DATA.rows(np.arange(51)), DATA.rows(np.arange(51, 100))
+    time = held_out_conditions(first, second).time
+    np.testing.assert_allclose(time, np.arange(51, 100) / 50.0 - 0.5)
+    apart = held_out_conditions(first, replace(second, order=np.arange(49.0))).time
+    np.testing.assert_allclose(apart, np.linspace(-0.5, 0.5, 49))
+
+
+def test_temperature_is_counted_from_the_mean_of_the_data() -> None:
+    first, second = DATA.rows(np.arange(50)), DATA.rows(np.arange(50, 100))
+    there = held_out_conditions(first, second)
+    np.testing.assert_allclose(there.temperature, second.temperature - first.temperature.mean())
