@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import click
-
 from doe.cli.common import Answer, CommonOptions, verb
 
 
-@verb("armcal effects joint_compliance", "The physical effects that armcal knows, and the data that each needs.")
-@click.argument("name", required=False)
-def command(common: CommonOptions, name: str | None) -> Answer:
-    """List the effects of the library, or say everything about the effect NAME.
+@verb("armcal effects joint_compliance")
+def command(common: CommonOptions, name: str | None = None) -> Answer:
+    """The physical effects that armcal knows, and the data that each needs.
 
-    Formula, parameters with units and typical sizes, which data or tables it needs and how to give them, and how it
-    stands in an arm file. For gravity: the block of the arm file that
-    some of them need. Effects of installed packages (entry points armcal.effects) are in the list.
+    A list of the library, or everything about the effect NAME: formula, parameters with units and typical sizes,
+    which data or tables it needs and how to give them, and how it stands in an arm file. For gravity: the block of
+    the arm file that some of them need. Effects of installed packages (entry points armcal.effects) are in the
+    list.
     """
     from doe.report.library import entry_document, gravity_document, library_document
     from identification.effects.catalogue import GRAVITY, entries, entry

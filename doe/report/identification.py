@@ -16,7 +16,7 @@ from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.dh_values import Calibrated, dh_places, dh_values
 from identification.estimation.shown import facts
-from identification.files.arm_spatial import dh_rows
+from identification.files.arm_chain import dh_rows
 from identification.inspection.inspection import Inspection
 from identification.kinematics.frames import point_table, pose_table
 from identification.kinematics.instrument import RADIUS

@@ -12,9 +12,8 @@ import numpy as np
 
 from identification.arm import MAX_LINKS
 from identification.errors import InputError, printable
-from identification.files.arm_schema import PLANAR, ArmFile
-from identification.files.arm_schema_spatial import SpatialArmFile
 from identification.files.io import PathLike
+from identification.files.schema import json_schema, validated_arm
 from identification.files.urdf import Urdf, read_urdf
 from identification.kinematics.instrument import CONTACTS
 from identification.kinematics.parameters import REVOLUTE
@@ -41,7 +40,7 @@ def planar_files(links: str) -> dict[str, str]:
     if example:
         lengths = [float(round(600.0 * 0.8**j)) for j in range(int(links))]
     elif lengths:
-        PLANAR.validated({"links_mm": lengths}, "--links: ")
+        validated_arm({"links_mm": lengths}, "--links: ")
     else:
         allowed = f"allowed: how many, 1 to {MAX_LINKS}, or lengths [mm], one with a point, 13.0, or 612,572.3,115.7"
         raise InputError(f"--links: found {links!r}, {allowed}")
@@ -130,7 +129,7 @@ def _files(
     environment = Environment(loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)
     environment.filters |= {"toml": _toml, "printable": printable}
     arm = f"arm_{'spatial' if spatial else 'planar'}.toml.j2"
-    schema = (SpatialArmFile if spatial else ArmFile).model_json_schema()
+    schema = json_schema("spatial" if spatial else "planar")
     return {
         ARM: environment.get_template(arm).render(values),
         DATA: ",".join(columns) + "\n",

@@ -229,7 +229,8 @@ def test_a_simulation_that_could_not_be_read_again(folder: Folder) -> None:
 def test_every_verb_says_that_it_is_at_work(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also those that have no steps to tell: here with a line at once instead of every ten seconds."""
     monkeypatch.setattr("doe.cli.progress.lines", partial(lines, interval=1e-4))
-    for words in (["score", "arm.toml", "plan.csv"], ["check", "arm.toml", "plan.csv"]):
+    folder.simulated()
+    for words in (["score", "arm.toml", "plan.csv"], ["check", "arm.toml", "data.csv"]):
         assert f"armcal {words[0]}: 0 s" in folder.armcal(*words).err
     assert folder.armcal("score", "arm.toml", "plan.csv", "--quiet").err == ""
 
