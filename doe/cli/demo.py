@@ -23,9 +23,9 @@ def command(common: CommonOptions, *, spatial: bool = False, out: Folder | None 
     out : Directory for the files; left out: the next free armcal-demo.
     force : Overwrite existing files.
     """
-    from doe.demo.planar import planar
     from doe.demo.run import run_demo
-    from doe.demo.spatial import spatial as six_axes
+    from doe.demo.scenarios import planar
+    from doe.demo.scenarios import spatial as six_axes
     from doe.report.demo_overview import overview_figure
     from doe.report.demo_page import demo_data, demo_page, demo_tables
     from doe.report.pictures import save

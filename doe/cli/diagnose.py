@@ -48,7 +48,7 @@ def command(
     from doe.report.gap_tables import diagnosis_tables
     from doe.report.verdict import diagnosis_actions, next_steps
     from identification.files.arm import load_arm
-    from identification.gap.curves.curve import curves_text
+    from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.servo import with_servo_errors
     from identification.validate.judgement import judged
@@ -90,7 +90,7 @@ def parts(
     """The measurements to diagnose, and those held out."""
     import numpy as np
 
-    from identification.gap.confirmation.holdout import split
+    from identification.gap.confirmation import split
 
     measurements = read_sessions(data, arm)
     if isinstance(holdout, float):

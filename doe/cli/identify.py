@@ -227,7 +227,7 @@ class Wanted:
         from identification.estimation import estimate, estimate_with_prior
         from identification.estimation.prior import Prior
         from identification.gap.library.library_prior import given_by, library_prior
-        from identification.gap.noise.repeats import with_repeats_doubted
+        from identification.gap.noise import with_repeats_doubted
         from identification.sessions import with_sessions
 
         wide = with_sessions(arm, data)

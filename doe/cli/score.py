@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from doe.design import Design
     from doe.plan.plan import Plan
     from identification.arm import Arm
-    from identification.gap.hypotheses.detectability import Detectability
+    from identification.gap.detectability import Detectability
 
 
 ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
@@ -107,7 +107,7 @@ def _preflight(arm: Arm, given: Plan, path: Path, aliases: Path | None) -> tuple
     """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
     from doe.problem.spatial import without_prior
     from doe.report.detectability_tables import preflight_tables
-    from identification.gap.hypotheses.detectability import detectability
+    from identification.gap.detectability import detectability
 
     try:
         sees = detectability(without_prior(arm), given.postures)

@@ -129,11 +129,9 @@ def _blind(
 ) -> Answer:
     """Diagnoses of data with hidden effects, of planar arms or of arms in space; of all cells or of those named."""
     from doe.report.blind import blind_tables, write_pictures
-    from doe.studies.blind.spatial_cells import CELLS
-    from doe.studies.blind.study import blind_study
+    from doe.studies.blind.study import blind_study, reported_cells
 
-    reported = [name for name, spec in CELLS.items() if spec.reported] if space else None
-    found = blind_study(cells or reported, replications, folder, workers, **options)
+    found = blind_study(cells or reported_cells(space), replications, folder, workers, **options)
     write_pictures(folder, found)
     return _tables_answer(found, folder, blind_tables(found))
 

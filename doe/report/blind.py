@@ -15,8 +15,7 @@ from rich.text import Text
 
 from doe.report.pictures import save
 from doe.report.terminal import table
-from doe.studies.blind.reliability import ALL
-from doe.studies.blind.score import KEEPS, BlindStudy
+from doe.studies.blind.score import ALL, KEEPS, BlindStudy
 from identification.arrays import Array
 
 COLUMNS = {

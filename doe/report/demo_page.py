@@ -18,7 +18,7 @@ from doe.report.plan_steps import plan_section
 from doe.report.signed_residuals import Compared, caption, signed_figures
 from doe.report.terminal import number, to_significant_digits, unit_or_dash
 from doe.report.verdict import design_verdict, diagnosis_verdict
-from identification.gap.summary import findings, headline
+from identification.gap.words import findings, headline
 from identification.model import Model
 
 ACTIONS = (

@@ -9,8 +9,8 @@ from rich.text import Text
 from doe.discrimination.design import MOST_SEEN, DiscriminationDesign
 from doe.discrimination.misidentification import LAMBDA
 from doe.report.terminal import table
-from identification.gap.hypotheses.detectability import Detectability
-from identification.gap.notes import untested
+from identification.gap.detectability import Detectability
+from identification.gap.words import untested
 
 HIDDEN = 0.01
 

@@ -24,7 +24,7 @@ from doe.report.pictures import (
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.intervals import quantile_95
-from identification.gap.hypotheses.detectability import Detectability
+from identification.gap.detectability import Detectability
 from identification.gap.result import Diagnosis
 from identification.measurements import distances
 from identification.model import Model

@@ -27,9 +27,9 @@ from doe.report.page import Section, Sheet, page
 from doe.report.terminal import number
 from doe.report.verdict import diagnosis_actions, diagnosis_verdict, expected_elsewhere
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
-from identification.gap.notebook import tests_of
 from identification.gap.result import Diagnosis
 from identification.gap.scatter import Finding
+from identification.gap.words import tests_of
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.validate import DRAWN, drawing_residuals
@@ -130,8 +130,8 @@ def sessions_section(diagnosis: Diagnosis) -> list[Section]:
     """What each named effect is in each session, where there are several."""
     lead = (
         "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
-        "session alone. Explained: the share of the session's squares that the values of the other sessions explain, "
-        "with only the base of this one adapted. An effect replicates where that is more than chance."
+        "session alone. P(the same): how likely it is that they are those of the other sessions. An effect replicates "
+        "where that is 0.9 or more."
     )
     return [Section("Across sessions", lead, [replication_sheet(diagnosis)])] if diagnosis.replication else []
 

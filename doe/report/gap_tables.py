@@ -11,10 +11,9 @@ from rich.text import Text
 
 from doe.report.page import Sheet
 from doe.report.terminal import estimate_text, number, table, unit_or_dash
-from identification.gap.hypotheses.detectability import Size
-from identification.gap.notebook import gap_rows
+from identification.gap.detectability import Size
 from identification.gap.result import Diagnosis
-from identification.gap.summary import findings, headline
+from identification.gap.words import findings, gap_rows, headline
 
 MOST_TRIALS = 12
 LEFT = ("unit", "change", "shape", "joints", "session", "fitted there")  # columns of words
@@ -220,20 +219,19 @@ def effect_tables(diagnosis: Diagnosis, data: Data) -> list[Any]:
 
 
 def replication_sheet(diagnosis: Diagnosis) -> Sheet:
-    """Each named effect in each session, and whether the values of the other sessions hold there."""
+    """Each named effect in each session, and whether it is the same there as in the others."""
     words = {True: "yes", False: "no", None: "open"}
     rows = [
-        [effect.effect, there.session, effect.figures(there), f"{100.0 * there.explained:.1f} %", words[there.returns]]
+        [effect.effect, there.session, effect.figures(there), f"{there.probability:.2f}", words[there.replicates]]
         for effect in diagnosis.replication
         for there in effect.sessions
     ]
-    return Sheet(("effect", "session", "fitted there", "explained by the others' values", "replicates"), rows)
+    return Sheet(("effect", "session", "fitted there", "P(the same)", "replicates"), rows)
 
 
 def narrow_sheet(sheet: Sheet) -> Sheet:
     """The sheet of `replication_sheet` for 80 columns: a line for each parameter."""
-    headings = (*sheet.headings[:3], "explained\nby others", sheet.headings[4])
-    return Sheet(headings, [[*row[:2], row[2].replace(", ", ",\n"), *row[3:]] for row in sheet.rows])
+    return Sheet(sheet.headings, [[*row[:2], row[2].replace(", ", ",\n"), *row[3:]] for row in sheet.rows])
 
 
 def as_table(sheet: Sheet, title: str | None = None, **style: Any) -> Table:

@@ -13,7 +13,7 @@ from doe.report.identification_tables import tip_in_words
 from doe.report.page import Action
 from doe.report.terminal import in_a_sentence, judged_by_mm
 from identification.effects import library
-from identification.gap.summary import of_joints
+from identification.gap.words import of_joints
 from identification.validate import DRAWN
 
 Data = Mapping[str, Any]

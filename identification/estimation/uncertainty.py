@@ -170,7 +170,7 @@ def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool, variance: floa
         return None
     rows = rows.unbounded(root)
     length = correlated(rows, root)
-    if not (misfit or rows.several or length > 1 or lack_of_fit(rows) < LEVEL):
+    if not (misfit or rows.several or length > 1 or lack_of_fit(rows.residual, rows.repeats, rows.rank)[1] < LEVEL):
         return None
     found = [(kind, groups, made) for kind, groups, made in _made(rows, root, length, variance) if made is not None]
     if not found:
@@ -234,15 +234,22 @@ def stretches(sequence: NDArray[np.int64], length: int) -> NDArray[np.int64]:
     return groups
 
 
-def lack_of_fit(rows: FittedRows) -> float:
-    """p-value of the F test of lack of fit against the scatter of repeats; 1 where too few postures are repeated."""
-    numbers = np.unique(rows.repeats, return_inverse=True)[1]
-    d, count = rows.residual.shape[1], int(numbers.max()) + 1
-    sizes = np.bincount(numbers)[:, None]
-    means = np.stack([np.bincount(numbers, column) for column in rows.residual.T], axis=1) / sizes
-    pure = float(np.sum((rows.residual - means[numbers]) ** 2))
-    pure_freedom, fit_freedom = d * (len(rows.residual) - count), d * count - rows.rank
-    if pure_freedom < 1 or fit_freedom < 1 or pure == 0.0:
-        return 1.0
-    ratio = (rows.squares - pure) / fit_freedom / (pure / pure_freedom)
-    return float(fdtrc(fit_freedom, pure_freedom, max(ratio, 0.0)))
+def pure_error(residual: Array, repeats: NDArray[np.int64]) -> tuple[float, int]:
+    """Sum of squares of residuals (m, d) about the means of the rows with equal numbers (m,), and its degrees of
+    freedom."""
+    numbers, counts = np.unique(repeats, return_inverse=True, return_counts=True)[1:]
+    means = np.stack([np.bincount(numbers, column) for column in residual.T], axis=1) / counts[:, None]
+    return float(np.sum((residual - means[numbers]) ** 2)), residual.shape[1] * (len(residual) - len(counts))
+
+
+def lack_of_fit(residual: Array, repeats: NDArray[np.int64], rank: float) -> tuple[float, float]:
+    """F of the lack of fit against the scatter of repeats, and its p-value; 0 and 1 where too few are repeated.
+
+    residual : (m, d) of a fit of this rank;  repeats : (m,) equal numbers mark repeats
+    """
+    pure, freedom = pure_error(residual, repeats)
+    fit_freedom = residual.size - freedom - rank
+    if freedom < 1 or fit_freedom < 1 or pure == 0.0:
+        return 0.0, 1.0
+    ratio = max((float(np.sum(residual**2)) - pure) / fit_freedom / (pure / freedom), 0.0)
+    return ratio, float(fdtrc(fit_freedom, freedom, ratio))

@@ -1,8 +1,9 @@
 """The model that predicts best: the average over the posterior, as an arm file has it.
 
-The parameters of all blocks that are likely enough have the mean and the covariance of the mixture of all
-explanations, E[cov] + cov[E]; the base's parameters follow them. Blocks that an arm file cannot have (functions of
-time and workspace) are left out, the base stays as it is without them, and what they may be is part of the intervals.
+Where something may be missing that an arm file cannot have (functions of time and workspace), the posterior is that of
+what it can have alone, so that this describes as much of the data as it can. The parameters of all blocks that are
+likely enough have the mean and the covariance of the mixture of all explanations, E[cov] + cov[E]; the base's follow
+them.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.gap.blocks import WAVES, Block, Linearized, Where
-from identification.gap.curves.curve import Curve
-from identification.gap.evidence import SIZES, Index
-from identification.gap.posterior import Posterior
+from identification.gap.curve import Curve
+from identification.gap.evidence import Index
+from identification.gap.posterior import WRITTEN, Posterior
 from identification.kinematics.base_axes import along, planar_axes
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Conditions, Measurements
@@ -26,14 +27,12 @@ from identification.model import Model
 from identification.sessions import SESSIONS
 
 # reasons: identification/README.md, "Constants"
-WRITTEN = 0.05  # probability of a block that is part of the model
 LIKELY = 0.5  # of the rest of the library, below which the average is over the sets without it
-SETS = 150  # effort: explanations that are averaged
 TIDY = 7  # decimals of a value in degrees, in files
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
+class Mixture:
     """Mixture over explanations of the base's g parameters, and of those of the blocks behind them.
 
     places : label of each block -> it and the (k,) places of its parameters
@@ -51,13 +50,13 @@ class Moments:
     effective: float
 
 
-def mixture_of(found: Posterior) -> Moments:
+def mixture_of(found: Posterior) -> Mixture:
     """Mean and covariance of the parameters of the base and of the blocks that are likely enough.
 
     The base's are those beside what an arm file can have: what it cannot have stays with the base.
     """
     rest = sum(one.probability for one in found.explanations if one.rest)
-    likely = [one for one in found.explanations if rest >= LIKELY or not one.rest][:SETS]
+    likely = [one for one in found.explanations if rest >= LIKELY or not one.rest]
     total = sum(one.probability for one in likely)
     shares: dict[str, float] = {}
     blocks: dict[str, Block] = {}
@@ -77,37 +76,29 @@ def mixture_of(found: Posterior) -> Moments:
     mean, second, response = np.zeros(count), np.zeros((count, count)), np.zeros((g, count))
     squares = effective = 0.0
     for number, problem in enumerate(found.problems):
-        turn, products = _to_parameters(problem, places, g, count), problem.products
-        moment, square = np.zeros(len(products.right)), np.zeros((len(products.right), len(products.right)))
-        weight = variance = 0.0
-        for one in likely:
-            if one.noise != number:
-                continue
-            share, own = one.probability / total, products.places(one.weighed.blocks)
-            sizes = SIZES[list(one.weighed.sizes)]
-            z, covariance = products.estimates(one.weighed.blocks, sizes)
-            left = max(products.squares - float(z @ products.right[own]), 0.0) / max(products.freedom, 1)
-            prior = np.repeat(sizes**2, products.widths[list(one.weighed.blocks)]) * max(left, 1e-300)
-            effective += share * float(np.sum(1.0 - np.diag(covariance) / prior))
-            moment[own] += share * z
-            square[np.ix_(own, own)] += share * (covariance + np.outer(z, z))
-            weight, variance = weight + share, variance + share * left
-        there, moved = turn @ moment, np.zeros(count)
+        weight = sum(one.probability for one in likely if one.noise == number) / total
+        drawn = [m for m in found.moments[number][: 1 + (rest >= LIKELY)] if m.count]
+        if not drawn or weight == 0.0:
+            continue
+        turn, draws = _to_parameters(problem, places, g, count), sum(m.count for m in drawn)
+        there, moved = turn @ sum(m.first for m in drawn) / draws, np.zeros(count)
         moved[:g] = problem.base - base
-        mean += there + weight * moved
-        second += (
-            turn @ square @ turn.T + np.outer(there, moved) + np.outer(moved, there) + weight * np.outer(moved, moved)
-        )
-        second[:g, :g] += variance * problem.normal
-        squares += variance
+        mean += weight * (there + moved)
+        across = np.outer(there, moved)
+        products = turn @ sum(m.second for m in drawn) @ turn.T / draws
+        second += weight * (products + across + across.T + np.outer(moved, moved))
+        variance = sum(m.variance for m in drawn) / draws
+        second[:g, :g] += weight * variance * problem.normal
+        squares += weight * variance
+        effective += weight * sum(m.effective for m in drawn) / draws
         for b, block in enumerate(problem.blocks):
             if block.label in places:
-                given = problem.response[:, products.places([b])] @ np.linalg.pinv(problem.roots[b])
+                given = problem.response[:, problem.products.places([b])] @ np.linalg.pinv(problem.roots[b])
                 response[:, places[block.label][1]] = given
     covariance = second - np.outer(mean, mean)
     mean[:g] += base
     best = found.problems[found.best.noise].normal
-    return Moments(places, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
+    return Mixture(places, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
 
 
 def _width(block: Block) -> int:
@@ -117,7 +108,7 @@ def _width(block: Block) -> int:
 
 def _to_parameters(problem: Linearized, places: Mapping[str, tuple[Block, Index]], g: int, count: int) -> Array:
     """(P, C) from the coefficients of a problem's columns to the base's parameters and those of the blocks."""
-    turn = np.zeros((count, len(problem.products.right)))
+    turn = np.zeros((count, int(problem.products.starts[-1])))
     for b, block in enumerate(problem.blocks):
         own, parts, row = problem.products.places([b]), block.parts or (block,), 0
         for part in parts:
@@ -137,9 +128,6 @@ class PredictingModel:
     specs : entries of the arm file beyond the base's;  curves : among them
     sigma : of one coordinate [mm];  freedom : residual degrees of freedom
     spread : (p, p) covariance as of noise, with a mean square distance of 1 mm^2 at the postures measured
-    beside : what its parameters do not hold, and may be there: the error curves' own uncertainty, blocks that an arm
-        file cannot have;  response : (p, c) by which the parameters would give way to the latter's c coefficients
-    joint : (p + c, p + c) expected products of all errors
     """
 
     model: Model
@@ -150,9 +138,6 @@ class PredictingModel:
     sigma: float
     freedom: int
     spread: Array
-    beside: tuple[Block, ...] = ()
-    response: Array | None = None
-    joint: Array | None = None
 
     @property
     def by_name(self) -> dict[str, float]:
@@ -169,20 +154,14 @@ class PredictingModel:
         return replace(self, covariance=self.covariance + max(square, 0.0) * self.spread)
 
     def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
-        """(m, d, q) derivative of the positions with respect to all that is uncertain, and (q, q) the expected products
-        of its errors."""
-        jacobian = self.model.jacobian(postures, self.values, conditions)
-        if self.joint is None or self.response is None:
-            return jacobian, self.covariance
-        where = Where.of(self.model, self.values, postures, conditions)
-        columns = [block.columns(where) for block in self.beside if block.columns is not None]
-        more = np.concatenate([np.zeros((*where.position.shape, 0)), *columns], axis=2)
-        return np.concatenate([jacobian, more + jacobian @ self.response], axis=2), self.joint
+        """(m, d, p) derivative of the positions with respect to the parameters, and their (p, p) covariance."""
+        return self.model.jacobian(postures, self.values, conditions), self.covariance
 
 
 def averaged(found: Posterior, rows: int) -> PredictingModel:
     """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
-    mixed, library = mixture_of(found), found.library
+    held = found.writable
+    mixed, library = mixture_of(held), found.library
     g, arm = len(found.whole.base), library.arm
     members = [(b.member, at) for b, at in mixed.places.values() if b.member is not None]
     specs = tuple(member.spec for member, _ in members)
@@ -195,30 +174,28 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
         place |= {p.name: k for p, k in zip(effect.parameters, at.tolist(), strict=True)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
     values = np.clip(mixed.mean[index], plain.parameters.lower, plain.parameters.upper)
-    curves = tuple(_curve(found, mixed, b, at, values, plain) for b, at in mixed.places.values() if b.basis is not None)
+    curves = tuple(_curve(held, mixed, b, at, values, plain) for b, at in mixed.places.values() if b.basis is not None)
     every = (*specs, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *every))
-    beside = [(b, at) for b, at in mixed.places.values() if b.member is None]
-    extra = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in beside)])
-    lacking = np.concatenate([np.zeros(0, dtype=bool), *(np.full(len(at), not b.written) for b, at in beside)])
-    both = np.concatenate([index, extra])
-    joint = mixed.covariance[np.ix_(both, both)]
-    off = np.concatenate([np.zeros(len(index)), np.where(lacking, mixed.mean[extra], 0.0)])
-    joint += np.outer(off, off)  # the mean of what is not written is an error of the model
-    response = np.zeros((len(index), len(extra)))
-    of_base = np.flatnonzero(index < g)
-    response[np.ix_(of_base, np.flatnonzero(lacking))] = mixed.response[np.ix_(index[of_base], extra[lacking])]
     freedom = max(rows - round(mixed.effective), 1)
-    p, blocks = len(index), tuple(b for b, _ in beside)
-    spread = np.zeros((p, p))
+    of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
     spread[np.ix_(of_base, of_base)] = mixed.normal[np.ix_(index[of_base], index[of_base])]
-    jacobian = model.jacobian(found.rows.postures, values, found.rows.conditions)
+    jacobian = model.jacobian(held.rows.postures, values, held.rows.conditions)
     spread /= max(_mean_trace(jacobian, spread), 1e-300)
-    held = joint[:p, :p], every, curves, mixed.sigma, freedom
-    whole = PredictingModel(model, values, *held, spread, blocks, response, joint)
-    # the file's covariance, which knows parameters only, gives as much at the postures measured as there is
-    columns, products = whole.uncertain(found.rows.postures, found.rows.conditions)
-    return whole.allowing(_mean_trace(columns, products) - _mean_trace(columns[:, :, :p], joint[:p, :p]))
+    # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
+    # measured as much more as the curves are uncertain, and what a file cannot have is there
+    where = Where.of(held.at.model, held.at.values, held.rows.postures, held.rows.conditions)
+    tables = [
+        (b.columns(where), at) for b, at in mixed.places.values() if b.basis is not None and b.columns is not None
+    ]
+    of_curves = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in tables)])
+    across, inner = mixed.covariance[np.ix_(index, of_curves)], mixed.covariance[np.ix_(of_curves, of_curves)]
+    covariance = mixed.covariance[np.ix_(index, index)] - across @ np.linalg.pinv(inner, hermitian=True) @ across.T
+    written = PredictingModel(model, values, covariance, every, curves, mixed.sigma, freedom, spread)
+    whole, both = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
+    more = _mean_trace(whole, mixed.covariance[np.ix_(both, both)]) - _mean_trace(jacobian, covariance)
+    lacking = held.noise_variance - found.noise_variance
+    return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
 
 
 def _mean_trace(columns: Array, covariance: Array) -> float:
@@ -226,7 +203,7 @@ def _mean_trace(columns: Array, covariance: Array) -> float:
     return float(np.sum((columns @ covariance) * columns)) / len(columns)
 
 
-def _curve(found: Posterior, mixed: Moments, block: Block, part: Index, values: Array, model: Model) -> Curve:
+def _curve(found: Posterior, mixed: Mixture, block: Block, part: Index, values: Array, model: Model) -> Curve:
     """The error curve of a joint."""
     basis = block.basis
     assert basis is not None
@@ -240,7 +217,7 @@ def _curve(found: Posterior, mixed: Moments, block: Block, part: Index, values: 
     table = basis.table(np.radians(np.round(np.degrees(error[::2]), TIDY)))
     table = replace(table, geometry=_tied(model, geometry, values))
     std = np.sqrt(np.maximum(variance, 0.0))
-    return Curve(basis.joint + 1, table, angles, table.at(angles), std, table.spacing)
+    return Curve(basis.joint + 1, table, std)
 
 
 def _tied(model: Model, geometry: Mapping[str, float], values: Array) -> dict[str, float]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -19,8 +19,7 @@ from identification.arrays import Array
 from identification.effects.places import OF_FRAME, widths
 from identification.error_curve import ErrorCurve, local_splines
 from identification.gap.evidence import SIZES, Products
-from identification.gap.fits.fit import Fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Fit, Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, untested_joints
 from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.spatial import SpatialChain
@@ -29,9 +28,8 @@ from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 ALIKE = 0.3  # relative scatter of one family's parameters over the joints
-RANK = 1e-6  # of the largest eigenvalue of unit columns: combinations that the data do not determine
-FAINT = 1e-3  # expected square of a combination of columns at the block's largest size, below which it is left out
-VISIBLE = 1e-6  # share of a block's square that the base model must leave
+RANK = 1e-6  # of a square: less left of columns beside the base model, or beside each other, cannot be seen
+FAINT = 0.03  # expected square of a combination of columns at the block's largest size, below which it is left out
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect
 WAVES = 30  # half periods of an error curve over the angles of its joint
 TIMES = 12  # half periods in a session of the fastest smooth function of time
@@ -177,7 +175,7 @@ class Linearized:
         kept = list(blocks)
         return Linearized(
             tuple(self.blocks[b] for b in kept),
-            self.products.of(kept),
+            self.products.of_blocks(kept),
             tuple(self.roots[b] for b in kept),
             self.response[:, self.products.places(kept)],
             self.base,
@@ -410,44 +408,47 @@ def linearized(
         columns.append(shift)
         blocks.append(Block(f"row:{k}", f"row:{k}", f"row:{k}", 0.0))
     starts = np.concatenate([[0], np.cumsum([c.shape[2] for c in columns])])
-    white = rows.whiten(np.concatenate(columns, axis=2))
-    own, target = rows.whiten(jacobian[:, :, base]), rows.whiten(y)
+    white, target = rows.whiten(np.concatenate(columns, axis=2)), rows.whiten(y)
     scales = model.scales[base]
-    u, s, vt = np.linalg.svd(own / scales, full_matrices=False)
-    kept = s > 1e-9 * s.max(initial=0.0)
-    u, s, vt = u[:, kept], s[kept], vt[kept]
-    inside = u.T @ white
-    before = np.einsum("np,np->p", white, white)
+    u, s, vt = np.linalg.svd(rows.whiten(jacobian[:, :, base]) / scales, full_matrices=False)
+    clear = s > 1e-9 * s.max(initial=0.0)
+    u, back = u[:, clear], (vt[clear].T / s[clear]) / scales[:, None]  # (g, r): from u^T y to the parameters
+    inside, before = u.T @ white, np.einsum("np,np->p", white, white)
     white -= u @ inside
     left = target - u @ (u.T @ target)
-    back = (vt.T / s) / scales[:, None]  # (g, r): from u^T y to the parameters
-    every = _roots(white, before, starts, blocks)
+    gram, right = white.T @ white, left @ white
+    parts = [slice(low, high) for low, high in pairwise(starts)]
+    every = [_root(gram[p, p], float(np.sum(before[p])), b) for p, b in zip(parts, blocks, strict=True)]
     shown = [k for k, root in enumerate(every) if root.shape[1]]
-    parts = [slice(starts[k], starts[k + 1]) for k in shown]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]
-    z = [white[:, part] @ root for part, root in zip(parts, roots, strict=True)]
-    turned = [inside[:, part] @ root for part, root in zip(parts, roots, strict=True)]
-    common = [k for k, b in enumerate(blocks) if _common(b, library)]
-    if len(common) > 1 and (outside is None or REST in outside):
+    to_columns = np.zeros((len(gram), sum(root.shape[1] for root in roots)))
+    end = 0
+    for k, root in zip(shown, roots, strict=True):
+        to_columns[parts[k], end : end + root.shape[1]] = root
+        end += root.shape[1]
+    many = [k for k, b in enumerate(blocks) if _common(b, library)]
+    if len(many) > 1 and (outside is None or REST in outside):
         # the rest of the library as one block: each of its effects, and each error curve, with the same expected square
-        share = 1.0 / np.sqrt(len(common))
-        together = share * np.concatenate([z[k] for k in common], axis=1)
-        values, vectors = np.linalg.eigh(together.T @ together)
-        clear = vectors[:, values * SIZES[REST_SIZES - 1] ** 2 > FAINT]
-        z.append(together @ clear)
-        turned.append(share * np.concatenate([turned[k] for k in common], axis=1) @ clear)
-        roots.append(share * np.asarray(block_diag(*(roots[k] for k in common))) @ clear)
-        columns.append(np.concatenate([columns[k] for k in common], axis=2))
-        blocks.append(Block(REST, REST, REST, 1.0, parts=tuple(blocks[k] for k in common)))
+        root = np.asarray(block_diag(*(roots[k] for k in many))) / np.sqrt(len(many))
+        raw = np.concatenate([np.arange(*starts[shown[k] : shown[k] + 2]) for k in many])
+        values, vectors = np.linalg.eigh(root.T @ gram[np.ix_(raw, raw)] @ root)
+        root = root @ vectors[:, values * SIZES[REST_SIZES - 1] ** 2 > FAINT]
+        together = np.zeros((len(gram), root.shape[1]))
+        together[raw] = root
+        to_columns = np.concatenate([to_columns, together], axis=1)
+        roots.append(root)
+        columns.append(np.concatenate([columns[k] for k in many], axis=2))
+        blocks.append(Block(REST, REST, REST, 1.0, parts=tuple(blocks[k] for k in many)))
     products = Products(
-        np.concatenate(z, axis=1),
-        left,
-        len(target) - int(kept.sum()),
+        to_columns.T @ gram @ to_columns,
+        right @ to_columns,
+        float(left @ left),
+        len(target) - int(clear.sum()),
         np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])]),
         np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
         np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64),
     )
-    response, place = -back @ np.concatenate(turned, axis=1), at.values[base] + back @ (u.T @ target)
+    response, place = -back @ (inside @ to_columns), at.values[base] + back @ (u.T @ target)
     return Linearized(tuple(blocks), products, tuple(roots), response, place, back @ back.T, tuple(columns))
 
 
@@ -459,42 +460,27 @@ def _common(block: Block, library: HypothesisSet) -> bool:
     return not member.scanned and member.effect.prior == 1.0 and library.acts(member)
 
 
-def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) -> list[Array]:
-    """Of each block the (p, w) matrix that makes columns of unit size of its own p; w = 0 where it cannot be seen.
+def _root(gram: Array, before: float, block: Block) -> Array:
+    """The (p, w) matrix that makes columns of unit size of a block's own p; w = 0 where it cannot be seen.
 
-    white : (N, P) whitened columns, projected off the base model;  before : (P,) their squares before projection
+    gram : (p, p) products of its columns, projected off the base model;  before : their squares before projection
 
     An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
     of `ALIKE`; what is outside the library has its own columns scaled alone.
     """
-    roots: list[Array] = [np.zeros((0, 0))] * len(blocks)
-    widths = np.diff(starts)
-    plain = np.array([b.member is not None and not b.member.family for b in blocks], dtype=bool)
-    for width in np.unique(widths[plain]).tolist():
-        own = np.flatnonzero(plain & (widths == width))
-        index = starts[own][:, None] + np.arange(width)
-        x = white[:, index]  # (N, b, w)
-        each = x.transpose(1, 0, 2)
-        gram = each.transpose(0, 2, 1) @ each
-        lengths = np.sqrt(np.maximum(np.einsum("bii->bi", gram), 1e-300))
-        values, vectors = np.linalg.eigh(gram / (lengths[:, :, None] * lengths[:, None, :]))
-        clear = np.einsum("bii->b", gram) > VISIBLE * before[index].sum(axis=1)
-        for k, value, vector, length, shows in zip(own.tolist(), values, vectors, lengths, clear.tolist(), strict=True):
-            seen = value > RANK * value[-1]
-            root = vector[:, seen] / np.sqrt(value[seen] * seen.sum()) / length[:, None]
-            roots[k] = (np.abs(root) if width == 1 else root) if shows else np.zeros((width, 0))
-    for k in np.flatnonzero(~plain).tolist():
-        x, member = white[:, starts[k] : starts[k + 1]], blocks[k].member
-        gram = x.T @ x
-        if not np.trace(gram) > VISIBLE * before[starts[k] : starts[k + 1]].sum():
-            roots[k] = np.zeros((len(gram), 0))
-        elif member is None:
-            values, vectors = np.linalg.eigh(gram / np.trace(gram))
-            roots[k] = vectors[:, values * SIZES[-1] ** 2 > FAINT] / np.sqrt(np.trace(gram))
-        else:
-            alike = 1.0 + ALIKE**2 * np.eye(len(gram))
-            roots[k] = np.asarray(np.linalg.cholesky(alike / np.sum(gram * alike)))
-    return roots
+    if not np.trace(gram) > RANK * before:
+        return np.zeros((len(gram), 0))
+    if block.member is None:
+        values, vectors = np.linalg.eigh(gram / np.trace(gram))
+        return np.asarray(vectors[:, values * SIZES[-1] ** 2 > FAINT] / np.sqrt(np.trace(gram)))
+    if block.member.family:
+        alike = 1.0 + ALIKE**2 * np.eye(len(gram))
+        return np.asarray(np.linalg.cholesky(alike / np.sum(gram * alike)))
+    lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
+    seen = values > RANK * values[-1]
+    root = vectors[:, seen] / np.sqrt(values[seen] * seen.sum()) / lengths[:, None]
+    return np.asarray(np.abs(root) if len(gram) == 1 else root)
 
 
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}

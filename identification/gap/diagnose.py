@@ -7,60 +7,42 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arm import Arm
-from identification.arrays import Array, readonly
-from identification.effects import Effect
 from identification.errors import InputError
 from identification.estimation.checks import check_measurements
 from identification.estimation.outlying import outlying, together
 from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
+from identification.gap import words
 from identification.gap.average import PredictingModel, averaged
-from identification.gap.blocks import REST, Where
-from identification.gap.candidate import Candidate
-from identification.gap.candidates import candidate_of, certainty, predicting_candidate, trial_list
-from identification.gap.confirmation.cross_validation import cross_validation
-from identification.gap.confirmation.holdout import (
+from identification.gap.blocks import REST
+from identification.gap.candidate import Candidate, as_calibration, candidate_of, trials
+from identification.gap.confirmation import (
+    Gap,
     check_holdout,
     check_same_arm,
-    confirmation_of,
-    gap_of,
-    held_out,
+    confirmed_on,
+    cross_validation,
     other_set_up,
 )
-from identification.gap.curves.curve import Curve
-from identification.gap.evidence import SIZES
-from identification.gap.fits.fit import Fit, fit
-from identification.gap.fits.whitening import Rows
-from identification.gap.hypotheses.detectability import assess, require_spare
+from identification.gap.curve import Curve
+from identification.gap.detectability import Beside, assess, look_alikes, order_ranges, require_spare
+from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses.hypotheses import hypotheses
-from identification.gap.noise.misfit import Misfit, misfit
-from identification.gap.noise.repeats import noise_floor, repeat_finding
-from identification.gap.notes import alias_list, curve_notes, hidden_orders, notes, order_notes, unexplained_note
-from identification.gap.order_range import order_ranges
-from identification.gap.posterior import Explanation, Posterior, posterior, refit
+from identification.gap.noise import misfit, noise_floor, repeat_finding
+from identification.gap.posterior import Explanation, Posterior, posterior
+from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.scatter import Finding
-from identification.gap.sessions.replicate import replications
-from identification.gap.verdict import Names, Probabilities, likeliest_with, probabilities
-from identification.measurements import Measurements
+from identification.gap.verdict import Probabilities, likeliest_with, probabilities
+from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
-from identification.progress import Progress, Tell, silent
+from identification.progress import Progress, silent
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 from identification.threads import single_thread
 
-BEGINS = (0.0, 0.1, 0.7)  # part of the work that is done when each of the three steps begins
 IMPOSSIBLE = 1e-3  # p-value of what is left, below which the noise cannot be all: a trusted sigma, or repeats
-KINDS = {
-    "time": "smooth in time",
-    "workspace": "smooth over the workspace",
-    "wobble": "tilt or shift across the axis",
-    "shared": "depends on other joints too",
-    "history": "depends on the direction of approach",
-    REST: "many small effects",
-}
 
 
 @single_thread()
@@ -86,38 +68,22 @@ def diagnose(
     check_input(arm, measurements, holdout)
     holdout = None if holdout is None else of_these_sessions(holdout, measurements)
     given = practical(arm, measurements)
-    arm = with_sessions(given, measurements)
-    generator = np.random.default_rng(seed)
+    arm, rows, generator = with_sessions(given, measurements), Rows.of(measurements), np.random.default_rng(seed)
     if not Model(arm).names:
         raise InputError("measurements: no parameter of the arm follows from these rows, allowed: data that show one")
-    rows = Rows.of(measurements)
-    library = hypotheses(arm, varying(measurements), rows)
-    step(1, progress)("base model")
+    optional = {name: getattr(measurements, name) for name in ("temperature", "payload", "order")}
+    varying = frozenset(name for name, values in optional.items() if values is not None and np.ptp(values) > 0.0)
+    library = hypotheses(arm, varying, rows)
+    progress(0.0, 1.0, "step 1 of 3: base model")
     base = fit(library.base, rows)
     require_spare(base.freedom, len(rows))
     if holdout is not None:
         check_same_arm(base, measurements, holdout)
-    found = posterior(library, rows, generator, step(2, progress))
-    step(3, progress)("fits, tests on other rows")
+    found = posterior(library, rows, generator, lambda message: progress(0.1, 1.0, f"step 2 of 3: {message}"))
+    progress(0.7, 1.0, "step 3 of 3: fits, tests on other rows")
     result = diagnosis_of(found, measurements, holdout, generator)
-    progress(1, 1, result.sentence)
+    progress(1.0, 1.0, result.sentence)
     return result if arm is given else of_first_session(result, given)
-
-
-def step(number: int, progress: Progress) -> Tell:
-    """What is told of a step, and the part of the work that is usually done when it begins."""
-    return lambda message: progress(BEGINS[number - 1], 1.0, f"step {number} of {len(BEGINS)}: {message}")
-
-
-def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
-    """A diagnosis of several sessions with the base of the first session only."""
-
-    def single(found: Candidate) -> Candidate:
-        return replace(found, calibration=without_sessions(found.calibration))
-
-    candidates, models = tuple(map(single, result.candidates)), map(single, (result.named, result.predicting))
-    named, predicting = models
-    return replace(result, arm=with_base(arm), candidates=candidates, named=named, predicting=predicting)
 
 
 def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None) -> None:
@@ -131,167 +97,132 @@ def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | No
         check_holdout(measurements, holdout)
 
 
-def varying(measurements: Measurements) -> frozenset[str]:
-    """Names of the optional columns that are given and not constant."""
-    names = ("temperature", "payload", "order")
-    given = {name: getattr(measurements, name) for name in names if getattr(measurements, name) is not None}
-    return frozenset(name for name, values in given.items() if np.ptp(values) > 0.0)
+def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
+    """A diagnosis of several sessions with the base of the first session only."""
+    named, predicting, *candidates = (
+        replace(one, calibration=without_sessions(one.calibration))
+        for one in (result.named, result.predicting, *result.candidates)
+    )
+    return replace(result, arm=with_base(arm), candidates=tuple(candidates), named=named, predicting=predicting)
 
 
 def diagnosis_of(
     found: Posterior, measurements: Measurements, holdout: Measurements | None, generator: np.random.Generator
 ) -> Diagnosis:
     """Everything that is read off the posterior."""
-    library = found.library
-    kept = np.ones(len(found.rows), dtype=bool)
+    library, conditions, rows = found.library, measurements.conditions, found.rows
+    kept = np.ones(len(rows), dtype=bool)
     kept[list(found.best.wrong)] = False
-    base = fit(library.base, Rows.of(measurements).pick(kept))
-    best = refit(found, found.best)
-    predicting = averaged(found, int(kept.sum()) * found.rows.dimension)
-    scatter = noise_findings(found)
-    left = predicting.position_residuals(measurements, measurements.conditions)
-    estimated = int(kept.sum()) * found.rows.dimension - predicting.freedom
-    repeats = repeat_finding(left, estimated, measurements, kept)
-    over_sigma = misfit(left, estimated, measurements, library.arm.sigma, kept)
-    likely = guarded(probabilities(found), repeats, over_sigma, measurements)
+    base = fit(library.base, rows.pick(kept))
+    beside = Beside(found.whole, [found.whole.numbers[block.label] for block in found.best.blocks if block.row])
+
+    # what predicts best, and what it leaves
+    predicting = averaged(found, int(kept.sum()) * rows.dimension)
+    after = predicting.position_residuals(measurements, conditions)
+    rank = after[kept].size - predicting.freedom
+    repeats = repeat_finding(after, rank, measurements, kept)
+    over_sigma = misfit(after, rank, measurements, library.arm.sigma, kept)
     if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
-        scale = len(left.T) * predicting.sigma**2
+        scale = rows.dimension * predicting.sigma**2
         predicting = predicting.allowing(scale * (1.0 - over_sigma.ratio**-2))
-    verdict = likely.verdict
-    named, *candidates = models(found, base, likely)
-    something = verdict != "none"
+
+    # the verdict, and the sets that it speaks of, each fitted once more
+    likely = probabilities(found)
+    trusted = [] if measurements.sigma is None or over_sigma is None else [over_sigma.p_value]
+    if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < IMPOSSIBLE:
+        likely = likely.not_none(p)
+    unknown, something = likely.verdict == "unknown", likely.verdict != "none"
+    sets = [likeliest_with(found, names) for names in likely.rivals]
+    sets = sets or [likeliest_with(found, (), outside=unknown and likely.place is not None)]
+    fits = [fit(library.model(one.effects), found.noises[one.noise].rows.pick(kept), found.at.by_name) for one in sets]
+    shown, fitted = sets[0], fits[0]
+    candidates = [candidate_in(found, likely, beside, *pair) for pair in zip(sets, fits, strict=True)]
+    named = candidates[0]
+
+    # tests on other rows
     tests = cross_validation(found, measurements, kept, generator, something)
     if tests[0].shrinks is False and tests[0].after > tests[0].before:
         predicting = geometry(base)
-        left = predicting.position_residuals(measurements, measurements.conditions)
-        worse = ["other rows are predicted better by the geometry alone: that is what --out writes"]
-    else:
-        worse = []
-    there = None if holdout is None else held_out(base, predicting, measurements, kept, holdout)
-    residuals = show_residuals(library.arm, measurements, base, left)
-    before, after = residuals.before[kept], residuals.after[kept]
-    unexplained = kept & unexplained_rows(best, found.rows)
-    gap = gap_of(before, after, there, noise_floor(left, measurements, kept, library.arm.sigma))
+        after = predicting.position_residuals(measurements, conditions)
     confirmation = None
-    if holdout is not None and there is not None:
-        confirmation = confirmation_of(measurements, holdout, there, something)
-    shown = likeliest_of(found, likely)
-    fitted = fit(library.model(shown.effects), found.noises[found.best.noise].rows.pick(kept), best.by_name)
-    at_base = library.base.jacobian(base.rows.postures, base.values, base.rows.conditions)
-    detectable = assess(library, base.rows, at_base, base.by_name, predicting.sigma)
-    hidden = hidden_orders(found) if named.effects else ()
-    place = likely.place if verdict == "unknown" and likely.place != REST else None
+    if holdout is not None:
+        confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something)
+
+    # what these rows show
+    before = base.position_residuals(measurements, conditions)
+    floor = noise_floor(after, measurements, kept, library.arm.sigma)
+    sees = assess(library, beside, found.noises[0].rows, predicting.sigma)
+    place = likely.place if unknown and likely.place != REST else None
     joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
     curves = tuple(curve for curve in predicting.curves if curve.joint in joints)
-    return Diagnosis(
+    error = rows.whiten(fitted.position_residuals(rows, conditions)).reshape(before.shape)
+    jacobian = fitted.model.jacobian(rows.postures, fitted.values, conditions) / fitted.model.scales
+    far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
+    freedom = np.full(len(predicting.values), float(predicting.freedom))
+    average = as_calibration(
+        predicting.model, predicting.values, predicting.covariance, freedom, predicting.sigma, base.rows.postures
+    )
+    result = Diagnosis(
         arm=library.arm,
-        verdict=verdict,
-        candidates=tuple(candidates),
+        verdict=likely.verdict,
+        candidates=tuple(candidates) if likely.rivals or (unknown and named.effects) else (),
         named=named,
-        predicting=predicting_candidate(predicting, named, base.rows.postures),
-        aliases=(*hidden, *alias_list(detectable, tuple(candidates))),
+        predicting=replace(named, specs=predicting.specs, calibration=average, freedom=tuple(freedom.tolist())),
+        aliases=look_alikes(found.whole, sees, {label for one in candidates for label in one.effects}),
         where=place,
         shape=shape_of(place, curves, shown),
-        scatter=(*scatter, *(repeats if not any(f.name == "repeats" for f in scatter) else ())),
-        outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(~kept)),
-        gap=gap,
-        trials=trial_list(found),
-        detectability=detectable,
-        residuals=residuals,
+        scatter=noise_findings(found, repeats),
+        outlier_rows=tuple((np.flatnonzero(~kept) + 1).tolist()),
+        unexplained_rows=tuple((np.flatnonzero(far) + 1).tolist()),
+        gap=Gap.of(rms_distance(before[kept]), rms_distance(after[kept]), floor, confirmation),
+        trials=trials(found, beside),
+        detectability=sees,
+        residuals=Residuals.of(library.arm, measurements, before, after),
         sigma=fitted.sigma,
         probabilities=likely,
         data=MappingProxyType({k: v for k, v in measurements.origin.items() if k != "rows"}),
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=tests,
-        warnings=(*fit_doubts(library.arm, measurements, best, after), *other_set_up(there)),
-        notes=(
-            *order_notes(hidden),
-            *curve_notes(curves),
-            *worse,
-            *notes(found, measurements, best, holdout, gap, over_sigma),
-            *unexplained_note(left, unexplained),
+        warnings=(
+            *misread(library.arm, measurements).sentences,
+            *far_off(after[kept], fitted.model),
+            *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
+            *another_frame(library.arm, measurements),
+            *outside_limits(library.arm, measurements),
+            *copied_rows(measurements),
+            *other_set_up(confirmation),
         ),
-        unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
-        shapes=order_ranges(fitted, fitted.rows, named.effects),
+        shapes=order_ranges(fitted, named.effects),
         replication=replications(
-            fitted, measurements, kept, named.effects, _shapes(found, likeliest_of(found, likely), fitted, predicting)
+            fitted, measurements.session_names, named.effects, curve_columns(found, shown, fitted, curves)
         ),
         curves=curves,
     )
+    return replace(result, notes=tuple(words.notes(result, found, measurements, fitted, holdout)))
 
 
-def _shapes(found: Posterior, one: Explanation, fitted: Fit, predicting: PredictingModel) -> list[tuple[Effect, Array]]:
-    """Error curves of an explanation, with their whitened columns in the rows of a fit in units of their prior."""
-    rows, problem = fitted.rows, found.problems[one.noise]
-    where = Where.of(fitted.model, fitted.values, rows.postures, rows.conditions)
-    of_joint = {effect.joint: effect for effect in predicting.model.effects if effect.curve is not None}
-    shapes = []
-    for block, number, size in zip(one.blocks, one.weighed.blocks, one.weighed.sizes, strict=True):
-        if block.basis is not None and block.columns is not None and (joint := block.basis.joint + 1) in of_joint:
-            columns = rows.whiten(block.columns(where) @ problem.roots[number]) * SIZES[size]
-            shapes.append((of_joint[joint], columns.reshape(len(rows), rows.dimension, -1)))
-    return shapes
+def candidate_in(found: Posterior, likely: Probabilities, beside: Beside, one: Explanation, fitted: Fit) -> Candidate:
+    """A fitted explanation with its probability."""
+    numbers, noise = [found.whole.numbers[h.label] for h in one.effects], found.noises[one.noise].name
+    candidate = candidate_of(fitted, len(numbers), found.library.arm.sigma, doubtful=bool(noise))
+    candidate = replace(candidate, f=beside.f_test(numbers)[0])
+    if likely.verdict == "unknown":
+        return candidate
+    p, best = (max(likely.of(names), 1e-300) for names in ([h.key for h in one.effects], likely.best))
+    return replace(candidate, probability=p, delta_bic=2.0 * float(np.log(best / p)) if likely.rivals else 0.0)
 
 
-def guarded(
-    likely: Probabilities, repeats: tuple[Finding, ...], over_sigma: Misfit | None, measurements: Measurements
-) -> Probabilities:
-    """The probabilities where the noise may be known: of its rows, or from repeats of one posture. More than it can be
-    is left by something."""
-    p = min([1.0, *(finding.p for finding in repeats)])
-    if measurements.sigma is not None and over_sigma is not None:
-        p = min(p, over_sigma.p_value)
-    return likely.not_none(p) if p < IMPOSSIBLE else likely
-
-
-def likeliest_of(found: Posterior, likely: Probabilities) -> Explanation:
-    """The likeliest explanation with what is named."""
-    if likely.verdict == "unknown" and likely.place is not None:
-        return likeliest_with(found, (), outside=True)
-    if likely.verdict in ("unknown", "none"):
-        return next((e for e in found.explanations if not e.effects and not e.outside), found.best)
-    return likeliest_with(found, likely.best)
-
-
-def models(found: Posterior, base: Fit, likely: Probabilities) -> list[Candidate]:
-    """What is named, and the candidates."""
-    rivals: list[Names] = likely.rivals
-    explanations = [likeliest_with(found, names) for names in rivals] or [likeliest_of(found, likely)]
-    candidates = []
-    for one in explanations:
-        fitted = refit(found, one)
-        noise = found.noises[one.noise]
-        sure = certainty(fitted, found.library.arm.sigma, doubtful=bool(noise.name))
-        plain = fit(found.library.base, fitted.rows, base.by_name) if one.effects else fitted
-        size = fitted.rank - plain.rank
-        gain = (plain.squares - fitted.squares) / max(size, 1) / max(fitted.sigma**2, 1e-300)
-        keys = [h.key for h in one.effects]
-        p = likely.of(keys) if likely.verdict != "unknown" else None
-        best = max(likely.of(likely.best), 1e-300)
-        delta = 2.0 * float(np.log(best / max(p, 1e-300))) if rivals and p is not None else 0.0
-        candidates.append(candidate_of(fitted, len(one.effects), sure, max(float(gain), 0.0), p, delta))
-    listed = candidates if rivals or (likely.verdict == "unknown" and candidates[0].effects) else []
-    return [candidates[0], *listed]
-
-
-def noise_findings(found: Posterior) -> tuple[Finding, ...]:
-    """Properties of the noise that are likelier than not."""
+def noise_findings(found: Posterior, repeats: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Properties of the noise that are likelier than not, and what repeats say that is none of them."""
     shares: dict[str, float] = {}
-    sizes: dict[str, tuple[float, float]] = {}
+    sizes: dict[str, float] = {}
     for one in found.explanations:
         noise = found.noises[one.noise]
         shares[noise.name] = shares.get(noise.name, 0.0) + one.probability
-        sizes.setdefault(noise.name, (one.probability, noise.size))
-    return tuple(Finding(name, 1.0 - p, sizes[name][1]) for name, p in shares.items() if name and p >= 0.5)
-
-
-def unexplained_rows(found: Fit, rows: Rows) -> NDArray[np.bool_]:
-    """(m,) True for rows that a fit does not explain and that come together, so that they are no outliers."""
-    predicted, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
-    residual = rows.whiten(rows.positions - predicted).reshape(predicted.shape)
-    far = outlying(residual, rows.whiten(jacobian / found.model.scales))
-    return together(far, rows.postures, rows.posture_numbers)
+        sizes.setdefault(noise.name, noise.size)
+    findings = [Finding(name, 1.0 - p, sizes[name]) for name, p in shares.items() if name and p >= 0.5]
+    return (*findings, *(finding for finding in repeats if finding.name not in {f.name for f in findings}))
 
 
 def geometry(base: Fit) -> PredictingModel:
@@ -306,34 +237,7 @@ def geometry(base: Fit) -> PredictingModel:
 def shape_of(place: str | None, curves: Sequence[Curve], one: Explanation) -> str | None:
     """Of what is outside the library, in words;  one : the likeliest explanation with something outside"""
     there = (c.shape for c in curves if place == f"joint:{c.joint}")
-    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
+    kinds = (words.KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
     if place is None:
-        return KINDS[REST] if any(b.parts for b in one.outside) else None
+        return words.KINDS[REST] if any(b.parts for b in one.outside) else None
     return next(filter(None, kinds), None) or next(there, None)
-
-
-def show_residuals(arm: Arm, measurements: Measurements, base: Fit, left: Array) -> Residuals:
-    """Residuals before and after, with the quantities they can be plotted against;  left : after (m, d) [mm]"""
-    conditions = measurements.conditions
-    against: dict[str, Array] = {f"joint {j + 1} [rad]": measurements.postures[:, j] for j in range(arm.links)}
-    against["time"] = np.zeros(len(measurements)) if conditions.time is None else conditions.time
-    if arm.gravity is not None:
-        tau = Model(arm).on_chain(lambda chain: chain.torques)(measurements.postures, conditions)
-        against |= {f"torque {j + 1} [N m]": tau[:, j] for j in range(arm.links)}
-    if measurements.temperature is not None:
-        against["temperature [C]"] = measurements.temperature
-    return Residuals(
-        readonly(base.position_residuals(measurements, conditions)),
-        readonly(left),
-        MappingProxyType({name: readonly(values) for name, values in against.items()}),
-        measurements.positions,
-        conditions,
-    )
-
-
-def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) -> tuple[str, ...]:
-    """Warnings about the data and about a model fitted to them, one sentence each;  left : (m, d) residuals [mm]."""
-    estimable: NDArray[np.bool_] = np.ones(len(found.values), dtype=bool)
-    bad = [*far_off(left, found.model), *flipped(found.model, found.values, estimable)]
-    place = (*another_frame(arm, measurements), *outside_limits(arm, measurements))
-    return (*misread(arm, measurements).sentences, *bad, *place, *copied_rows(measurements))

@@ -7,80 +7,96 @@ c = Z^T y and y^T y enter. For a set A with sizes s, D = diag(s) and f degrees o
     log p(y | A, s) = -1/2 log |I + D G_A D| - f/2 log(R / y^T y),     R = y^T y - c_A^T D (I + D G_A D)^-1 D c_A,
 
 relative to nothing missing (A. Zellner, 1971). The columns of a block are scaled such that s_b^2 is the expected
-square, in units of the noise, of what the block contributes to the rows. s_b has equal probability at each of `SIZES`;
-of several blocks each is averaged with the others at their likeliest sizes, and the averages relative to the
-likelihood there are multiplied: they would be independent if it were not for sigma and what the blocks have in common.
+square, in units of the noise, of what the block contributes to the rows; s_b is one of `SIZES`.
+
+A set is changed by one block at a time, and what it leaves of all columns, V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z, by a term
+of that block's rank (M. A. Woodbury, 1950): Z_A is never factorized anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr
 
 from identification.arrays import Array, eigen_of_pairs
 
 # reasons: identification/README.md, "Constants"
 SIZES: Array = 3.0 * np.exp2(np.arange(14))  # of a block's contribution, in standard deviations of the noise
-ROUNDING = 1e-9  # of a log likelihood
+DIGITS = 1e-9  # of the scores, which a set's coefficients explain but for rounding
 LEAST = 1e-14  # of y^T y: what rounding leaves of a sum of squares
 
 Index = NDArray[np.int64]
 
 
-class Left(NamedTuple):
-    """What a set of blocks with sizes leaves: (k, P) rows W with W^T W the explained part of G, (k,) their scores, and
-    R, the squares that are left."""
+@dataclass(frozen=True, eq=False)
+class State:
+    """A set of M blocks with k columns, and what it leaves of all P columns.
 
-    rows: Array
-    scores: Array
-    squares: float
-
-
-class Likeliest(NamedTuple):
-    """A set of M blocks at its likeliest sizes, given by their numbers in `SIZES`.
-
-    ratio : log likelihood ratio against nothing missing, averaged over sizes;  fewer : (M,) its change without each
-    block
+    blocks, sizes : numbers of the blocks in ascending order, and of their sizes in `SIZES`
+    places : (k,) of its columns among all, in the order of `order`, in which the blocks were added
+    mean, covariance : (k,) and (k, k) of the posterior of its coefficients, for unit sigma
+    shares : (k, P) by which its coefficients take up a unit of each column
+    scores : (P,) V's counterpart of c;  within : of each group of `Products.alike` the blocks' own parts of V
+    squares : R;  volume : log |I + D G_A D|
     """
 
-    sizes: tuple[int, ...]
-    ratio: float
-    fewer: Array
+    order: tuple[tuple[int, int], ...]
+    places: Index
+    mean: Array
+    covariance: Array
+    shares: Array
+    scores: Array
+    within: tuple[Array, ...]
+    squares: float
+    volume: float
+
+    @cached_property
+    def key(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of block and size, ascending."""
+        return tuple(sorted(self.order))
+
+    @cached_property
+    def blocks(self) -> tuple[int, ...]:
+        """Numbers of the blocks, ascending."""
+        return tuple(block for block, _ in self.key)
 
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Products of the columns of B blocks, projected off the base model; of G only the rows that are used.
+    """Products of the columns of B blocks, projected off the base model.
 
-    columns : (N, P) Z;  target : (N,) y;  freedom : f
+    gram, right : (P, P) G and (P,) c;  squares : y^T y;  freedom : f
     starts : (B + 1,) first column of each block, and P;  signs : (B,) 1 where the only parameter cannot be negative
     limits : (B,) how many of `SIZES` a block may have
     """
 
-    columns: Array
-    target: Array
+    gram: Array
+    right: Array
+    squares: float
     freedom: int
     starts: Index
     signs: NDArray[np.bool_]
     limits: Index
-    _rows: dict[int, Array] = field(default_factory=dict)
 
-    @cached_property
-    def right(self) -> Array:
-        """(P,) c = Z^T y."""
-        return self.target @ self.columns
+    @classmethod
+    def of(
+        cls, columns: Array, target: Array, freedom: int, starts: Index, signs: NDArray[np.bool_], limits: Index
+    ) -> Products:
+        """Those of columns (N, P) with y (N,)."""
+        gram = np.asarray(columns.T @ columns)
+        return cls(gram, target @ columns, float(target @ target), freedom, starts, signs, limits)
 
-    @cached_property
-    def squares(self) -> float:
-        """y^T y."""
-        return float(self.target @ self.target)
+    def of_blocks(self, blocks: Sequence[int]) -> Products:
+        """Those of a few blocks alone."""
+        chosen, places = list(blocks), self.places(blocks)
+        starts = np.concatenate([[0], np.cumsum(self.widths[chosen])])
+        gram, right = self.gram[np.ix_(places, places)], self.right[places]
+        return Products(gram, right, self.squares, self.freedom, starts, self.signs[chosen], self.limits[chosen])
 
     @cached_property
     def widths(self) -> Index:
@@ -91,147 +107,140 @@ class Products:
         """Indices of the columns of these blocks, in their order."""
         return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(*self.starts[b : b + 2]) for b in blocks)])
 
-    def rows(self, blocks: Sequence[int]) -> Array:
-        """(k, P) rows of G of these blocks."""
-        new = [b for b in blocks if b not in self._rows]
-        if new:  # of several at a time, as reading the columns takes longest
-            rows = self.columns[:, self.places(new)].T @ self.columns
-            self._rows.update(zip(new, np.split(rows, np.cumsum(self.widths[new])[:-1]), strict=True))
-        return np.concatenate([np.zeros((0, len(self.right))), *(self._rows[b] for b in blocks)])
+    @cached_property
+    def alike(self) -> list[tuple[Index, Index]]:
+        """Blocks of one width: their numbers (b,) and columns (b, w)."""
+        numbers = [np.flatnonzero(self.widths == width) for width in np.unique(self.widths)]
+        return [(b, self.starts[b][:, None] + np.arange(self.widths[b[0]])) for b in numbers]
 
     @cached_property
-    def _alike(self) -> list[tuple[Index, Index, Array]]:
-        """Blocks of one width: their numbers (b,), columns (b, w) and products (b, w, w)."""
-        alike = []
-        for width in np.unique(self.widths).tolist():
-            blocks = np.flatnonzero(self.widths == width)
-            index = self.starts[blocks][:, None] + np.arange(width)
-            each = self.columns[:, index].transpose(1, 0, 2)  # (b, N, w)
-            alike.append((blocks, index, each.transpose(0, 2, 1) @ each))
-        return alike
+    def nothing(self) -> State:
+        """The empty set."""
+        within = tuple(self.gram[index[:, :, None], index[:, None, :]] for _, index in self.alike)
+        covariance, shares = np.zeros((0, 0)), np.zeros((0, len(self.right)))
+        places, mean = np.zeros(0, dtype=np.int64), np.zeros(0)
+        return State((), places, mean, covariance, shares, self.right, within, self.squares, 0.0)
 
-    def _scaled(self, blocks: Sequence[int], sizes: Array) -> tuple[Index, Array, Array]:
-        """Places and scales (k,) of the columns of a set, and (k, k) I + D G D."""
-        places = self.places(blocks)
-        scales = np.repeat(np.asarray(sizes, dtype=float), self.widths[list(blocks)])
-        inner = scales[:, None] * self.rows(blocks)[:, places] * scales
-        inner[np.diag_indices_from(inner)] += 1.0
-        return places, scales, inner
+    def state(self, pairs: Sequence[tuple[int, int]]) -> State:
+        """The set of these blocks with the numbers of their sizes."""
+        if not pairs:
+            return self.nothing
+        places = self.places([block for block, _ in pairs])
+        precision = np.repeat([SIZES[size] ** -2.0 for _, size in pairs], self.widths[[block for block, _ in pairs]])
+        inner = self.gram[np.ix_(places, places)] + np.diag(precision)
+        covariance = np.asarray(np.linalg.inv(inner))
+        shares, mean = covariance @ self.gram[places], covariance @ self.right[places]
+        return State(
+            tuple(pairs),
+            places,
+            mean,
+            covariance,
+            shares,
+            self.right - mean @ self.gram[places],
+            self._within(self.nothing, self.gram[places], shares, -1.0),
+            self._rest(self.squares - float(mean @ self.right[places])),
+            float(np.linalg.slogdet(inner)[1] - np.sum(np.log(precision))),
+        )
 
-    def left(self, blocks: Sequence[int], sizes: Array) -> Left:
-        """What a set of blocks with these sizes leaves."""
-        if not len(blocks):
-            return Left(np.zeros((0, len(self.right))), np.zeros(0), self.squares)
-        places, scales, inner = self._scaled(blocks, sizes)
-        lower = np.linalg.cholesky(inner)
-        stacked = np.column_stack([self.rows(blocks), self.right[places]]) * scales[:, None]
-        solved = solve_triangular(lower, stacked, lower=True, check_finite=False)
-        return Left(solved[:, :-1], solved[:, -1], self._rest(float(np.sum(np.square(solved[:, -1])))))
+    def with_block(self, state: State, block: int, size: int) -> State:
+        """A set and one more block: the block inverse of a larger matrix."""
+        columns = slice(*self.starts[block : block + 2])
+        rows = self.gram[columns]
+        width, precision = len(rows), SIZES[size] ** -2.0
+        left = rows - rows[:, state.places] @ state.shares  # (w, P) rows of V
+        inner = left[:, columns] + precision * np.eye(width)
+        inverse = np.linalg.inv(inner)
+        new, taken = inverse @ left, state.shares[:, columns]
+        gain, give = inverse @ state.scores[columns], taken @ inverse
+        return State(
+            (*state.order, (block, size)),
+            np.concatenate([state.places, np.arange(self.starts[block], self.starts[block + 1])]),
+            np.concatenate([state.mean - taken @ gain, gain]),
+            np.block([[state.covariance + give @ taken.T, -give], [-give.T, inverse]]),
+            np.concatenate([state.shares - taken @ new, new]),
+            state.scores - gain @ left,
+            self._within(state, left, new, -1.0),
+            self._rest(state.squares - float(gain @ state.scores[columns])),
+            state.volume + float(np.linalg.slogdet(inner)[1]) - width * float(np.log(precision)),
+        )
 
-    def _rest(self, explained: float) -> float:
-        return max(self.squares - explained, LEAST * self.squares, 1e-300)
+    def without(self, state: State, block: int) -> State:
+        """A set less one of its blocks: the same step back."""
+        which = next(k for k, (b, _) in enumerate(state.order) if b == block)
+        out = np.isin(state.places, np.arange(self.starts[block], self.starts[block + 1]))
+        mean, shares = state.mean[out], state.shares[out]
+        inner = np.linalg.inv(state.covariance[np.ix_(out, out)])
+        give = state.covariance[np.ix_(~out, out)] @ inner
+        precision = SIZES[state.order[which][1]] ** -2.0
+        fewer = State(
+            (*state.order[:which], *state.order[which + 1 :]),
+            state.places[~out],
+            state.mean[~out] - give @ mean,
+            state.covariance[np.ix_(~out, ~out)] - give @ state.covariance[np.ix_(out, ~out)],
+            state.shares[~out] - give @ shares,
+            state.scores + (inner @ mean) @ shares,
+            self._within(state, shares, inner @ shares, 1.0),
+            self._rest(state.squares + float(mean @ inner @ mean)),
+            state.volume - float(np.linalg.slogdet(inner)[1]) + len(mean) * float(np.log(precision)),
+        )
+        # what two nearly equal blocks share cancels when one of them goes: made at once where too few digits are left
+        right = self.right[fewer.places]
+        precisions = np.repeat(
+            [SIZES[size] ** -2.0 for _, size in fewer.order], self.widths[[b for b, _ in fewer.order]]
+        )
+        off = self.gram[np.ix_(fewer.places, fewer.places)] @ fewer.mean + precisions * fewer.mean - right
+        return fewer if np.linalg.norm(off) <= DIGITS * np.linalg.norm(right) else self.state(fewer.order)
 
-    def of(self, blocks: Sequence[int]) -> Products:
-        """Those of a few blocks alone."""
-        kept = list(blocks)
-        starts = np.concatenate([[0], np.cumsum(self.widths[kept])])
-        columns = self.columns[:, self.places(blocks)]
-        return Products(columns, self.target, self.freedom, starts, self.signs[kept], self.limits[kept])
+    def _within(self, state: State, one: Array, other: Array, sign: float) -> tuple[Array, ...]:
+        """The blocks' own parts of V + sign one^T other, with (v, P) each."""
+        changed = []
+        for (_, index), part in zip(self.alike, state.within, strict=True):
+            left, right = one[:, index].transpose(1, 2, 0), other[:, index].transpose(1, 0, 2)  # (b, w, v), (b, v, w)
+            changed.append(part + sign * (left @ right))
+        return tuple(changed)
 
-    def added(self, left: Left) -> Array:
-        """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf."""
+    def _rest(self, squares: float) -> float:
+        return max(squares, LEAST * self.squares, 1e-300)
+
+    def ratio(self, state: State) -> float:
+        """Log likelihood ratio of a set with sizes against nothing missing, signs left out."""
+        return -0.5 * state.volume - 0.5 * self.freedom * float(np.log(state.squares / max(self.squares, 1e-300)))
+
+    def signed(self, state: State) -> float:
+        """Log of the factor by which the signs that physics allows make a set likelier."""
+        signs = np.repeat(self.signs[[b for b, _ in state.order]], self.widths[[b for b, _ in state.order]])
+        if not signs.any():
+            return 0.0
+        variance = np.diag(state.covariance)[signs] * state.squares / max(self.freedom, 1)
+        return float(np.sum(np.log(2.0) + log_ndtr(state.mean[signs] / np.sqrt(np.maximum(variance, 1e-300)))))
+
+    def added(self, state: State, barred: Collection[int] = ()) -> Array:
+        """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf.
+
+        barred : blocks that are not asked, beside those that are in the set
+        """
         ratios = np.full((len(self.widths), len(SIZES)), -np.inf)
-        for blocks, index, own in self._alike:
-            width = index.shape[1]
-            rows = left.rows[:, index].transpose(1, 0, 2)  # (b, k, w)
-            scores = self.right[index] - np.einsum("k,bkw->bw", left.scores, rows)
-            rest = own - rows.transpose(0, 2, 1) @ rows
+        asked = np.ones(len(self.widths), dtype=bool)
+        asked[[*state.blocks, *barred]] = False
+        for (every, every_index), parts_of_all in zip(self.alike, state.within, strict=True):
+            chosen = asked[every]
+            if not chosen.any():
+                continue
+            blocks, index, left = every[chosen], every_index[chosen], parts_of_all[chosen]
+            width, scores = index.shape[1], state.scores[index]
             if width == 1:
-                values, parts = rest[:, 0], scores
+                values, parts = left[:, 0], scores
             else:
-                values, vectors = eigen_of_pairs(rest) if width == 2 else np.linalg.eigh(rest)
+                values, vectors = eigen_of_pairs(left) if width == 2 else np.linalg.eigh(left)
                 parts = (scores[:, None, :] @ vectors)[:, 0]
             values = np.maximum(values, 0.0)
             squared = np.square(SIZES[: self.limits[blocks].max()])[:, None, None]  # (S, 1, 1)
             spread = 1.0 + squared * values
             gains = np.sum(squared * np.square(parts) / spread, axis=2)  # (S, b)
-            squares = np.maximum(left.squares - gains, LEAST * self.squares + 1e-300)
-            ratio = -0.5 * np.sum(np.log(spread), axis=2) - 0.5 * self.freedom * np.log(squares / left.squares)
+            squares = np.maximum(state.squares - gains, LEAST * self.squares + 1e-300)
+            ratio = -0.5 * np.sum(np.log(spread), axis=2) - 0.5 * self.freedom * np.log(squares / state.squares)
             if width == 1 and self.signs[blocks].any():
                 deviations = parts.T * np.sqrt(squared[:, :, 0] / spread[:, :, 0] * self.freedom / squares)
                 ratio += np.where(self.signs[blocks], np.log(2.0) + log_ndtr(deviations), 0.0)
             ratios[blocks, : len(squared)] = ratio.T
         return np.where(np.arange(len(SIZES)) < self.limits[:, None], ratios, -np.inf)
-
-    def likeliest(self, blocks: Sequence[int], sizes: Sequence[int]) -> Likeliest:
-        """A set of blocks at its likeliest sizes;  sizes : numbers of `SIZES` to start from.
-
-        With C the posterior covariance of the coefficients for unit sigma, v and m the eigenvalues of a block's part
-        of C and its means along the eigenvectors, another size changes the precision by h = s'^-2 - s^-2, the log
-        determinant by sum log(1 + h v), and R by sum h m^2 / (1 + h v) (Woodbury's identity); without the block h is
-        infinite.
-        """
-        if not len(blocks):
-            return Likeliest((), 0.0, np.zeros(0))
-        gram, right = self.rows(blocks)[:, self.places(blocks)], self.right[self.places(blocks)]
-        widths, limits = self.widths[list(blocks)], self.limits[list(blocks)]
-        owner, ends = np.repeat(np.arange(len(blocks)), widths), np.concatenate([[0], np.cumsum(widths)])
-        at = np.minimum(np.array(sizes, dtype=np.int64), limits - 1)
-        allowed = np.arange(len(SIZES)) < limits[:, None]
-        seen: set[tuple[int, ...]] = set()
-        while True:
-            precision = SIZES[at] ** -2.0
-            covariance = np.linalg.inv(gram + np.diag(precision[owner]))
-            mean = covariance @ right
-            left = self._rest(float(mean @ right))
-            volume = -np.linalg.slogdet(covariance)[1] - np.sum(np.log(precision[owner]))
-            values, parts = np.zeros((2, len(at), int(widths.max())))
-            for width in np.unique(widths).tolist():
-                same = np.flatnonzero(widths == width)
-                index = ends[same][:, None] + np.arange(width)
-                part = covariance[index[:, :, None], index[:, None, :]]
-                value, vectors = eigen_of_pairs(np.asarray(part)) if width == 2 else np.linalg.eigh(part)
-                values[same, :width] = np.maximum(value, 1e-300)
-                parts[same, :width] = np.square((mean[index][:, None, :] @ vectors)[:, 0])
-            change = (SIZES**-2.0 - precision[:, None])[:, :, None]  # (M, S, 1)
-            spread = np.maximum(1.0 + change * values[:, None], 1e-300)
-            scaled = widths[:, None] * np.log(precision[:, None] * np.square(SIZES))
-            volumes = volume + np.sum(np.log(spread), axis=2) + scaled
-            rest = np.maximum(left + np.sum(change / spread * parts[:, None], axis=2), LEAST * self.squares + 1e-300)
-            profiles = -0.5 * volumes - 0.5 * self.freedom * np.log(rest / self.squares)
-            profiles[~allowed] = -np.inf
-            there = values > 0.0
-            shrunk = np.sum(np.log(np.where(there, values * precision[:, None], 1.0)), axis=1)
-            bare = left + np.sum(parts / np.where(there, values, 1.0), axis=1)
-            without = -0.5 * (volume + shrunk) - 0.5 * self.freedom * np.log(bare / self.squares)
-            best, now = np.unravel_index(np.argmax(profiles), profiles.shape), profiles[0, at[0]]
-            if not profiles[best] > now + ROUNDING or (tried := tuple(at.tolist())) in seen:
-                break  # a rise that rounding made up, where a set explains all but the last digits, returns
-            seen.add(tried)
-            at[best[0]] = best[1]
-        around = logsumexp(profiles, axis=1) - now - np.log(limits)  # (M,) of each block, the others as they are
-        ratio = float(now + np.sum(around)) + self._signed(blocks, at.tolist())
-        return Likeliest(tuple(at.tolist()), ratio, without - now - around)
-
-    def _signed(self, blocks: Sequence[int], at: Sequence[int]) -> float:
-        """Log of the factor by which signs that physics allows make the set likelier."""
-        if not self.signs[list(blocks)].any():
-            return 0.0
-        mean, covariance = self.estimates(blocks, SIZES[list(at)])
-        signed = np.repeat(self.signs[list(blocks)], self.widths[list(blocks)])
-        deviations = mean[signed] / np.sqrt(np.maximum(np.diag(covariance)[signed], 1e-300))
-        return float(np.sum(np.log(2.0) + log_ndtr(deviations)))
-
-    def ratio(self, blocks: Sequence[int], sizes: Array) -> float:
-        """Log likelihood ratio of a set with sizes against nothing missing, signs left out."""
-        places, scales, inner = self._scaled(blocks, sizes)
-        scores = scales * self.right[places]
-        rest = self._rest(float(scores @ np.linalg.solve(inner, scores)))
-        return float(-0.5 * np.linalg.slogdet(inner)[1] - 0.5 * self.freedom * np.log(rest / max(self.squares, 1e-300)))
-
-    def estimates(self, blocks: Sequence[int], sizes: Array) -> tuple[Array, Array]:
-        """(k,) posterior mean and (k, k) covariance of the coefficients of a set's columns."""
-        places, scales, inner = self._scaled(blocks, sizes)
-        inverse = scales[:, None] * np.linalg.inv(inner) * scales
-        mean = inverse @ self.right[places]
-        return mean, inverse * (self._rest(float(mean @ self.right[places])) / max(self.freedom, 1))

@@ -12,12 +12,11 @@ from scipy.special import logsumexp
 from identification.arrays import Array
 from identification.estimation.outlying import together
 from identification.gap.blocks import Block, Linearized, linearized
-from identification.gap.evidence import ROUNDING
-from identification.gap.fits.fit import Fit, fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.evidence import State
+from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet
 from identification.gap.scatter import NoiseModel, log_likelihood, noises
-from identification.gap.search import Search, Weighed
+from identification.gap.search import ROUNDING, Moments, Search, Walked, Weighed
 from identification.gap.waves import with_further_orders
 from identification.progress import Tell, say_nothing
 
@@ -27,6 +26,7 @@ PASSES = 4  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
 UNLIKELY = 3.0  # log odds below the best, of a noise model that is not searched
 STRIKING = 3.0  # robust standard deviations of a row that may be outlying
+WRITTEN = 0.05  # probability of a block that is part of the model that is written
 MOST_WRONG = 30  # effort: rows that may be
 
 
@@ -66,8 +66,10 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Posterior:
-    """explanations : likeliest first, with sum 1;  noises, problems : searched, with the blocks that are not negligible
+    """explanations : likeliest first, with sum 1
+    noises, problems, moments : searched, with the blocks that are not negligible, and what the walk among these drew
     whole : problem of the likeliest noise, with all blocks;  at : fit where it is linearized
+    given_file : the posterior if nothing is missing but what an arm file can have; None where that is the same
     """
 
     explanations: tuple[Explanation, ...]
@@ -77,11 +79,25 @@ class Posterior:
     library: HypothesisSet
     rows: Rows
     at: Fit
+    moments: tuple[tuple[Moments, Moments], ...] = ()
+    given_file: Posterior | None = None
 
     @property
     def best(self) -> Explanation:
         """The likeliest."""
         return self.explanations[0]
+
+    @property
+    def writable(self) -> Posterior:
+        """The posterior if nothing is missing but what an arm file can have."""
+        return self.given_file or self
+
+    @property
+    def noise_variance(self) -> float:
+        """Expected variance of a whitened coordinate's noise [mm^2]."""
+        shares = [sum(e.probability for e in self.explanations if e.noise == k) for k in range(len(self.noises))]
+        both = [(sum(m.variance for m in pair), sum(m.count for m in pair)) for pair in self.moments]
+        return sum(share * variance / max(count, 1) for share, (variance, count) in zip(shares, both, strict=True))
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -103,7 +119,7 @@ class Climbed(NamedTuple):
     wrong: list[int]
     problem: Linearized
     search: Search
-    top: Weighed
+    top: State
     scores: Array
     offset: Array
 
@@ -157,13 +173,17 @@ def _climbed(library: HypothesisSet, rows: Rows, tell: Tell) -> Climbed:
 def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
     """The set of a sample, with the blocks and noises that are not unlikely there, in the problem of all rows."""
     tell("all rows")
-    labels = frozenset(sample.problem.blocks[b].label for b in sample.search.near(sample.top))
+    near = {sample.problem.blocks[b].label for b in sample.search.near(sample.top)}
+    if not all(_holds(sample.problem.blocks[b]) for b in sample.top.blocks):
+        alone = _writable(sample)
+        near |= {alone.problem.blocks[b].label for b in alone.search.near(alone.top)}
+    labels = frozenset(near)
     least = sample.scores.max() - UNLIKELY
-    names = {n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least}
+    chosen = sample.every[sample.noise]
+    names = {chosen.name, *(n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least)}
     library = replace(sample.library, members=tuple(h for h in sample.library.members if h.label in labels))
     at = fit(sample.at.model, rows, sample.at.by_name)
     every = [n for n in noises(rows, at) if n.name in names]
-    chosen = sample.every[sample.noise]
     number = next(k for k, n in enumerate(every) if (n.name, n.size) == (chosen.name, chosen.size))
     wrong = _striking(rows, at)
     problem = linearized(library, at, every[number].rows, wrong, labels)
@@ -172,11 +192,14 @@ def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
     return _with_noises(library, at, every, number, wrong, problem, search, top)
 
 
-def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> Weighed:
+def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> State:
     """A set, as far as another problem has its blocks."""
-    sizes = zip(climbed.labels, climbed.top.sizes, strict=True)
-    inside = {problem.numbers[label]: size for label, size in sizes if label in problem.numbers}
-    return search.weigh(tuple(sorted(inside)), tuple(inside[b] for b in sorted(inside)))
+    inside = [
+        (problem.numbers[label], size)
+        for label, (_, size) in zip(climbed.labels, climbed.top.key, strict=True)
+        if label in problem.numbers
+    ]
+    return search.products.state(inside)
 
 
 def _with_noises(
@@ -187,18 +210,18 @@ def _with_noises(
     wrong: list[int],
     problem: Linearized,
     search: Search,
-    top: Weighed,
+    top: State,
 ) -> Climbed:
     """A set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and with
     the outlying rows of the set alone, which noise of another kind may need, too."""
     first, there = _likelihoods(library, every, at, problem, top)
     prior = np.array([n.prior for n in every])
     offset = first - first[number] + prior
-    scores = np.maximum(offset, there - there[number] + top.log_odds + prior)
-    if outlying := [k for k, b in enumerate(top.blocks) if problem.blocks[b].row]:
-        rows_only = search.weigh(tuple(top.blocks[k] for k in outlying), tuple(top.sizes[k] for k in outlying))
+    scores = np.maximum(offset, there - there[number] + search.log_odds(top) + prior)
+    if outlying := [(b, size) for b, size in top.key if problem.blocks[b].row]:
+        rows_only = search.products.state(outlying)
         there = _likelihoods(library, every, at, problem, rows_only)[1]
-        scores = np.maximum(scores, there - there[number] + rows_only.log_odds + prior)
+        scores = np.maximum(scores, there - there[number] + search.log_odds(rows_only) + prior)
     return Climbed(library, at, every, number, wrong, problem, search, top, scores, offset)
 
 
@@ -206,6 +229,20 @@ def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
     """Effects of the library in the set."""
     blocks = (climbed.problem.blocks[b] for b in climbed.top.blocks)
     return tuple(b.member for b in blocks if b.member is not None)
+
+
+def _writable(climbed: Climbed) -> Climbed:
+    """The likely set of what an arm file can have."""
+    problem = climbed.problem
+    alone = problem.of([k for k, block in enumerate(problem.blocks) if _holds(block)])
+    search = search_of(climbed.library, alone, climbed.search.total)
+    top = search.climb(tuple(sorted(alone.numbers[label] for label in climbed.labels if label in alone.numbers)))
+    return climbed._replace(problem=alone, search=search, top=top)
+
+
+def _holds(block: Block) -> bool:
+    """Whether an arm file can have a block, or its row be left out."""
+    return block.written or block.row or bool(block.parts)
 
 
 def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: Tell) -> Posterior:
@@ -217,30 +254,41 @@ def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: 
     for k in [climbed.noise, *order]:
         noise = climbed.every[k]
         tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
-        problem, top, search = climbed.problem, climbed.top, climbed.search
+        there = climbed
         if k != climbed.noise:
             problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong, labels)
             search = search_of(climbed.library, problem)
-            top = _same_set(climbed, problem, search)
-        near = search.near(top)
-        problem = problem.of(near)
-        place = {b: i for i, b in enumerate(near)}
-        inside_near = top._replace(blocks=tuple(place[b] for b in top.blocks))
-        total = float(np.sum(search.weights[search.counted]))
-        sets = search_of(climbed.library, problem, total).walk(inside_near, generator)
-        models.append((noise, problem, sets, float(climbed.offset[k])))
-    return _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
+            there = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
+        models.append((noise, *_near_walk(there, generator), float(climbed.offset[k])))
+    found = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
+    lacking = sum(one.probability for one in found.explanations if not all(map(_holds, one.blocks)))
+    if lacking < WRITTEN:
+        return found
+    alone = _writable(climbed)
+    tell("what an arm file can have")
+    model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
+    return replace(found, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
+
+
+def _near_walk(climbed: Climbed, generator: np.random.Generator) -> tuple[Linearized, Walked]:
+    """The problem with the blocks alone that are not negligible, and the walk there."""
+    search, near = climbed.search, climbed.search.near(climbed.top)
+    problem, place = climbed.problem.of(near), {b: i for i, b in enumerate(near)}
+    total = search.total or float(np.sum(search.weights[search.counted]))
+    walk = search_of(climbed.library, problem, total)
+    start = walk.products.state([(place[b], size) for b, size in climbed.top.key])
+    return problem, walk.walk(start, generator)
 
 
 def _mixture(
-    models: Sequence[tuple[NoiseModel, Linearized, list[Weighed], float]],
+    models: Sequence[tuple[NoiseModel, Linearized, Walked, float]],
     whole: Linearized,
     library: HypothesisSet,
     rows: Rows,
     at: Fit,
 ) -> Posterior:
     """All explanations of all noise models, with their log prior odds and likelihoods, together."""
-    listed = [(number, one) for number, (_, _, sets, _) in enumerate(models) for one in sets]
+    listed = [(number, one) for number, (_, _, walked, _) in enumerate(models) for one in walked.sets]
     odds = np.array([models[number][3] + one.log_odds for number, one in listed])
     probabilities = np.exp(odds - logsumexp(odds))
     order = np.argsort(-np.round(probabilities, 9), kind="stable")
@@ -250,15 +298,8 @@ def _mixture(
         blocks = tuple(models[number][1].blocks[b] for b in one.blocks)
         explanations.append(Explanation(blocks, number, one, float(probabilities[k])))
     noises_, problems = tuple(m[0] for m in models), tuple(m[1] for m in models)
-    return Posterior(tuple(explanations), noises_, problems, whole, library, rows, at)
-
-
-def refit(found: Posterior, one: Explanation) -> Fit:
-    """The nonlinear fit of one explanation's effects, to the rows that it takes for right, with its noise."""
-    kept = np.ones(len(found.rows), dtype=bool)
-    kept[list(one.wrong)] = False
-    rows = found.noises[one.noise].rows.pick(kept)
-    return fit(found.library.model(one.effects), rows, found.at.by_name)
+    moments = tuple(m[2].moments for m in models)
+    return Posterior(tuple(explanations), noises_, problems, whole, library, rows, at, moments)
 
 
 def search_of(library: HypothesisSet, problem: Linearized, total: float | None = None) -> Search:
@@ -285,7 +326,7 @@ def _striking(rows: Rows, at: Fit) -> list[int]:
 
 
 def _likelihoods(
-    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, best: Weighed
+    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, best: State
 ) -> tuple[Array, Array]:
     """(K,) log likelihood of each noise, with nothing missing, and with the best set."""
     rows = every[0].rows

@@ -7,35 +7,24 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from identification.arm import Arm, Calibration
-from identification.arrays import Array
+from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
-from identification.gap import notebook, summary
-from identification.gap.candidate import Candidate
-from identification.gap.confirmation.confirmation import Confirmation
-from identification.gap.confirmation.holdout import Gap
-from identification.gap.confirmation.offered import Offered
-from identification.gap.curves.curve import Curve
-from identification.gap.hypotheses.detectability import Detectability, Size
-from identification.gap.noise.misfit import Misfit
-from identification.gap.order_range import OrderRange
+from identification.gap import words
+from identification.gap.candidate import Candidate, Trial
+from identification.gap.confirmation import Confirmation, Gap, Offered
+from identification.gap.curve import Curve
+from identification.gap.detectability import Detectability, OrderRange, Size
+from identification.gap.noise import Misfit
+from identification.gap.replication import Replication
 from identification.gap.scatter import Finding
-from identification.gap.sessions.replication import Replication
 from identification.gap.verdict import Probabilities
+from identification.measurements import Measurements
+from identification.model import Model
 from identification.model.minimal import placed_calibration
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One effect alone against the base model: F statistic and its p-value, 1 less the probability that it is missing,
-    and -2 log posterior odds against nothing."""
-
-    effect: str
-    f: float
-    p: float
-    p_adjusted: float
-    delta_bic: float
 
 
 @dataclass(frozen=True)
@@ -48,6 +37,20 @@ class Residuals:
     positions: Array
     conditions: Conditions
 
+    @classmethod
+    def of(cls, arm: Arm, measurements: Measurements, before: Array, after: Array) -> Residuals:
+        """Against the angle of each joint, time, and torque and temperature where they are known."""
+        conditions, m = measurements.conditions, len(measurements)
+        against: dict[str, Array] = {f"joint {j + 1} [rad]": q for j, q in enumerate(measurements.postures.T)}
+        against["time"] = np.zeros(m) if conditions.time is None else conditions.time
+        if arm.gravity is not None:
+            torques = Model(arm).on_chain(lambda chain: chain.torques)(measurements.postures, conditions)
+            against |= {f"torque {j + 1} [N m]": torque for j, torque in enumerate(torques.T)}
+        if measurements.temperature is not None:
+            against["temperature [C]"] = measurements.temperature
+        shown = MappingProxyType({name: readonly(values) for name, values in against.items()})
+        return cls(readonly(before), readonly(after), shown, measurements.positions, conditions)
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -55,8 +58,7 @@ class Diagnosis:
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where, shape : place and best shape of an unknown effect
     candidates, named : ambiguity set, and best set of effects;  predicting : the posterior's average, or the geometry
-    alone
-        where that predicts other rows better;  aliases : triples (effect, effect like it, likeness)
+        alone where that predicts other rows better;  aliases : triples (effect, effect like it, likeness)
     scatter : significant properties of the noise;  outlier_rows : numbers of the rows left out, from 1
     unexplained_rows : of rows that the best set does not explain either, but that come together and stay in
     gap : RMS distances before and after;  sigma : noise of one coordinate estimated from the residuals [mm]
@@ -116,7 +118,7 @@ class Diagnosis:
     @property
     def sentence(self) -> str:
         """The verdict in one line."""
-        return summary.sentence(self)
+        return words.sentence(self)
 
     @property
     def probability(self) -> dict[str, float]:
@@ -131,10 +133,7 @@ class Diagnosis:
     @property
     def likely(self) -> str:
         """The probabilities in one line, including `other_sets`."""
-        other = ", ".join(f"{name} {p:.2f}" for name, p in self.other_sets.items())
-        short = {c.title: "what is named" for c in self.candidates[:1] if len(c.title) > summary.SHORT}
-        text = ", ".join(f"{short.get(name, name)} {p:.2f}" for name, p in self.probability.items() if p >= 0.005)
-        return f"probability{summary.among(self)}: {text}" + (f" (of that {other})" if other else "")
+        return words.likely(self)
 
     @property
     def other_sets(self) -> dict[str, float]:
@@ -205,23 +204,23 @@ class Diagnosis:
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
             "where": self.where,
             "shape": self.shape,
-            "shapes": [shape.to_json() for shape in self.shapes],
+            "shapes": [shape._asdict() for shape in self.shapes],
             "replication": [effect.to_json() for effect in self.replication],
             "curves": [curve.to_json() for curve in self.curves],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
             "outlier_rows": list(self.outlier_rows),
             "unexplained_rows": list(self.unexplained_rows),
-            "excluded": {name: vars(size) for name, size in self.excluded.items()},
+            "excluded": {name: size._asdict() for name, size in self.excluded.items()},
             "gap": self.gap.to_json(),
             "confirmed": self.confirmed,
             "offered": None if self.offered is None else self.offered.to_json(),
             "confirmation": None if self.confirmation is None else self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
-            "misfit": None if self.misfit is None else self.misfit.to_json(),
+            "misfit": None if self.misfit is None else self.misfit._asdict(),
             "rows": len(self.residuals.before),
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
-            "trials": [vars(t) for t in self.trials],
+            "trials": [trial._asdict() for trial in self.trials],
             "predicting": [spec.key for spec in self.predicting.specs],
             "notes": list(self.notes),
         }
@@ -229,12 +228,12 @@ class Diagnosis:
     def to_frame(self, kind: str = "polars") -> Any:
         """Data frame with a row for each parameter of each candidate;  kind : `polars` or `pandas`."""
         sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
-        return frame_of_rows([{**said, **vars(p)} for said, parameters in sets for p in parameters], kind)
+        return frame_of_rows([{**said, **p._asdict()} for said, parameters in sets for p in parameters], kind)
 
     def __str__(self) -> str:
-        return summary.text(self)
+        return words.text(self)
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return notebook.html(self)
+        return words.html(self)

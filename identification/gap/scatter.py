@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.arrays import Array
-from identification.gap.fits.fit import Fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Fit, Rows
 
 # reasons: identification/README.md, "Constants"
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white

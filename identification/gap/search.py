@@ -5,10 +5,11 @@ two, but where many are seen further ones are expected (a beta mixture of binomi
 are has a probability in proportion to their weights. An outlying row does not count as a block: each is outlying with
 the odds `WRONG`; nor does the rest of the library, which is there with the odds `REST_ODDS`.
 
-A step of the walk takes a block x, or nothing, out of a set A of k blocks, each with probability 1 / (k + 1), and draws
-x again, size included, with odds in proportion to p(A' + x) / (|A' + x| + 1), A' = A - x. This is a Gibbs step of
-the joint distribution of A and x, so that A is drawn from its posterior; what is counted is not the draw but the
-probabilities it was drawn with (A. E. Gelfand, A. F. M. Smith, 1990, "Rao-Blackwellization").
+A step takes a block x, or nothing, out of a set A of k blocks and puts one back, size included, or none. The climb
+takes the likeliest, as long as that is likelier. The walk takes each out with probability 1 / (k + 1) and draws with
+odds in proportion to p(A' + x) / (|A' + x| + 1), A' = A - x: a Gibbs step of the joint distribution of A and x, so that
+A is drawn from its posterior; what is counted is not the draw but the probabilities it was drawn with (A. E. Gelfand,
+A. F. M. Smith, 1990, "Rao-Blackwellization").
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, zeta
 
 from identification.arrays import Array
-from identification.gap.evidence import ROUNDING, SIZES, Products
+from identification.gap.evidence import SIZES, Products, State
 
 # reasons: identification/README.md, "Constants"
 SOME = 1.0  # prior odds of something missing to nothing
@@ -34,18 +35,56 @@ WRONG = 0.0005  # prior odds of a row to be outlying
 REST_ODDS = 0.1  # prior odds of the rest of the library
 NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
 MOVES = 1000  # effort: of the walk
-PAIRS, TRIED = 10, 3  # effort: of the climb, blocks that are tried in pairs, and exchanges at each step
+ROUNDS = 10  # effort: of the climb
+PAIRS = 10  # effort: of the climb, blocks that are tried in pairs
 LEAST = 1e-5  # probability of a set that is kept
+ROUNDING = 1e-6  # of a log likelihood
 
 Set = tuple[int, ...]
+Key = tuple[tuple[int, int], ...]  # blocks with their sizes, ascending
 
 
 class Weighed(NamedTuple):
-    """A set of blocks (ascending numbers) with the numbers of its sizes and its log posterior odds against nothing."""
+    """A set of blocks (ascending numbers) with the numbers of its likeliest sizes and its log posterior odds against
+    nothing."""
 
     blocks: Set
     sizes: tuple[int, ...]
     log_odds: float
+
+
+class Moments:
+    """Means over draws from the posterior, of P coefficients that are zero where their block is not in the set.
+
+    count : of draws;  first, second : (P,) and (P, P) sums of the coefficients and of their products
+    variance : sum of the noise's variances;  effective : sum of the numbers of parameters
+    """
+
+    def __init__(self, products: Products) -> None:
+        size = int(products.starts[-1])
+        self.count, self.variance, self.effective = 0, 0.0, 0.0
+        self.first, self.second = np.zeros(size), np.zeros((size, size))
+        self._products = products
+
+    def add(self, state: State, count: int = 1) -> None:
+        """One draw of a set with its sizes, its coefficients averaged over."""
+        variance = state.squares / max(self._products.freedom, 1)
+        of_each = np.repeat(
+            [SIZES[size] ** 2 for _, size in state.order], self._products.widths[[block for block, _ in state.order]]
+        )
+        self.count += count
+        self.variance += count * variance
+        self.effective += count * float(np.sum(1.0 - np.diag(state.covariance) / of_each))
+        self.first[state.places] += count * state.mean
+        products = variance * state.covariance + np.outer(state.mean, state.mean)
+        self.second[np.ix_(state.places, state.places)] += count * products
+
+
+class Walked(NamedTuple):
+    """The sets that matter, likeliest first, and the moments of draws without and with the rest of the library."""
+
+    sets: list[Weighed]
+    moments: tuple[Moments, Moments]
 
 
 @dataclass(eq=False)
@@ -56,6 +95,7 @@ class Search:
     rest : numbers of blocks that explain a part of many others: the climb starts without them
     apart : pairs of blocks of which one contains the other
     needy : blocks that show only through one of the `givers`, beside which alone they may be
+    total : weight of all blocks, where these are some of them
     """
 
     products: Products
@@ -65,10 +105,8 @@ class Search:
     apart: frozenset[tuple[int, int]] = frozenset()
     needy: frozenset[int] = frozenset()
     givers: frozenset[int] = frozenset()
-    total: float | None = None  # weight of all blocks, where these are some of them
-    weighed: dict[Set, Weighed] = field(default_factory=dict)
-    _fewer: dict[Set, Array] = field(default_factory=dict)
-    _each: dict[tuple[Set, tuple[int, ...]], Array] = field(default_factory=dict)
+    total: float | None = None
+    _tables: dict[tuple[Key, frozenset[int]], Array] = field(default_factory=dict)
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:
@@ -93,144 +131,115 @@ class Search:
         count = int(np.sum(self.counted[list(blocks)]))
         return log_odds_of_count(count) + float(np.sum(self._log_weights[list(blocks)]))
 
-    def climb(self, start: Set = ()) -> Weighed:
-        """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
-        nothing = self.weigh((), ())
-        tops = [nothing, self._up(self.weigh(start, (2,) * len(start)), self.rest)]
-        for single in self._longer(nothing, PAIRS):  # two that hide each other are seen together
-            self.weigh(single.blocks, single.sizes)
-            tops += [self.weigh(o.blocks, o.sizes) for o in self._longer(single, 1)]
-        return self._up(self._up(min(tops, key=_likeliest_first), self.rest), exchange=True)
+    def log_odds(self, state: State) -> float:
+        """Log posterior odds of a set with its sizes against nothing missing."""
+        of_sizes = -float(np.sum(np.log(self.products.limits[list(state.blocks)])))
+        return self.products.ratio(state) + self.products.signed(state) + self.log_prior(state.blocks) + of_sizes
 
-    def near(self, top: Weighed) -> list[int]:
+    def climb(self, start: Set = ()) -> State:
+        """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
+        nothing = self.products.nothing
+        tops = [nothing, self._up(self.products.state([(block, 2) for block in start]), self.rest)]
+        table = self._each(nothing)
+        for block in np.argsort(-np.round(logsumexp(table, axis=1), 9), kind="stable")[:PAIRS].tolist():
+            if np.isfinite(table[block]).any():  # two that hide each other are seen together
+                single = self.products.with_block(nothing, block, int(np.argmax(table[block])))
+                pair = self._put(single, self._each(single))
+                tops += [single, self._up(pair, frozenset(range(len(table))) - set(pair.blocks))]  # its sizes alone
+        return self._up(self._up(max(tops, key=lambda one: round(self.log_odds(one), 9)), self.rest))
+
+    def _up(self, state: State, barred: frozenset[int] = frozenset()) -> State:
+        """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each;
+        and so on, round after round, until nothing changes;  barred : blocks that are not added"""
+        for _ in range(ROUNDS):
+            before = state.key
+            for block in (-1, *state.blocks):
+                if block in state.blocks:
+                    fewer = self.products.without(state, block)
+                    table = self._each(fewer, barred - {block})
+                    nothing = np.isfinite(self.log_prior(fewer.blocks)) and np.max(logsumexp(table, axis=1)) <= 0.0
+                    state = fewer if nothing else self._put(fewer, table, block)
+                while np.max(logsumexp(table := self._each(state, barred), axis=1)) > ROUNDING:
+                    state = self._put(state, table)
+            if state.key == before:
+                break
+        return state
+
+    def _put(self, state: State, table: Array, first: int = -1) -> State:
+        """A set with the block that is likeliest in a table, at its likeliest size;  first : of those equally likely"""
+        odds = logsumexp(table, axis=1)
+        if not np.isfinite(np.max(odds, initial=-np.inf)):
+            return state
+        best = first if first >= 0 and odds[first] >= np.max(odds) - ROUNDING else int(np.argmax(np.round(odds, 9)))
+        return self.products.with_block(state, best, int(np.argmax(np.round(table[best], 9))))
+
+    def near(self, top: State) -> list[int]:
         """All blocks but those that are together negligible beside a set and in place of one of its blocks."""
-        odds = [
-            one.log_odds + _over_sizes(self._with_each(one)) for one in [self.weigh((), ()), top, *self._shorter(top)]
-        ]
-        shares = np.exp(np.minimum(np.max(odds, axis=0) - top.log_odds, 0.0))
+        best = self.log_odds(top)
+        states = [self.products.nothing, top, *(self.products.without(top, block) for block in top.blocks)]
+        odds = [self.log_odds(one) + logsumexp(self._each(one), axis=1) for one in states]
+        shares = np.exp(np.minimum(np.nan_to_num(np.max(odds, axis=0), nan=-np.inf) - best, 0.0))
         order = np.argsort(shares, kind="stable")
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
 
-    def walk(self, top: Weighed, generator: np.random.Generator) -> list[Weighed]:
-        """All sets that matter, likeliest first, their odds such that they share the posterior;  top : to start from"""
-        at = dict(zip(top.blocks, top.sizes, strict=True))
-        steps: dict[tuple[Set, tuple[int, ...]], tuple[Array, Array]] = {}
-        visits: Counter[tuple[Set, tuple[int, ...]]] = Counter()
+    def walk(self, top: State, generator: np.random.Generator) -> Walked:
+        """The posterior, from a set to start from."""
+        state, steps, odds = top, dict[Key, tuple[Array, Array]](), dict[Key, float]()
+        visits, moments = Counter[Key](), (Moments(self.products), Moments(self.products))
         for _ in range(MOVES):
-            taken = int(generator.integers(len(at) + 1))
-            if taken < len(at):
-                del at[sorted(at)[taken]]
-            blocks = tuple(sorted(at))
-            there = blocks, tuple(at[b] for b in blocks)
-            visits[there] += 1
-            if there not in steps:
-                odds = self._with_each(Weighed(*there, 0.0)) - np.log(len(at) + 2)
-                stay = -np.log(len(at) + 1) if np.isfinite(self.log_prior(blocks)) else -np.inf
-                every = np.append(odds.ravel(), stay)
+            taken = int(generator.integers(len(state.order) + 1))
+            fewer = self.products.without(state, state.blocks[taken]) if taken < len(state.order) else state
+            visits[fewer.key] += 1
+            if fewer.key not in steps:
+                each = self._each(fewer) - np.log(len(fewer.order) + 2)
+                stay = -np.log(len(fewer.order) + 1) if np.isfinite(self.log_prior(fewer.blocks)) else -np.inf
+                every = np.append(each.ravel(), stay)
                 shares = np.exp(every - logsumexp(every))
-                steps[there] = shares, np.cumsum(shares)
-            drawn = int(np.searchsorted(steps[there][1], generator.random() * steps[there][1][-1], side="right"))
-            if drawn < len(self.weights) * len(SIZES):
-                at[drawn // len(SIZES)] = drawn % len(SIZES)
-        return self._counted_up(visits, {there: shares for there, (shares, _) in steps.items()})
+                steps[fewer.key] = shares, np.cumsum(shares)
+            total = steps[fewer.key][1]
+            drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
+            inside = drawn < len(self.weights) * len(SIZES)
+            state = self.products.with_block(fewer, *divmod(drawn, len(SIZES))) if inside else fewer
+            if state.key not in odds:
+                odds[state.key] = self.log_odds(state)
+            moments[not self.rest.isdisjoint(state.blocks)].add(state)
+        return Walked(self._counted_up(visits, {key: shares for key, (shares, _) in steps.items()}, odds), moments)
 
-    def _counted_up(
-        self, visits: Counter[tuple[Set, tuple[int, ...]]], steps: dict[tuple[Set, tuple[int, ...]], Array]
-    ) -> list[Weighed]:
-        """The sets, from the probabilities with which each was drawn."""
-        total: defaultdict[Set, float] = defaultdict(float)
-        most: dict[Set, tuple[float, tuple[int, ...]]] = {}
+    def _counted_up(self, visits: Counter[Key], steps: dict[Key, Array], odds: dict[Key, float]) -> list[Weighed]:
+        """The sets, from the probabilities with which each was drawn;  odds : log odds of those that were"""
+        total: defaultdict[Key, float] = defaultdict(float)
+        for key, count in visits.items():
+            shares = steps[key] * (count / MOVES)
+            total[key] += float(shares[-1])
+            for k in np.flatnonzero(shares[:-1] > 0.1 * LEAST).tolist():
+                total[tuple(sorted((*key, divmod(k, len(SIZES)))))] += float(shares[k])
+        # the draws have these odds together, and this share of the probability
+        evidence = float(logsumexp(list(odds.values())) - np.log(sum(total[key] for key in odds)))
+        of_set: defaultdict[Set, float] = defaultdict(float)
+        likeliest: dict[Set, Key] = {}
+        for key, share in sorted(total.items(), key=lambda item: (-item[1], item[0])):
+            blocks = tuple(b for b, _ in key)
+            of_set[blocks] += share
+            likeliest.setdefault(blocks, key)
+        order = sorted((-share, blocks) for blocks, share in of_set.items() if share > LEAST)
+        sizes = {blocks: tuple(size for _, size in likeliest[blocks]) for _, blocks in order}
+        return [Weighed(blocks, sizes[blocks], float(np.log(-negative)) + evidence) for negative, blocks in order]
 
-        def add(blocks: Set, sizes: tuple[int, ...], share: float) -> None:
-            total[blocks] += share
-            if blocks not in most or share > most[blocks][0]:
-                most[blocks] = share, sizes
-
-        for (blocks, sizes), count in visits.items():
-            shares = steps[blocks, sizes] * (count / MOVES)
-            add(blocks, sizes, float(shares[-1]))
-            table = shares[:-1].reshape(-1, len(SIZES))
-            each = table.sum(axis=1)
-            for b in np.flatnonzero(each > 0.1 * LEAST).tolist():
-                new = dict(zip(blocks, sizes, strict=True)) | {b: int(np.argmax(table[b]))}
-                add(tuple(sorted(new)), tuple(new[k] for k in sorted(new)), float(each[b]))
-        sets = sorted((-share, blocks) for blocks, share in total.items() if share > LEAST)
-        best = self.weigh(sets[0][1], most[sets[0][1]][1])
-        evidence = best.log_odds - np.log(-sets[0][0])  # of all sets together
-        return [Weighed(blocks, most[blocks][1], float(np.log(-share)) + evidence) for share, blocks in sets]
-
-    def weigh(self, blocks: Set, sizes: tuple[int, ...]) -> Weighed:
-        """A set with its likeliest sizes and its odds;  sizes : to start from"""
-        if blocks not in self.weighed:
-            at, ratio, self._fewer[blocks] = self.products.likeliest(blocks, sizes)
-            self.weighed[blocks] = Weighed(blocks, at, ratio + self.log_prior(blocks))
-        return self.weighed[blocks]
-
-    def _up(self, current: Weighed, barred: frozenset[int] = frozenset(), exchange: bool = False) -> Weighed:
-        """Add, drop or exchange the best block as long as the set gets likelier;  barred : blocks that are not added"""
-        while True:
-            shorter = self._shorter(current)
-            best = self._best([*self._longer(current, 1, barred), *shorter[:1]], current)
-            if best is current and exchange:
-                exchanged = [new for one in shorter for new in self._longer(one, 1, barred)]
-                best = self._best(sorted(exchanged, key=_likeliest_first)[:TRIED], current)
-            if best is current:
-                return current
-            current = best
-
-    def _best(self, options: Sequence[Weighed], current: Weighed) -> Weighed:
-        """The likeliest of some sets, weighed exactly, or the current one if none is likelier."""
-        best = min((self.weigh(o.blocks, o.sizes) for o in options), key=_likeliest_first, default=current)
-        return best if best.log_odds > current.log_odds + ROUNDING else current
-
-    def _shorter(self, one: Weighed) -> list[Weighed]:
-        """The set without each of its blocks, where that may be, likeliest first."""
-        fewer = self._fewer[self.weigh(one.blocks, one.sizes).blocks]
-        shorter = []
-        for k, change in enumerate(fewer.tolist()):
-            blocks, sizes = one.blocks[:k] + one.blocks[k + 1 :], one.sizes[:k] + one.sizes[k + 1 :]
-            prior = self.log_prior(blocks) - self.log_prior(one.blocks)
-            shorter.append(Weighed(blocks, sizes, one.log_odds + change + prior))
-        return sorted((o for o in shorter if np.isfinite(o.log_odds)), key=_likeliest_first)
-
-    def _longer(self, one: Weighed, count: int, barred: frozenset[int] = frozenset()) -> list[Weighed]:
-        """The set with each of the further blocks that make it likeliest, likeliest first."""
-        table = self._with_each(one)
-        odds = _over_sizes(table)
-        odds[list(barred)] = -np.inf
-        longer = []
-        for b in np.argsort(-np.round(odds, 9), kind="stable")[:count].tolist():
-            if np.isfinite(odds[b]):
-                new = dict(zip(one.blocks, one.sizes, strict=True)) | {b: int(np.argmax(table[b]))}
-                blocks = tuple(sorted(new))
-                longer.append(Weighed(blocks, tuple(new[k] for k in blocks), one.log_odds + float(odds[b])))
-        return longer
-
-    def _with_each(self, one: Weighed) -> Array:
+    def _each(self, state: State, barred: frozenset[int] = frozenset()) -> Array:
         """(B, S) log odds of the set with each further block in each size against the set; -inf where it may not be."""
-        if (key := (one.blocks, one.sizes)) not in self._each:
-            chosen, own = set(one.blocks), list(one.blocks)
-            count = int(np.sum(self.counted[own]))
+        if (state.key, barred) not in self._tables:
+            chosen, inside = set(state.blocks), list(state.blocks)
+            count = int(np.sum(self.counted[inside]))
             step = np.where(self.counted, log_odds_of_count(count + 1) - log_odds_of_count(count), 0.0)
             prior = step + self._log_weights - np.log(self.products.limits)
-            prior[own] = -np.inf
             prior[[b for a, b in self.apart if a in chosen] + [a for a, b in self.apart if b in chosen]] = -np.inf
             if not chosen & self.givers:
                 others = set(range(len(prior))) - self.givers if chosen & self.needy else self.needy
                 prior[list(others)] = -np.inf
-            self._each[key] = self.products.added(self.products.left(own, SIZES[list(one.sizes)])) + prior[:, None]
-        return self._each[key]
+            self._tables[state.key, barred] = self.products.added(state, barred) + prior[:, None]
+        return self._tables[state.key, barred]
 
 
 def log_odds_of_count(count: int) -> float:
     """log p(K) / p(0), times the K! orders in which the same blocks can be drawn."""
     return float(np.log(SOME / zeta(TAIL)) - TAIL * np.log(count)) + lgamma(count + 1) if count else 0.0
-
-
-def _over_sizes(table: Array) -> Array:
-    """(B,) log odds of blocks from those of their sizes (B, S)."""
-    return np.asarray(logsumexp(table, axis=1))
-
-
-def _likeliest_first(one: Weighed) -> tuple[float, Set]:
-    return -round(one.log_odds, 9), one.blocks

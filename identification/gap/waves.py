@@ -15,8 +15,7 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.effects import build
-from identification.gap.fits.fit import Fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Fit, Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, untested_joints
 from identification.information import column_space
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from identification.estimation import Identification, estimate
 from identification.estimation.with_prior import UNUSUAL
-from identification.gap.noise.repeats import NoiseFloor
-from identification.gap.summary import of_joints
+from identification.gap.noise import NoiseFloor
+from identification.gap.words import of_joints
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, Parameter
 from identification.measurements import POINT, Measurements
 

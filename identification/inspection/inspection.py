@@ -24,7 +24,7 @@ from identification.estimation.plausibility import (
     outside_limits,
 )
 from identification.estimation.shown import MISFIT
-from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor, noise_floor, with_repeats_doubted
+from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.data_checks import data_warnings, gap_notes, wrong_units
 from identification.inspection.enough import Sufficiency, sufficiency
 from identification.inspection.readings import (
@@ -242,7 +242,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     fit = None if other_units else _fit(arm, measurements)
     # without a fit nothing says what small differences of the repeats' angles do
     every = np.ones(len(measurements), dtype=bool)
-    floor = NOTHING_KNOWN if fit is None else noise_floor(fit.residuals_after, measurements, every, None)
+    floor = NoiseFloor() if fit is None else noise_floor(fit.residuals_after, measurements, every, None)
     asked, by_command = measurements.commanded, None
     if asked is not None and not other_units and not np.array_equal(asked, measurements.postures):
         by_command = _fit(arm, replace(measurements, postures=asked, commanded=None))

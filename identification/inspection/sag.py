@@ -16,8 +16,7 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.left_out import left_out_residuals
-from identification.gap.confirmation.confirmation import mean_of
-from identification.gap.confirmation.holdout import groups_of
+from identification.gap.confirmation import gained_squares
 from identification.measurements import Measurements, distances
 from identification.model import Model
 from identification.sessions import with_sessions
@@ -107,7 +106,6 @@ def sag(arm: Arm, measurements: Measurements, fit: Identification, masses: Seque
     if len(distances_left) < len(left):
         return None
     before, after = distances_left
-    gained = mean_of(before**2 - after**2, groups_of(measurements, np.ones(len(before), dtype=bool)))
     return Sag(
         masses=tuple(kilograms.tolist()),
         given=masses is not None,
@@ -116,5 +114,5 @@ def sag(arm: Arm, measurements: Measurements, fit: Identification, masses: Seque
         rms_after=float(np.sqrt(np.mean(after**2))),
         max_before=float(before.max()),
         max_after=float(after.max()),
-        p_value=gained.p_above(),
+        p_value=gained_squares(before, after, measurements).p_above(),
     )

@@ -9,7 +9,7 @@ from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.left_out import left_out_residuals
-from identification.gap.confirmation.offered import Offered
+from identification.gap.confirmation import Offered
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model

@@ -18,8 +18,7 @@ from identification.errors import InputError, nearest
 from identification.estimation import estimate
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
-from identification.gap.confirmation.confirmation import LEVEL, mean_of
-from identification.gap.confirmation.holdout import groups_of
+from identification.gap.confirmation import LEVEL, gained_squares
 from identification.html_tables import html_lines, html_table
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
@@ -285,12 +284,12 @@ def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Condition
 
 def _hardly_better(found: Validation) -> list[str]:
     """Where the squares saved are no more than groups of rows, by time or by region of posture, scatter by."""
-    after, before = (distances(residuals) ** 2 for residuals in (found.residuals, found.nominal_residuals))
-    gained = mean_of(before - after, groups_of(found.measurements, np.ones(len(after), dtype=bool)))
+    after, before = (distances(residuals) for residuals in (found.residuals, found.nominal_residuals))
+    gained = gained_squares(before, after, found.measurements)
     if gained.value <= 0.0 or gained.p_above() <= LEVEL / 2.0:
         return []
     share = (
-        f"{100.0 * np.sqrt(after.sum() / before.sum()):.0f} % of the RMS error of the drawing, refitted in the same way"
+        f"{100.0 * found.model.rms / found.nominal.rms:.0f} % of the RMS error of the drawing, refitted in the same way"
     )
     return [f"the model leaves {share}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"]
 

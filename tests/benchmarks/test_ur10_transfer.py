@@ -17,7 +17,7 @@ from identification.arm import Arm, EffectSpec
 from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
-from identification.gap.confirmation.holdout import split
+from identification.gap.confirmation import split
 from identification.gap.diagnose import diagnose
 from identification.gap.library.library_prior import given_by, library_prior
 from identification.measurements import Measurements

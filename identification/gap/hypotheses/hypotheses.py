@@ -19,14 +19,13 @@ from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
 from identification.effects.places import state_size
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows
 from identification.gap.hypotheses.columns import Bundle, bundles
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 UNSEEN = 1e-3  # share of the reach
-CHUNK = 2**20  # numbers worked on at once: eight megabytes
 KEPT = 128  # effort: models compiled, of some arms
 Slopes = list[Array | None]  # per bundle (m, K, Z), None where they depend on the fitted model
 
@@ -152,14 +151,6 @@ class HypothesisSet:
         """The part of the columns that does not depend on the fit, shared by all fits to the same rows."""
         state = np.zeros((len(rows), state_size(self.arm.links, self.arm.dimension)))
         return [b.slopes(rows.postures, rows.conditions, state) if b.fixed else None for b in self._bundles]
-
-    def matrix(self, rows: Rows, values: Mapping[str, float]) -> Array:
-        """(m d, C) `columns` of all members side by side, whitened; built in parts of about `CHUNK` numbers."""
-        stacked = np.empty((len(rows), rows.dimension, int(self.sizes.sum())))
-        step = max(CHUNK // max(stacked[0].size, 1), 1)
-        for part in (slice(k, k + step) for k in range(0, len(rows), step)):
-            stacked[part] = np.concatenate(self.columns(rows.pick(part), values), axis=2)
-        return rows.whiten(stacked)
 
     def columns(
         self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None

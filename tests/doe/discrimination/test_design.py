@@ -21,8 +21,7 @@ from doe.report import detectability_tables
 from doe.solvers import solve
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import CELLS, arm_of, truth_of
-from doe.studies.blind.hidden_effects import base_jacobian, column
-from doe.studies.blind.simulator import TrueArm, session
+from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.model import Model
@@ -87,7 +86,7 @@ def likeness_of_sag(truth: TrueArm, postures: np.ndarray) -> float:
     """Cosine, off the base model, between bending links and equally soft joints, by the simulator of the study."""
     run = session(truth, postures, np.random.default_rng(0))
     base = np.linalg.qr(base_jacobian(truth, run))[0]
-    sag = [("link_bending", None, {"f": 1.0}), ("joint_compliance", None, {"c": np.ones(truth.n)})]
+    sag = [("link_bending", None, {"flexibility": 1.0}), ("joint_compliance", None, {"c": np.ones(truth.n)})]
     one, two = (column(replace(truth, effects=[]), run, effect) for effect in sag)
     one, two = (values - base @ (base.T @ values) for values in (one, two))
     return float(one @ two / np.linalg.norm(one) / np.linalg.norm(two))

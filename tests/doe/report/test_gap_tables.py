@@ -28,7 +28,7 @@ RIPPLE = "transmission_ripple:2"
 
 def candidate(named: dict[str, EffectSpec], *parameters: str) -> Candidate:
     estimates = tuple(Estimate(name, "deg", 0.03, 0.01, 0.01, 0.05) for name in parameters)
-    return Candidate(tuple(named), tuple(named.values()), (), 0.0, 10.0, 0.001, estimates, NOTHING)
+    return Candidate(tuple(named), (), tuple(named.values()), NOTHING, estimates)
 
 
 def test_the_number_of_periods_is_part_of_the_name_of_the_effect() -> None:

@@ -10,8 +10,6 @@ from identification.errors import InputError
 from identification.estimation.methods import gauss_newton
 from identification.estimation.prior import Prior, effective_count
 from identification.estimation.problem import Problem
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
 from identification.information import covariance
 from identification.measurements import Measurements
 from identification.model import Model
@@ -56,18 +54,6 @@ def test_problem_with_a_prior_is_ridge_regression() -> None:
     assert jacobian.shape == (2 * M + 3, 6)
     np.testing.assert_allclose(covariance(jacobian, model.scales), posterior, rtol=1e-9, atol=1e-15)
     assert np.max(np.abs(gauss_newton(plain).parameters[0] - mean)) > 0.01  # it does something
-
-
-def test_fit_with_a_prior_is_ridge_regression() -> None:
-    model, columns = _linear_model()
-    measurements, beyond = _measured(columns)
-    found = fit(model, Rows.of(measurements), prior=Prior(DEVIATIONS), noise=SIGMA)
-    mean, posterior = _ridge(columns, beyond, SIGMA)
-    np.testing.assert_allclose(found.values, mean, rtol=1e-9, atol=1e-12)
-    trace = np.trace(columns @ posterior @ columns.T) / SIGMA**2
-    assert found.effective == pytest.approx(trace, rel=1e-9)
-    scale = np.sum((beyond - columns @ mean) ** 2) / (2 * M - trace) / SIGMA**2
-    np.testing.assert_allclose(found.covariance(), scale * posterior, rtol=1e-9, atol=1e-15)
 
 
 def test_effective_count_without_data_of_a_parameter() -> None:

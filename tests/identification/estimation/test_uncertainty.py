@@ -179,8 +179,8 @@ def test_lack_of_fit_is_the_f_test_of_the_analysis_of_variance() -> None:
     samples = [rng.standard_normal(size) + shift for size, shift in ((3, 0.0), (5, 0.6), (2, -0.4), (6, 0.1))]
     numbers = np.repeat(np.arange(4), [3, 5, 2, 6])
     rows, _ = fitted(np.ones((16, 1)), np.concatenate(samples), numbers)
-    assert lack_of_fit(rows) == pytest.approx(stats.f_oneway(*samples).pvalue)
-    assert lack_of_fit(replace(rows, repeats=np.arange(16))) == 1.0
+    assert lack_of_fit(rows.residual, numbers, 1.0) == pytest.approx([*stats.f_oneway(*samples)])
+    assert lack_of_fit(rows.residual, np.arange(16), 1.0) == (0.0, 1.0)
 
 
 def test_quantiles() -> None:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln
 from scipy.stats import norm
 
-from identification.gap.evidence import SIZES, Products
+from identification.gap.evidence import SIZES, Products, State
 
 N, WIDTHS = 30, (1, 2, 1, 3, 7)
 STARTS = np.concatenate([[0], np.cumsum(WIDTHS)])
+
+
+LIMITS = np.array([14, 14, 14, 14, 3])
 
 
 def problem(seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, Products]:
@@ -23,7 +26,7 @@ def problem(seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, Products
     q = np.linalg.qr(j)[0]
     left, rest = z - q @ (q.T @ z), y - q @ (q.T @ y)
     signs = np.array([True, False, False, False, False])
-    return j, z, y, Products(left, rest, N - 3, STARTS, signs, np.array([14, 14, 14, 14, 3]))
+    return j, z, y, Products.of(left, rest, N - 3, STARTS, signs, LIMITS)
 
 
 def off(j: np.ndarray, z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -50,43 +53,75 @@ def log_density(z: np.ndarray, y: np.ndarray, scales: np.ndarray) -> float:
 def test_the_ratio_is_that_of_densities_of_all_rows(blocks: tuple[int, ...]) -> None:
     j, z, y, products = problem()
     z, y = off(j, z, y)
-    sizes = np.array([3.0, 12.0, 6.0, 48.0, 24.0])[: len(blocks)]
+    pairs = [(b, size) for b, size in zip(blocks, (0, 2, 1, 4, 3), strict=False)]
     own = products.places(blocks)
-    scales = np.repeat(sizes, [WIDTHS[b] for b in blocks])
+    scales = np.repeat([SIZES[size] for _, size in pairs], [WIDTHS[b] for b in blocks])
     nothing = log_density(z[:, :0], y, np.zeros(0))
     expected = log_density(z[:, own], y, scales) - nothing
-    assert products.ratio(blocks, sizes) == pytest.approx(expected, abs=1e-7)
+    assert products.ratio(products.state(pairs)) == pytest.approx(expected, abs=1e-7)
     assert nothing == pytest.approx(gammaln(len(y) / 2) - np.log(2) - len(y) / 2 * np.log(0.5 * float(y @ y)), abs=1e-7)
 
 
 def test_a_block_added_to_a_set_is_the_larger_set() -> None:
     products = problem()[3]
-    for blocks, sizes in (((), ()), ((1,), (12.0,)), ((0, 3), (6.0, 24.0))):
-        added = products.added(products.left(blocks, np.array(sizes)))
-        there = products.ratio(blocks, np.array(sizes))
+    for pairs in ((), ((1, 2),), ((0, 1), (3, 3))):
+        state = products.state(pairs)
+        added, chosen = products.added(state), {block for block, _ in pairs}
         for b in range(1, len(WIDTHS)):  # the first has a sign: below
-            if b not in blocks:
-                whole = np.array([products.ratio((*blocks, b), np.array([*sizes, s])) for s in SIZES])
+            if b not in chosen:
+                whole = np.array([products.ratio(products.state((*pairs, (b, size)))) for size in range(len(SIZES))])
                 allowed = np.arange(len(SIZES)) < products.limits[b]
-                np.testing.assert_allclose(added[b], np.where(allowed, whole - there, -np.inf), atol=1e-9)
+                np.testing.assert_allclose(
+                    added[b], np.where(allowed, whole - products.ratio(state), -np.inf), atol=1e-8
+                )
+
+
+def same(one: State, other: State, products: Products) -> None:
+    """Two ways to one set: the order of its columns may differ."""
+    order, there = np.argsort(one.places), np.argsort(other.places)
+    assert one.key == other.key
+    np.testing.assert_allclose(one.mean[order], other.mean[there], atol=1e-9)
+    np.testing.assert_allclose(one.covariance[np.ix_(order, order)], other.covariance[np.ix_(there, there)], atol=1e-9)
+    np.testing.assert_allclose(one.shares[order], other.shares[there], atol=1e-9)
+    np.testing.assert_allclose(one.scores, other.scores, atol=1e-8)
+    for a, b in zip(one.within, other.within, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)
+    assert one.squares == pytest.approx(other.squares, rel=1e-9)
+    assert products.ratio(one) == pytest.approx(products.ratio(other), abs=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None:
+    products, rng = problem(seed)[3], np.random.default_rng(seed)
+    state = products.nothing
+    for _ in range(40):
+        block = int(rng.integers(len(WIDTHS)))
+        if block in state.blocks:
+            state = products.without(state, block)
+        else:
+            state = products.with_block(state, block, int(rng.integers(products.limits[block])))
+        same(state, products.state(state.key), products)
 
 
 def test_what_a_set_leaves_is_what_ridge_regression_leaves() -> None:
-    products = problem()[3]
-    blocks, sizes = (1, 4), np.array([12.0, 6.0])
-    own, scales = products.places(blocks), np.repeat(sizes, [2, 7])
-    z, left = products.columns[:, own], products.left(blocks, sizes)
-    inverse = np.linalg.inv(np.eye(N) + (z * scales**2) @ z.T)
-    assert left.squares == pytest.approx(products.target @ inverse @ products.target, rel=1e-10)
-    explained = products.columns.T @ (np.eye(N) - inverse) @ np.column_stack([products.columns, products.target])
-    np.testing.assert_allclose(left.rows.T @ np.column_stack([left.rows, left.scores]), explained, atol=1e-9)
+    j, z, y, products = problem()
+    q = np.linalg.qr(j)[0]
+    z, y = z - q @ (q.T @ z), y - q @ (q.T @ y)
+    state = products.state([(1, 2), (4, 1)])
+    scales = np.repeat([SIZES[2], SIZES[1]], [2, 7])
+    inverse = np.linalg.inv(np.eye(N) + (z[:, state.places] * scales**2) @ z[:, state.places].T)
+    assert state.squares == pytest.approx(y @ inverse @ y, rel=1e-10)
+    np.testing.assert_allclose(state.scores, z.T @ inverse @ y, atol=1e-9)
+    left = z.T @ inverse @ z
+    for (_, index), own in zip(products.alike, state.within, strict=True):
+        np.testing.assert_allclose(own, left[index[:, :, None], index[:, None, :]], atol=1e-9)
 
 
 def test_a_few_blocks_alone_have_the_same_likelihoods() -> None:
     products = problem()[3]
-    few = products.of((1, 3, 4))
-    sizes = np.array([3.0, 12.0])
-    assert few.ratio((0, 2), sizes) == pytest.approx(products.ratio((1, 4), sizes), abs=1e-10)
+    few = products.of_blocks((1, 3, 4))
+    one, other = few.state([(0, 0), (2, 2)]), products.state([(1, 0), (4, 2)])
+    assert few.ratio(one) == pytest.approx(products.ratio(other), abs=1e-10)
     assert few.limits.tolist() == [14, 14, 3]
 
 
@@ -96,41 +131,23 @@ def test_a_block_of_one_sign_has_twice_the_mass_on_its_side() -> None:
     for sign in (1.0, -1.0):
         x = sign * (z[:, :1] - q @ (q.T @ z[:, :1]))
         rest = y + 9.0 * z[:, 0] - q @ (q.T @ (y + 9.0 * z[:, 0]))
-        two, one = (Products(x, rest, N - 3, np.array([0, 1]), np.array([s]), np.array([14])) for s in (False, True))
-        either, positive = (p.added(p.left((), np.zeros(0)))[0] for p in (two, one))
-        fits = [two.estimates([0], np.array([s])) for s in SIZES]
-        above = [2.0 * norm.cdf(float(mean[0] / np.sqrt(covariance[0, 0]))) for mean, covariance in fits]
+        ends, limit = np.array([0, 1]), np.array([14])
+        two, one = (Products.of(x, rest, N - 3, ends, np.array([s]), limit) for s in (False, True))
+        either, positive = (p.added(p.nothing)[0] for p in (two, one))
+        fits = [two.state([(0, size)]) for size in range(14)]
+        variances = [fit.covariance[0, 0] * fit.squares / two.freedom for fit in fits]
+        above = [2.0 * norm.cdf(float(fit.mean[0] / np.sqrt(v))) for fit, v in zip(fits, variances, strict=True)]
         np.testing.assert_allclose(positive - either, np.log(above), atol=1e-6)
-
-
-@pytest.mark.parametrize(("seed", "start"), [(4, 0), (4, 5), (5, 13)])
-def test_likeliest_sizes_average_and_drops_are_those_of_single_evaluations(seed: int, start: int) -> None:
-    products = problem(seed)[3]
-    blocks = (1, 2, 4)
-    found = products.likeliest(blocks, (start,) * 3)
-    there = expected = products.ratio(blocks, SIZES[list(found.sizes)])
-    for k, block in enumerate(blocks):
-        profile = []
-        for s in SIZES[: products.limits[block]]:
-            sizes = SIZES[list(found.sizes)]
-            sizes[k] = s
-            profile.append(products.ratio(blocks, sizes))
-        assert int(np.argmax(profile)) == found.sizes[k]
-        around = logsumexp(profile) - there - np.log(len(profile))
-        expected += around
-        fewer = products.ratio(np.delete(blocks, k).tolist(), np.delete(SIZES[list(found.sizes)], k))
-        assert found.fewer[k] == pytest.approx(fewer - there - around, abs=1e-8)
-    assert found.ratio == pytest.approx(expected, abs=1e-8)
+        np.testing.assert_allclose([one.signed(one.state([(0, size)])) for size in range(14)], np.log(above), atol=1e-9)
 
 
 def test_estimates_are_ridge_regression() -> None:
     j, z, y, products = problem()
-    blocks, sizes = (0, 1, 4), np.array([6.0, 12.0, 24.0])
-    own, scales = products.places(blocks), np.repeat(sizes, [1, 2, 7])
-    rows = np.block([[j, z[:, own]], [np.zeros((len(own), 3)), np.diag(1.0 / scales)]])
-    expected = np.linalg.lstsq(rows, np.concatenate([y, np.zeros(len(own))]), rcond=None)[0]
-    mean, covariance = products.estimates(blocks, sizes)
-    np.testing.assert_allclose(mean, expected[3:], atol=1e-9)
-    left = float(np.sum((np.concatenate([y, np.zeros(len(own))]) - rows @ expected) ** 2))
-    full = np.linalg.inv(rows.T @ rows)[3:, 3:] * left / (N - 3)
-    np.testing.assert_allclose(covariance, full, rtol=1e-8, atol=1e-12)
+    state = products.state([(0, 1), (1, 2), (4, 0)])
+    scales = np.repeat([SIZES[1], SIZES[2], SIZES[0]], [1, 2, 7])
+    rows = np.block([[j, z[:, state.places]], [np.zeros((len(scales), 3)), np.diag(1.0 / scales)]])
+    target = np.concatenate([y, np.zeros(len(scales))])
+    expected = np.linalg.lstsq(rows, target, rcond=None)[0]
+    np.testing.assert_allclose(state.mean, expected[3:], atol=1e-9)
+    assert state.squares == pytest.approx(float(np.sum((target - rows @ expected) ** 2)), rel=1e-10)
+    np.testing.assert_allclose(state.covariance, np.linalg.inv(rows.T @ rows)[3:, 3:], rtol=1e-8, atol=1e-12)

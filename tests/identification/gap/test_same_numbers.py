@@ -12,8 +12,7 @@ from identification.arm import EffectSpec
 from identification.estimation import Identification, estimate
 from identification.estimation.levenberg_marquardt import LeastSquares
 from identification.gap.diagnose import diagnose
-from identification.gap.fits.fit import fit
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows, fit
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model

@@ -33,7 +33,7 @@ def products(seed: int, sizes: dict[int, float]) -> Products:
     z = rng.normal(size=(40, STARTS[-1])) / np.sqrt(40.0)
     z[:, 3] = 0.9 * z[:, 0] + 0.44 * z[:, 3]
     y = rng.normal(size=40) + sum((size * z[:, k] for k, size in sizes.items()), np.zeros(40))
-    return Products(z, y, 36, STARTS, np.zeros(COUNT, dtype=bool), np.full(COUNT, SIZES_OF_EACH))
+    return Products.of(z, y, 36, STARTS, np.zeros(COUNT, dtype=bool), np.full(COUNT, SIZES_OF_EACH))
 
 
 def exact(search: Search) -> dict[tuple[int, ...], float]:
@@ -41,8 +41,9 @@ def exact(search: Search) -> dict[tuple[int, ...], float]:
     odds = {}
     for blocks in (b for k in range(COUNT + 1) for b in combinations(range(COUNT), k)):
         if np.isfinite(prior := search.log_prior(blocks)):
-            each = product(SIZES[:SIZES_OF_EACH], repeat=len(blocks))
-            ratios = [search.products.ratio(blocks, np.array(s)) for s in each]
+            each = product(range(SIZES_OF_EACH), repeat=len(blocks))
+            states = (search.products.state(list(zip(blocks, sizes, strict=True))) for sizes in each)
+            ratios = [search.products.ratio(state) for state in states]
             odds[blocks] = prior + logsumexp(ratios) - len(blocks) * np.log(SIZES_OF_EACH)
     total = logsumexp(list(odds.values()))
     return {blocks: float(np.exp(o - total)) for blocks, o in odds.items()}
@@ -60,7 +61,7 @@ def variation(search: Search, sets: list[Weighed]) -> float:
 )
 def test_a_walk_finds_the_probabilities_of_all_sets(seed: int, sizes: dict[int, float]) -> None:
     search = Search(products(seed, sizes), WEIGHTS, ROWS, REST)
-    sets = search.walk(search.climb(), np.random.default_rng(seed))
+    sets = search.walk(search.climb(), np.random.default_rng(seed)).sets
     assert variation(search, sets) < 0.05
 
 
@@ -69,7 +70,7 @@ def test_a_walk_keeps_to_what_may_be_together() -> None:
     given = products(5, {0: 10.0, 1: 12.0, 7: 12.0})
     limits = {"apart": frozenset({(0, 2)}), "needy": frozenset({5}), "givers": frozenset({1})}
     search = Search(given, WEIGHTS, ROWS, REST, **limits)
-    sets = search.walk(search.climb(), np.random.default_rng(1))
+    sets = search.walk(search.climb(), np.random.default_rng(1)).sets
     assert not any({0, 2} <= set(one.blocks) for one in sets)
     assert any(5 in one.blocks for one in sets)
     assert all(1 in one.blocks for one in sets if 5 in one.blocks)
@@ -82,7 +83,9 @@ def test_a_walk_among_the_near_blocks_has_the_same_odds() -> None:
     near = search.near(search.climb())
     absent = [p for blocks, p in exact(search).items() if not set(blocks) <= set(near)]
     assert sum(absent) < 0.05
-    few = Search(search.products.of(near), WEIGHTS[near], ROWS[near], total=float(WEIGHTS[~ROWS].sum() - WEIGHTS[7]))
+    few = Search(
+        search.products.of_blocks(near), WEIGHTS[near], ROWS[near], total=float(WEIGHTS[~ROWS].sum() - WEIGHTS[7])
+    )
     single = near.index(0)
     assert few.log_prior((single,)) == pytest.approx(search.log_prior((0,)))
 
@@ -111,7 +114,7 @@ def test_two_blocks_that_hide_each_other_are_found() -> None:
     z = rng.normal(size=(60, 12)) / np.sqrt(60.0)
     z[:, 1] = -0.97 * z[:, 0] + 0.24 * z[:, 1]
     y = rng.normal(size=60) + 40.0 * (z[:, 0] + z[:, 1])
-    given = Products(z, y, 56, np.arange(13), np.zeros(12, dtype=bool), np.full(12, len(SIZES)))
+    given = Products.of(z, y, 56, np.arange(13), np.zeros(12, dtype=bool), np.full(12, len(SIZES)))
     search = Search(given, np.ones(12), np.zeros(12, dtype=bool))
     assert search.climb().blocks == (0, 1)
-    assert search.walk(search.climb(), np.random.default_rng(1))[0].blocks == (0, 1)
+    assert search.walk(search.climb(), np.random.default_rng(1)).sets[0].blocks == (0, 1)

@@ -11,8 +11,8 @@ from doe.studies.blind.score import contradictions
 from identification.arm import EffectSpec
 from identification.gap.candidate import Candidate
 from identification.gap.result import Diagnosis
-from identification.gap.summary import SHORT
 from identification.gap.verdict import CREDIBLE, MOST, RIVAL, Probabilities
+from identification.gap.words import SHORT
 from tests.identification.gap.test_diagnose import diagnosed
 
 

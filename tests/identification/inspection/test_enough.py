@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate
-from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor
+from identification.gap.noise import NoiseFloor
 from identification.inspection.enough import sufficiency
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -43,7 +43,7 @@ def test_with_few_rows_the_noise_is_the_one_given_or_that_of_repeats() -> None:
     """3 rows leave 2 numbers, which say next to nothing of the noise."""
     measured = rows(3)
     known, unknown = (estimate(Model(replace(ARM, sigma=sigma)), measured) for sigma in (NOISE, None))
-    given = sufficiency(known, measured, NOTHING_KNOWN)
+    given = sufficiency(known, measured, NoiseFloor())
     assert (given.numbers, given.parameters, given.spare, given.few) == (6, 4, 2, True)
     assert given.count == "6 numbers for 4 parameters: 2 left to judge the fit"
     assert given.found == ("length of links 1 and 2", "zero of joints 1 and 2")
@@ -52,7 +52,7 @@ def test_with_few_rows_the_noise_is_the_one_given_or_that_of_repeats() -> None:
     repeats = sufficiency(unknown, measured, NoiseFloor(repeats=0.2 * np.sqrt(2.0)))
     assert repeats.source == "repeats"
     assert repeats.tip == pytest.approx(expected(measured, 0.2), rel=0.03)
-    nothing = sufficiency(unknown, measured, NOTHING_KNOWN)
+    nothing = sufficiency(unknown, measured, NoiseFloor())
     assert (nothing.tip, nothing.source) == (None, None)
     assert nothing.accuracy.startswith("not known: needs sigma_mm")
 
@@ -60,7 +60,7 @@ def test_with_few_rows_the_noise_is_the_one_given_or_that_of_repeats() -> None:
 def test_with_many_rows_the_residuals_say_it() -> None:
     measured = rows(60)
     found = estimate(Model(ARM), measured)
-    many = sufficiency(found, measured, NOTHING_KNOWN)
+    many = sufficiency(found, measured, NoiseFloor())
     assert (many.spare, many.few, many.source) == (116, False, "residuals")
     assert many.tip == pytest.approx(expected(measured, found.scatter or 0.0), rel=0.03)
 
@@ -69,7 +69,7 @@ def test_what_is_not_determined_is_listed() -> None:
     """Joint 2 at rest: both links are one stick, whose parts nothing tells."""
     measured = rows(6)
     still = replace(measured, postures=measured.postures * [1.0, 0.0])
-    found = sufficiency(estimate(Model(replace(ARM, sigma=NOISE)), still), still, NOTHING_KNOWN)
+    found = sufficiency(estimate(Model(replace(ARM, sigma=NOISE)), still), still, NoiseFloor())
     assert found.found == ()
     assert len(found.open) == 2
     assert found.tip is None
@@ -86,7 +86,7 @@ def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
     positions = np.column_stack([flat.real, flat.imag, np.full(40, 410.0)]) + NOISE * generator.standard_normal((40, 3))
     measured = Measurements(q, positions)
     found = estimate(Model(Arm.of_chain(chain, sigma=NOISE)), measured)
-    seen = sufficiency(found, measured, NOTHING_KNOWN)
+    seen = sufficiency(found, measured, NoiseFloor())
     assert [name for name, *_ in seen.weak] == ["base.z", "tool[1].z"]
     assert seen.found[:2] == ("base (x, y, rx, ry, rz)", "tool[1] (x, y)")
     rows = seen.to_json()["weakly_determined"]
@@ -102,7 +102,7 @@ def test_what_the_machining_holds_is_no_unknown() -> None:
     arm = Arm.of_chain(chain, sigma=NOISE)
     q = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 3))
     measured = Measurements(q, Model(arm).position(q))
-    found = sufficiency(estimate(Model(arm), measured), measured, NOTHING_KNOWN)
+    found = sufficiency(estimate(Model(arm), measured), measured, NoiseFloor())
     held = sum(name.startswith(("translation", "rotation", "joint_offset")) for name in Model(arm).names)
     assert found.held == held
     assert f"({held} held by [machining])" in found.count

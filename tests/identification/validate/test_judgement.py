@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.estimation import estimate, estimate_with_prior
-from identification.gap.confirmation.offered import Offered
+from identification.gap.confirmation import Offered
 from identification.gap.diagnose import diagnose
 from identification.gap.library.library_prior import given_by, library_prior
 from identification.gap.result import Diagnosis

@@ -19,7 +19,7 @@ from identification.errors import InputError
 from identification.files.arm import load_arm
 from identification.files.arm_text import with_effects
 from identification.gap.diagnose import diagnose
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows
 from identification.gap.hypotheses.columns import bundles
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.measurements import Measurements

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.gap.fits.whitening import Rows
+from identification.gap.fit import Rows
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model

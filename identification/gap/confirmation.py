@@ -1,0 +1,539 @@
+"""Whether rows that were not used for a model confirm it: does the gap shrink, and as far as predicted?
+
+Such rows are held out, or each part of the data is predicted from the others (cross-validation). Of both the same is
+asked of the squared distances b of the base model and a of the model tested:
+
+    does the gap shrink?               mean of b - a  > 0
+    is it as large as predicted?       mean of a      <= what the posterior expects
+
+Rows of one posture or of one interval of time share errors that no model explains, so the standard error of a mean over
+m rows exceeds sigma / sqrt(m). The rows are divided into up to eight groups, by time and by region of posture, and the
+group means are compared by Student's t (R. Ibragimov, U. K. Mueller, "t-statistic based correlation and heterogeneity
+robust inference", 2010: valid for any dependence within groups). The larger variance of the two groupings is used, and
+never less than that of white Gaussian noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri, softmax, stdtr, stdtrit
+
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.gap.average import PredictingModel
+from identification.gap.evidence import Products
+from identification.gap.fit import Fit
+from identification.gap.noise import NoiseFloor
+from identification.gap.posterior import Posterior
+from identification.gap.set_up import SESSION, held_out_conditions, placed_residuals, transfer_of
+from identification.gap.verdict import MOST
+from identification.information import column_space_of
+from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
+
+# reasons: identification/README.md, "Constants"
+GROUPS = 8  # of rows that count as independent, and parts of the rows in cross-validation
+LEVEL = 0.05  # convention: of each question, both sides together
+POWER = 0.9  # convention: with which a gap of twice the predicted square must be seen
+
+Groups = NDArray[np.int64]
+
+
+# -- means of rows that are not independent ----------------------------------------------------------------------------
+class Mean(NamedTuple):
+    """A mean, the variance of this mean, and the degrees of freedom of that variance."""
+
+    value: float
+    variance: float
+    freedom: float
+
+    def __sub__(self, other: Mean) -> Mean:
+        """Difference of two independent means, with Welch's degrees of freedom (B. L. Welch, 1947)."""
+        variance = self.variance + other.variance
+        parts = sum(m.variance**2 / m.freedom for m in (self, other) if m.variance < np.inf)
+        freedom = variance**2 / parts if parts > 0.0 and variance < np.inf else min(self.freedom, other.freedom)
+        return Mean(self.value - other.value, variance, freedom)
+
+    def p_above(self) -> float:
+        """One-sided p-value: probability of a mean at least this large if the true mean is zero."""
+        if not 0.0 < self.variance < np.inf:
+            return 1.0 if self.variance else float(self.value <= 0.0)
+        return float(stdtr(self.freedom, -self.value / np.sqrt(self.variance)))
+
+    def detects(self, size: float) -> bool:
+        """Whether a test at `LEVEL` would detect a true mean of this size with power `POWER`."""
+        if not self.variance < np.inf:
+            return False
+        quantiles = stdtrit(self.freedom, 1.0 - LEVEL / 2.0) + stdtrit(self.freedom, POWER)
+        return bool(size >= quantiles * np.sqrt(self.variance))
+
+
+def mean_of(values: Array, groupings: Sequence[Groups], least: float = 0.0) -> Mean:
+    """Mean of (m,) values with the largest variance over the groupings, and at least the variance `least`."""
+    each = []
+    for groups in groupings:
+        counts = np.bincount(groups)
+        means = np.bincount(groups, values) / counts
+        variance = float(np.var(means, ddof=1) / len(means)) if len(means) > 1 else np.inf
+        each.append(Mean(float(np.mean(values)), variance, max(len(means) - 1.0, 1.0)))
+    widest = max(each, key=lambda mean: mean.variance)
+    return widest._replace(variance=max(widest.variance, least))
+
+
+def groups_of(measurements: Measurements, kept: NDArray[np.bool_] | None = None) -> tuple[Groups, Groups]:
+    """Groups of rows that count as independent, among the kept rows (None: all): see `groupings`."""
+    turn = np.empty(len(measurements))
+    turn[measurements.sequence] = np.arange(len(measurements))
+    rows = np.ones(len(turn), dtype=bool) if kept is None else kept
+    return groupings(measurements.postures[rows], measurements.posture_numbers[rows], turn[rows])
+
+
+def groupings(postures: Array, repeats: Groups, time: Array) -> tuple[Groups, Groups]:
+    """(m,) group of each row by interval of time, and by region of posture: up to `GROUPS` groups of equal size.
+
+    postures : (m, n) [rad];  repeats : (m,) equal numbers mark repeats of one posture;  time : (m,)
+    """
+    sequence = np.argsort(time, kind="stable")
+    stays = np.cumsum(np.diff(repeats[sequence], prepend=repeats[sequence[0]]) != 0)  # at one posture, from 0
+    ends = np.unique(np.searchsorted(np.cumsum(np.bincount(stays)), np.arange(1, GROUPS) * len(time) / GROUPS))
+    stretches = np.empty(len(time), dtype=np.int64)
+    stretches[sequence] = np.searchsorted(ends, stays, side="left")
+    _, first, number = np.unique(repeats, return_index=True, return_inverse=True)
+    return stretches, regions(postures[first])[number]
+
+
+def regions(postures: Array) -> Groups:
+    """(m,) region of each posture, by repeated bisection at the median of the joint with the widest range."""
+    found = np.zeros(len(postures), dtype=np.int64)
+    for _ in range(int(np.log2(min(GROUPS, len(postures))))):
+        halves = np.zeros_like(found)
+        for region in np.unique(found):
+            rows = np.flatnonzero(found == region)
+            widest = int(np.argmax(np.ptp(postures[rows], axis=0)))
+            halves[rows[np.argsort(postures[rows, widest], kind="stable")[len(rows) // 2 :]]] = 1
+        found = 2 * found + halves
+    return np.asarray(np.unique(found, return_inverse=True)[1])
+
+
+def gained_squares(before: Array, after: Array, measurements: Measurements) -> Mean:
+    """Mean of the squares that a model saves in these rows;  before, after : (m,) distances [mm]"""
+    return mean_of(before**2 - after**2, groups_of(measurements))
+
+
+# -- the test ----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Confirmation:
+    """Result of the test of a model on rows that were not used for the fit.
+
+    transfer : origin of these rows: `other postures`, `a later time`, `another session` ..
+    by : `holdout` or `cross-validation`;  rows, groups : number of rows and of independent groups
+    before, after : RMS distance [mm] of base and tested model in these rows;  predicted : expected value of `after`
+    largest_before, largest_after : distances [mm] of the row that is farthest off
+    p_shrinks, p_exceeds : one-sided p-values of "the gap does not shrink" and of "the gap is as predicted"
+    shrinks, as_predicted : conclusions; None where the rows are too few
+    named : False if no effect was named, so that no gap has to shrink
+    file : that the rows come from, where only its order numbers tell that they are another session; else None
+    refitted : what was fitted to these rows first, since they are of another set-up: `base`, `reflector C`
+    """
+
+    transfer: str
+    by: str
+    rows: int
+    groups: int
+    before: float
+    after: float
+    predicted: float
+    largest_before: float
+    largest_after: float
+    p_shrinks: float | None
+    p_exceeds: float
+    shrinks: bool | None
+    as_predicted: bool | None
+    named: bool = True
+    file: str | None = None
+    refitted: tuple[str, ...] = ()
+
+    @property
+    def where(self) -> str:
+        """The rows in words."""
+        return self.file or self.transfer
+
+    @property
+    def confirmed(self) -> bool | None:
+        """Overall conclusion; None where the rows are too few."""
+        if self.shrinks is False or self.as_predicted is False:
+            return False
+        return self.shrinks if self.named else self.as_predicted
+
+    @property
+    def answer(self) -> str:
+        """The conclusion in words."""
+        if self.confirmed is None:
+            return f"too few rows to say whether it holds for {self.where}"
+        if self.confirmed:
+            few = f"the error shrinks for {self.where}; too few independent rows to say whether by as much as expected"
+            return f"holds for {self.where}" if self.as_predicted else few
+        if self.shrinks:
+            return f"for {self.where} the gap shrinks, but by less than predicted"
+        grows = ["the gap does not shrink"] if self.shrinks is False else []
+        exceeds = ["the gap exceeds the prediction"] if self.as_predicted is False else []
+        return f"does not hold for {self.where}, {' and '.join(grows + exceeds)}"
+
+    def __str__(self) -> str:
+        kind = "held-out" if self.by == "holdout" else "cross-validated"
+        figures = f"{self.before:.4g} mm before, {self.after:.4g} mm after, {self.predicted:.4g} mm predicted"
+        other = f"; another set-up, {' and '.join(self.refitted)} refitted to these rows" if self.refitted else ""
+        return f"{self.answer}: {figures} ({self.rows} {kind} rows in {self.groups} independent groups{other})"
+
+    def to_json(self) -> dict[str, object]:
+        """An entry of `confirmation.tests` (identification/files/README.md, "JSON keys")."""
+        lengths = {"before": "before_mm", "after": "after_mm", "predicted": "predicted_mm"}
+        lengths |= {"largest_before": "max_before_mm", "largest_after": "max_after_mm"}
+        entry = {lengths.get(name, name): value for name, value in vars(self).items() if name != "named"}
+        return entry | {"confirmed": self.confirmed, "refitted": [*self.refitted]}
+
+
+def confirm(
+    before: Array,
+    after: Array,
+    predicted: Mean,
+    sigma: float,
+    by_groups: Sequence[Groups],
+    transfer: str,
+    by: str = "holdout",
+    level: float = LEVEL,
+    named: bool = True,
+) -> Confirmation:
+    """Test whether the gap shrinks and whether it exceeds the prediction, each one-sided at half of `level`.
+
+    before, after : (m, d) residuals [mm] of base and tested model;  predicted : expected mean square of the latter
+    sigma : noise of one coordinate [mm];  by_groups : groupings of the rows, (m,) each;  others : see `Confirmation`
+
+    If the model is right, the mean gain of m rows is normal with mean R = mean square distance between the models and
+    variance 4 sigma^2 R / m. The absence of any gain then has probability Phi(-sqrt(m R) / 2 sigma); where that is
+    below the level, a gain that is not positive refutes the model.
+    """
+    m, d = after.shape
+    squares, left = np.square(before).sum(axis=1), np.square(after).sum(axis=1)
+    moved = float(np.sum(np.square(before - after)))  # m R
+    gain = mean_of(squares - left, by_groups, 4.0 * sigma**2 * moved / m**2)
+    excess = mean_of(left, by_groups, 2.0 * d * sigma**4 / m) - predicted
+    named, shrinks = named and moved > 0.0, None
+    if named and gain.p_above() <= level / 2.0:
+        shrinks = True
+    elif named:
+        sure = gain.value <= 0.0 and np.sqrt(moved) > -2.0 * sigma * ndtri(level / 2.0)
+        shrinks = False if sure or gain._replace(value=-gain.value).p_above() <= level / 2.0 else None
+    exceeds = excess.p_above() <= level / 2.0
+    return Confirmation(
+        transfer=transfer,
+        by=by,
+        rows=m,
+        groups=min(int(groups.max()) + 1 for groups in by_groups),
+        before=float(np.sqrt(np.mean(squares))),
+        after=float(np.sqrt(np.mean(left))),
+        predicted=float(np.sqrt(predicted.value)),
+        largest_before=float(np.sqrt(squares.max())),
+        largest_after=float(np.sqrt(left.max())),
+        p_shrinks=gain.p_above() if named else None,
+        p_exceeds=excess.p_above(),
+        shrinks=shrinks,
+        as_predicted=False if exceeds else (True if excess.detects(predicted.value) else None),
+        named=named,
+    )
+
+
+@dataclass(frozen=True)
+class Offered:
+    """Distances [mm] that the model offered and the geometry alone leave, each as `identify` and `validate` have it.
+
+    by : `holdout` or `cross-validation` (each posture by a fit to others);  rows : how many
+    rms, largest : of the model;  rms_geometry, largest_geometry : of the geometry, identified on the same rows
+    p_value : one-sided, of no gain
+    """
+
+    by: str
+    rows: int
+    rms: float
+    largest: float
+    rms_geometry: float
+    largest_geometry: float
+    p_value: float
+
+    @classmethod
+    def of(cls, by: str, geometry: Array, model: Array, measurements: Measurements) -> Offered:
+        """From residuals (m, d) [mm] of the same rows."""
+        before, after = distances(geometry), distances(model)
+        rms, rms_geometry = rms_distance(model), rms_distance(geometry)
+        p_value = gained_squares(before, after, measurements).p_above()
+        return cls(by, len(after), rms, float(after.max()), rms_geometry, float(before.max()), p_value)
+
+    @classmethod
+    def of_test(cls, test: Confirmation) -> Offered:
+        """From a test of a model against the base model."""
+        figures = (test.after, test.largest_after, test.before, test.largest_before)
+        return cls(test.by, test.rows, *figures, 1.0 if test.p_shrinks is None else test.p_shrinks)
+
+    @property
+    def better(self) -> bool:
+        """Whether the model predicts better beyond chance, as `validate` judges it."""
+        return self.rms < self.rms_geometry and self.p_value <= LEVEL / 2.0
+
+    @property
+    def sentence(self) -> str:
+        """How the model compares with the geometry."""
+        which = "held-out rows" if self.by == "holdout" else "rows, each predicted by a fit to other postures"
+        own, geometry = f"{self.rms:.3g} mm RMS (largest {self.largest:.3g})", f"{self.rms_geometry:.3g} mm"
+        figures = f"{own} against {geometry} (largest {self.largest_geometry:.3g}) in {self.rows} {which}"
+        if self.better:
+            return f"better than the geometry alone: {figures}"
+        if self.rms >= self.rms_geometry:
+            return f"no better than the geometry alone: {figures}"
+        return f"better than the geometry alone only within chance: {figures}, p = {self.p_value:.2g}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Key `offered` (identification/files/README.md, "JSON keys")."""
+        lengths = {"rms": "rms_mm", "largest": "max_mm"}
+        lengths |= {"rms_geometry": "rms_geometry_mm", "largest_geometry": "max_geometry_mm"}
+        return {lengths.get(name, name): value for name, value in vars(self).items()} | {"better": self.better}
+
+
+@dataclass(frozen=True)
+class Gap:
+    """RMS distances between model and measurement [mm]; None where not available.
+
+    rms_before, rms_after : of the base model as `identify` fits it, and of the predicting model; both without outliers
+    held_out_before, held_out_after : of the same two models on the held-out data;  predicted : expected held-out value
+    floor : noise floor, which no model can go below
+    """
+
+    rms_before: float
+    rms_after: float
+    floor: NoiseFloor = field(default_factory=NoiseFloor)
+    held_out_before: float | None = None
+    held_out_after: float | None = None
+    predicted: float | None = None
+
+    @classmethod
+    def of(cls, before: float, after: float, floor: NoiseFloor, test: Confirmation | None) -> Gap:
+        """With the figures of a test on held-out rows, if there is one."""
+        return cls(before, after, floor, *(() if test is None else (test.before, test.after, test.predicted)))
+
+    @property
+    def noise_floor(self) -> float | None:
+        """Noise floor [mm] from repeats or the instrument's sigma; None where neither is available."""
+        return self.floor.value
+
+    def __str__(self) -> str:
+        return f"gap: {self.rms_before:.4g} mm before, {self.rms_after:.4g} mm after, {self.floor}"
+
+    def to_json(self) -> dict[str, float | str | None]:
+        """Keys of `gap` (identification/files/README.md, "JSON keys")."""
+        names = ("rms_before", "rms_after", "held_out_before", "held_out_after", "predicted")
+        return {f"{name}_mm": getattr(self, name) for name in names} | self.floor.to_json()
+
+
+# -- rows held out -----------------------------------------------------------------------------------------------------
+def split(
+    measurements: Measurements, share: float, generator: np.random.Generator
+) -> tuple[Measurements, Measurements]:
+    """Split into data and hold-out: random postures with about this share of the rows, each with all its repeats.
+
+    share : between 0 and 1
+
+    Raises `InputError` for any other share, and for rows of a single posture.
+    """
+    if not 0.0 < share < 1.0:
+        raise InputError(f"holdout: {share:g}, allowed: a share of the rows between 0 and 1")
+    numbers = measurements.posture_numbers
+    counts = np.bincount(numbers)
+    if len(counts) < 2:
+        raise InputError("holdout: all rows are of one posture, allowed: several postures, to hold some of them out")
+    order = generator.permutation(len(counts))
+    taken = int(np.clip(np.searchsorted(np.cumsum(counts[order]), share * len(numbers)) + 1, 1, len(counts) - 1))
+    held_out = np.isin(numbers, order[:taken])
+    if measurements.order is None:  # the parts must know when in the session they were measured
+        measurements = replace(measurements, order=np.arange(len(numbers), dtype=float))
+    return measurements.rows(~held_out), measurements.rows(held_out)
+
+
+def confirmed_on(
+    holdout: Measurements,
+    base: Fit,
+    model: Fit | PredictingModel,
+    measurements: Measurements,
+    kept: NDArray[np.bool_],
+    named: bool = True,
+) -> Confirmation:
+    """Test a model on rows held out.
+
+    base, model : fitted to the kept rows (m,) of the measurements;  named : False if nothing was named
+
+    Expected is the mean square that the model leaves in its own rows, larger by as much as its parameters were fitted
+    to them, and what the errors of the parameters add in the new rows.
+    """
+    before, after, refitted = placed_residuals(base, model, measurements, holdout)
+    own = np.square(model.position_residuals(measurements, measurements.conditions)[kept, POINT]).sum(axis=1)
+    white = 2.0 * float(np.mean(own)) ** 2 / max(model.freedom, 1)  # the variance that white Gaussian noise gives
+    left = mean_of(own, groups_of(measurements, kept), white)
+    scale = len(own) * model.model.dimension / max(model.freedom, 1)
+    added = parameter_part(model, holdout, held_out_conditions(measurements, holdout))
+    predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
+    sigma, transfer = float(np.sqrt(scale * left.value / after.shape[1])), transfer_of(measurements, holdout)
+    test = confirm(before, after, predicted, sigma, groups_of(holdout), transfer, named=named)
+    file = holdout.provenance.get("file") if transfer == SESSION else None
+    return replace(test, file=file, refitted=refitted)
+
+
+def other_set_up(test: Confirmation | None) -> list[str]:
+    """A sentence about what another set-up of the rows held out has had refitted, if anything."""
+    words = " and ".join(() if test is None else test.refitted)
+    return [f"the hold-out is of another set-up: {words} refitted to its rows, for both models"] if words else []
+
+
+def parameter_part(found: Fit | PredictingModel, rows: Measurements, there: Conditions) -> Mean:
+    """Mean square distance [mm^2] in other rows due to errors of the parameters.
+
+    With G = mean of J_i^T J_i over the rows and C the covariance, the mean of |J_i e|^2 is e^T G e: its expectation is
+    tr(G C), its variance 2 tr(G C G C).
+    """
+    columns, covariance = found.uncertain(rows.postures, there)
+    tall = columns[:, POINT].reshape(-1, columns.shape[-1])
+    product = tall.T @ tall / len(rows) @ covariance
+    return Mean(float(np.trace(product)), 2.0 * float(np.trace(product @ product)), np.inf)
+
+
+def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements) -> None:
+    """Raise `InputError` for a hold-out whose residuals are larger than any missing effect could make them, also where
+    it may be of another set-up and that is refitted.
+
+    The limit is the larger of ten times the expected residual of the base model and a hundredth of the reach: another
+    payload or part of the workspace stays below it; other links do not.
+    """
+    there = held_out_conditions(measurements, holdout)
+    left = distances(base.position_residuals(measurements, measurements.conditions)) ** 2
+    expected = float(np.sqrt(np.mean(left) + parameter_part(base, holdout, there).value))
+    limit = max(10.0 * expected, 0.01 * base.model.reach)
+    residuals, _, words = placed_residuals(base, base, measurements, holdout)
+    missed = float(np.median(distances(residuals)))  # a few outliers do not make it another arm
+    if missed > limit:
+        refitted = f", {' and '.join(words)} refitted to these rows" if words else ""
+        raise InputError(
+            f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data{refitted}, allowed: up to "
+            f"{limit:.3g} mm; another arm or unit? armcal check tells what the columns of the file look like"
+        )
+
+
+def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
+    """Raise `InputError` for a hold-out of another arm, or one that contains rows of the data."""
+    from scipy.spatial import KDTree
+
+    if holdout.links != measurements.links:
+        raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
+    if holdout.dimension != measurements.dimension:
+        found, needed = holdout.dimension, measurements.dimension
+        raise InputError(f"holdout: positions of {found} coordinates, allowed: {needed} as in the data")
+    data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
+    distance = KDTree(data).query(rows, p=np.inf)[0]
+    shared, near = int(np.sum(distance == 0.0)), int(np.sum(distance <= 1.0))
+    if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy
+        shared = max(shared, near)
+        raise InputError(
+            f"holdout: {shared} of {len(holdout)} rows are also in the data, allowed: rows not used before"
+        )
+
+
+# -- each part of the rows predicted from the others -------------------------------------------------------------------
+def cross_validation(
+    found: Posterior,
+    measurements: Measurements,
+    kept: NDArray[np.bool_],
+    generator: np.random.Generator,
+    named: bool = True,
+) -> tuple[Confirmation, ...]:
+    """Test whether the average holds for other postures, and for another interval of time of the same session.
+
+    measurements : the rows of the posterior;  kept : (m,) rows that are no outliers;  named : False if nothing was
+    named
+
+    The sets were found with all rows, so cross-validation can refute a model but cannot confirm it.
+    """
+    by_groups = groups_of(measurements, kept)
+    postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
+    count = int(postures.max()) + 1
+    parts = {
+        "other postures": (generator.permutation(count) * min(GROUPS, count) // count)[postures],
+        "another stretch of time": by_groups[0],
+    }
+    tests = []
+    for transfer, folds in parts.items():
+        before, after, expected = predicted_from_others(found, kept, folds)
+        predicted, sigma = Mean(expected, 0.0, np.inf), float(np.sqrt(expected / after.shape[1]))
+        level = LEVEL / len(parts)  # Bonferroni
+        tests.append(confirm(before, after, predicted, sigma, by_groups, transfer, "cross-validation", level, named))
+    return tuple(tests)
+
+
+def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Groups) -> tuple[Array, Array, float]:
+    """Each part of the kept rows predicted from the others;  folds : (kept rows,) number of each row's part.
+
+    The likeliest sets of the posterior are weighed again by their likelihood on the other rows alone, at the sizes that
+    they have, and their predictions averaged. Returns (m, d) residuals [mm] of the base model and of the average, and
+    the mean square distance [mm^2] that the latter expects.
+    """
+    number = found.best.noise
+    problem, rows, model = found.problems[number], found.noises[number].rows.pick(kept), found.at.model
+    position, jacobian = model.linearize(rows.postures, found.at.values, rows.conditions)
+    base = found.library.own_places(model)
+    added = np.setdiff1d(np.arange(len(found.at.values)), base)
+    y = rows.positions - position + jacobian[:, :, added] @ found.at.values[added]
+    own = jacobian[:, :, base] / model.scales[base]
+    sets = [one for one in found.explanations if one.noise == number][:MOST]
+    blocks = sorted({b for one in sets for b in one.weighed.blocks if not problem.blocks[b].row})
+    part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
+    columns = [table[kept] @ root for table, root in zip(part.columns, part.roots, strict=True)]
+    x = np.concatenate([np.zeros((*y.shape, 0)), *columns], axis=2)
+    pairs = [
+        [(local[b], size) for b, size in zip(one.weighed.blocks, one.weighed.sizes, strict=True) if b in local]
+        for one in sets
+    ]
+    # the prior of a set is what its odds have beyond its likelihood with all rows
+    whole = [problem.products.state([*zip(one.weighed.blocks, one.weighed.sizes, strict=True)]) for one in sets]
+    priors = [np.log(o.probability) - problem.products.ratio(state) for o, state in zip(sets, whole, strict=True)]
+    # of each part a table with the same products as its rows, and no more rows than columns
+    white = rows.whiten(np.concatenate([own, x, y[:, :, None]], axis=2)).reshape(*y.shape, -1)
+    tables = [np.linalg.qr(white[folds == k].reshape(-1, white.shape[2]), mode="r") for k in range(folds.max() + 1)]
+    # expected square of the noise of a row, for unit sigma
+    spread = np.eye(y.shape[1])[None] if rows.spread is None else rows.spread
+    noise = float(np.sum(np.square(spread[:, POINT]))) / len(spread) * (1.0 + rows.shared)
+    before, after, expected = np.empty_like(y), np.empty_like(y), 0.0
+    for fold in range(len(tables)):
+        test = folds == fold
+        others = np.concatenate([np.zeros((0, white.shape[2])), *tables[:fold], *tables[fold + 1 :]])
+        basis, back = column_space_of(others[:, : len(base)], np.ones(len(base)))
+        inside = basis.T @ others[:, len(base) :]
+        rest = others[:, len(base) :] - basis @ inside
+        freedom = max(np.count_nonzero(~test) * y.shape[1] - basis.shape[1], 1)
+        signs, limits = part.products.signs, part.products.limits
+        products = Products.of(rest[:, :-1], rest[:, -1], freedom, part.products.starts, signs, limits)
+        states = [products.state(own_pairs) for own_pairs in pairs]
+        shares = softmax([prior + products.ratio(state) for prior, state in zip(priors, states, strict=True)])
+        means, covariance, variance = np.zeros((len(sets), x.shape[2])), np.zeros((x.shape[2], x.shape[2])), 0.0
+        for share, mean, state in zip(shares, means, states, strict=True):
+            mean[state.places] = state.mean
+            covariance[np.ix_(state.places, state.places)] += share * state.covariance * state.squares / freedom
+            variance += share * state.squares / freedom
+        mean = shares @ means
+        covariance += (means - mean).T @ (shares[:, None] * (means - mean))
+        turned = own[test] @ back
+        moved = x[test] - turned @ inside[:, :-1]
+        before[test] = y[test] - turned @ inside[:, -1]
+        after[test] = before[test] - moved @ mean
+        moved, turned = moved[:, POINT], turned[:, POINT]
+        expected += float(np.sum((moved @ covariance) * moved))
+        expected += variance * (float(np.sum(np.square(turned))) + noise * np.count_nonzero(test))
+    return before[:, POINT], after[:, POINT], expected / len(y)

@@ -1,1 +1,0 @@
-"""Whether other rows confirm what was found."""

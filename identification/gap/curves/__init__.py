@@ -1,1 +1,0 @@
-"""Error curves: a smooth function of a joint's angle where no name fits."""

@@ -1,0 +1,277 @@
+"""The rows of a diagnosis with their noise made white, and models fitted to them within physical bounds.
+
+Only relative values of sigma matter here: every test divides by a scale estimated from the residuals, since a data
+sheet's sigma that is 1.5 times too small would make every test significant (identification/README.md, "Lessons").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+from identification.estimation.levenberg_marquardt import Index, levenberg_marquardt
+from identification.estimation.methods import starts
+from identification.estimation.plausibility import FAR
+from identification.estimation.problem import Problem
+from identification.information import column_space, spectrum
+from identification.measurements import Conditions, Measurements, repeats_of, rms_distance
+from identification.model import Model
+from identification.status import Status
+
+Linearization = Callable[[Array], tuple[Array, Array]]  # (p,) parameters -> positions (m, d), Jacobian (m, d, p)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """m measured rows; conditions that follow from the whole session are fixed, so that rows can be left out.
+
+    postures : (m, n) [rad];  positions : (m, d) [mm];  order : (m,) rank of each row in time
+    spread : (m, d, d) symmetric square root of the relative covariance of each row, None: the same for all
+    correlation : lag-1 correlation of the noise between consecutive rows
+    numbers : (m,) equal numbers mark rows of one posture, None: equal angles do
+    sigma : standard deviation [mm] of a whitened coordinate as given by the data, None: not given
+    shared : variance that all rows of one posture have in common, relative to that of each row
+    """
+
+    postures: Array
+    positions: Array
+    conditions: Conditions
+    order: Array
+    spread: Array | None = None
+    correlation: float = 0.0
+    numbers: NDArray[np.int64] | None = None
+    sigma: float | None = None
+    shared: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.postures)
+
+    @classmethod
+    def of(cls, measurements: Measurements) -> Rows:
+        """The rows of a data set; a sigma for each row becomes a relative weight."""
+        m = len(measurements)
+        order = np.empty(m)
+        order[measurements.sequence] = np.arange(m)  # one session after another
+        spread, sigma = None, None
+        if measurements.sigma is not None:
+            sigma = float(np.exp(np.mean(np.log(measurements.sigma))))
+            spread = (measurements.sigma / sigma)[:, None, None] * np.eye(measurements.dimension)
+        found = cls(measurements.postures, measurements.positions, measurements.conditions, order, spread)
+        return replace(found, numbers=measurements.posture_numbers, sigma=sigma)
+
+    def pick(self, index: Any) -> Rows:
+        """Some of the rows, by index, mask or slice."""
+        spread = None if self.spread is None else self.spread[index]
+        postures = self.postures[index]
+        postures.setflags(write=False)  # models know what they found for the same postures
+        return replace(
+            self,
+            postures=postures,
+            positions=self.positions[index],
+            conditions=self.conditions.rows(index),
+            order=self.order[index],
+            spread=spread,
+            numbers=None if self.numbers is None else self.numbers[index],
+        )
+
+    @property
+    def dimension(self) -> int:
+        """d, coordinates per row."""
+        return int(self.positions.shape[1])
+
+    @property
+    def sequence(self) -> NDArray[np.int64]:
+        """(m,) row numbers in the order of measurement."""
+        return np.argsort(self.order, kind="stable")
+
+    @property
+    def posture_numbers(self) -> NDArray[np.int64]:
+        """(m,) number of each row's posture, from 0."""
+        if self.numbers is None:
+            return np.unique(np.round(self.postures, 9), axis=0, return_inverse=True)[1].ravel()
+        return np.unique(self.numbers, return_inverse=True)[1]
+
+    @property
+    def repeat_numbers(self) -> NDArray[np.int64]:
+        """(m,) equal numbers mark repeats: rows of one posture, marker and session."""
+        return repeats_of(self.posture_numbers, self.conditions.marker, self.conditions.session)
+
+    @cached_property
+    def _inverse(self) -> Array:
+        """(m, d, d) inverse of `spread`."""
+        return np.asarray(np.linalg.inv(np.eye(self.dimension) if self.spread is None else self.spread))
+
+    @property
+    def log_determinant(self) -> float:
+        """Log determinant of the relative covariance of all m d coordinates."""
+        memory = self.dimension * (len(self) - 1) * np.log1p(-(self.correlation**2))
+        spread = 0.0 if self.spread is None else 2.0 * np.sum(np.linalg.slogdet(self.spread)[1])
+        repeats = np.bincount(self.posture_numbers) if self.shared else np.zeros(1)
+        return float(memory + spread + self.dimension * np.sum(np.log1p(self.shared * repeats)))
+
+    def whiten(self, values: Array) -> Array:
+        """Transform (m, d, ...) to (m d, ...) with white noise; linear, so that it serves residuals and columns."""
+        m, d = len(self), self.dimension
+        if self.spread is not None:
+            values = (self._inverse @ values.reshape(m, d, -1)).reshape(values.shape)
+        if self.shared:
+            values = self._parted(values)
+        if self.correlation:
+            values = self._decorrelated(values)
+        return values.reshape(m * d, *values.shape[2:])
+
+    def _parted(self, values: Array) -> Array:
+        """With the mean over the n rows of each posture shrunk by (1 + n shared)^(-1/2); (m, d, ...)."""
+        numbers = self.posture_numbers
+        counts = np.bincount(numbers)
+        flat = values.reshape(len(values), -1)
+        sums = np.zeros((len(counts), flat.shape[1]))
+        np.add.at(sums, numbers, flat)
+        taken = (1.0 - (1.0 + counts * self.shared) ** -0.5) / counts
+        return (flat - (sums * taken[:, None])[numbers]).reshape(values.shape)
+
+    def _decorrelated(self, values: Array) -> Array:
+        """Subtract from each row what the previous row predicts, for a first-order autoregression; (m, d, ...)."""
+        rho, sequence, root = self.correlation, self.sequence, np.sqrt(1.0 - self.correlation**2)
+        if np.array_equal(sequence, np.arange(len(sequence))):
+            changed = values / root
+            changed[0] = values[0]
+            changed[1:] -= values[:-1] * (rho / root)
+            return changed
+        changed = values.copy()
+        before, after = values[sequence[:-1]], values[sequence[1:]]
+        changed[sequence[1:]] = (after - rho * before) / root
+        return changed
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model fitted to m rows, in N = m d whitened coordinates. The (N, p) Jacobian is not stored: many fits are kept.
+
+    rows : data of the fit;  values : (p,) parameters [API units];  residual : (N,) whitened
+    triangle : (p, p) or (N, p) matrix R with R^T R = J^T J for the whitened Jacobian J
+    free : (p,) False where a bound is active
+    """
+
+    model: Model
+    rows: Rows
+    values: Array
+    residual: Array
+    triangle: Array
+    free: NDArray[np.bool_]
+    status: Status
+
+    @property
+    def squares(self) -> float:
+        """Sum of squared whitened residuals."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def left(self) -> Array:
+        """(m, d) measured less computed positions [mm] of the rows of the fit, not whitened."""
+        return self.position_residuals(self.rows, self.rows.conditions)
+
+    @property
+    def jacobian(self) -> Array:
+        """(N, p) derivative of the whitened positions with respect to the parameters."""
+        return self.rows.whiten(self.model.jacobian(self.rows.postures, self.values, self.rows.conditions))
+
+    @property
+    def basis(self) -> Array:
+        """(N, rank) orthonormal basis of the Jacobian's columns."""
+        return column_space(self.jacobian, self.model.scales)
+
+    @cached_property
+    def rank(self) -> int:
+        """Number of parameter combinations that the data determine."""
+        return int(column_space(self.triangle, self.model.scales).shape[1])
+
+    @property
+    def freedom(self) -> int:
+        """Residual degrees of freedom; parameter combinations that the data do not determine cost none."""
+        return len(self.residual) - self.rank
+
+    @property
+    def sigma(self) -> float:
+        """Scale of the noise [mm] estimated from the residuals."""
+        return float(np.sqrt(self.squares / max(self.freedom, 1)))
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Parameter name -> value."""
+        return self.model.parameters.mapping(self.values)
+
+    def position_residuals(self, measurements: Measurements | Rows, conditions: Conditions) -> Array:
+        """(m, d) measured less computed positions [mm], not whitened, of these rows or of others."""
+        position, _ = self.model.linearize(measurements.postures, self.values, conditions)
+        return measurements.positions - position
+
+    def covariance(self, bounded: bool = True) -> Array:
+        """(p, p) covariance of the estimates [unit of row x unit of column].
+
+        bounded : True for predictions: a parameter with an active bound counts as known, its row and column are zero;
+            False for intervals: computed as if there were no bounds
+        """
+        free = self.free if bounded else np.ones(len(self.values), dtype=bool)
+        full = np.zeros((len(self.values), len(self.values)))
+        spread = spectrum(self.triangle[:, free], self.model.scales[free]).covariance
+        full[np.ix_(free, free)] = self.sigma**2 * spread
+        return full
+
+    def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
+        """(m, d, q) derivative of the positions with respect to the q estimates, and their (q, q) covariance."""
+        return self.model.jacobian(postures, self.values, conditions), self.covariance()
+
+
+def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> Fit:
+    """Fit a model to whitened rows by least squares within the bounds of its parameters.
+
+    start : parameter name -> value, zero where missing; None: as `estimation.methods.starts` finds it
+    """
+    problem = Problem(model, rows.postures, rows.conditions, rows.positions[None], np.ones(len(rows)))
+    at = _linearization(model, rows)
+
+    def linearize(values: Array, _: Index) -> tuple[Array, Array]:
+        position, jacobian = at(values[0])
+        return rows.whiten(rows.positions - position)[None], rows.whiten(jacobian)[None]
+
+    values = starts(problem)[0] if start is None else _better_start(problem, model.parameters.vector(start), at)
+    solution = levenberg_marquardt(replace(problem.least_squares, linearize=linearize), values[None])
+    values = solution.parameters[0]
+    residual, jacobian = linearize(values[None], np.arange(1))
+    triangle = np.asarray(np.linalg.qr(jacobian[0], mode="r"))
+    return Fit(model, rows, values, residual[0], triangle, ~solution.active[0], solution.status[0])
+
+
+def _linearization(model: Model, rows: Rows) -> Linearization:
+    """Function of parameters (p,) -> positions and Jacobian; the last result is cached, as it is needed twice."""
+    last: dict[bytes, tuple[Array, Array]] = {}
+
+    def at(values: Array) -> tuple[Array, Array]:
+        if (key := values.tobytes()) not in last:
+            last.clear()
+            last[key] = model.linearize(rows.postures, values, rows.conditions)
+        return last[key]
+
+    return at
+
+
+def _better_start(problem: Problem, values: Array, at: Linearization) -> Array:
+    """(p,) the start, or the closed form's where that is far better: with a base offset it holds in any frame.
+
+    at : positions and Jacobian; used here because compiling a second function would take longer than the fit
+    """
+
+    def left(there: Array) -> float:
+        return rms_distance(problem.positions[0] - at(there)[0])
+
+    if left(values) <= FAR * problem.model.reach:
+        return values
+    closed = starts(problem)[0]
+    return closed if left(closed) < left(values) else values

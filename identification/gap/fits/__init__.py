@@ -1,1 +1,0 @@
-"""Rows whitened, and fits of models to them."""

@@ -1,0 +1,171 @@
+"""What is known of the noise without a model of it: the scatter of repeats of one posture, and the sigma that is given.
+
+Residuals of a fit are tested against both: by chi-square against the sigma, by the F test of lack of fit against the
+repeats. A sigma from a data sheet may be too small (identification/README.md, "Lessons"), so that only a sigma of the
+rows and repeats have a say in the verdict.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from identification.arrays import Array
+from identification.estimation import Identification
+from identification.estimation.plausibility import only_rounding
+from identification.estimation.shown import MISFIT
+from identification.estimation.uncertainty import LEVEL, lack_of_fit, pure_error
+from identification.gap.scatter import Finding
+from identification.measurements import POINT, Measurements
+
+# reasons: identification/README.md, "Constants"
+APART = 0.1  # of the session, between two rows that share no slow error
+SPARE = 4  # degrees of freedom below which nothing is tested, and no standard deviation reported
+
+Groups = NDArray[np.int64]
+
+
+class NoiseFloor(NamedTuple):
+    """RMS distances [mm] that no model of the mean can go below; None where not available.
+
+    repeats : from repeats far apart in time;  close_repeats : from repeats close in time, which share slow errors
+    sigma : from the given noise of the instrument, for all coordinates together
+    """
+
+    repeats: float | None = None
+    close_repeats: float | None = None
+    sigma: float | None = None
+
+    @property
+    def source(self) -> str | None:
+        """Source of the floor: the most reliable one available, None without any."""
+        return next((name for name, value in self._asdict().items() if value is not None), None)
+
+    @property
+    def value(self) -> float | None:
+        """The noise floor [mm] from `source`."""
+        return next((value for value in self if value is not None), None)
+
+    def __str__(self) -> str:
+        where = {"repeats": "repeats far apart in time", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
+        if self.source is None:
+            return "noise floor unknown (no repeats, no sigma_mm)"
+        return f"noise floor {self.value:.4g} mm ({where[self.source]})"
+
+    def to_json(self) -> dict[str, float | str | None]:
+        """Keys of `gap` (identification/files/README.md, "JSON keys")."""
+        repeats = {"repeats_mm": self.repeats, "close_repeats_mm": self.close_repeats}
+        return {"noise_floor_mm": self.value, "noise_floor_from": self.source, **repeats}
+
+
+class Misfit(NamedTuple):
+    """Chi-square test of residuals against a given sigma (entry `misfit` of identification/files/README.md, "JSON
+    keys").
+
+    chi2 : sum of squares in units of that sigma;  dof : its degrees of freedom
+    p_value : of a chi2 at least this large if model and sigma are right
+    ratio : of the residuals' standard deviation to the sigma
+    """
+
+    chi2: float
+    dof: int
+    p_value: float
+    ratio: float
+
+    @property
+    def significant(self) -> bool:
+        """True if the residuals are larger than noise of the given sigma explains, at `LEVEL`."""
+        return self.p_value <= LEVEL
+
+
+def misfit(
+    residual: Array, rank: int, measurements: Measurements, sigma: float | None, kept: NDArray[np.bool_]
+) -> Misfit | None:
+    """Test residuals (m, d) [mm] of a model of this rank; None where neither the rows nor the arm file give a sigma.
+
+    sigma : of the arm file [mm];  kept : (m,) rows that are no outliers
+    """
+    given = sigma if measurements.sigma is None else measurements.sigma[kept, None]
+    freedom = residual[kept].size - rank
+    if given is None or freedom <= 0:
+        return None
+    chi2 = float(np.sum((residual[kept] / given) ** 2))
+    return Misfit(chi2, freedom, float(chdtrc(freedom, chi2)), float(np.sqrt(chi2 / freedom)))
+
+
+def noise_floor(
+    residual: Array, measurements: Measurements, kept: NDArray[np.bool_], sigma: float | None
+) -> NoiseFloor:
+    """Noise floor from repeats and from the instrument.
+
+    residual : (m, d) [mm] of a fitted model, which removes the effect of small differences between repeated postures
+    kept : (m,) rows that are no outliers;  sigma : of the arm file [mm], None: unknown
+    """
+    groups, time, far = _repeats_in_time(measurements, kept)
+    points = residual[kept, POINT]
+    stretch = np.floor(time / APART).astype(np.int64)
+    if measurements.sigma is not None:
+        sigma = float(np.sqrt(np.mean(measurements.sigma[kept] ** 2)))
+
+    def rms(left: Array, repeats: Groups) -> float | None:
+        squares, freedom = pure_error(left, repeats)
+        return float(np.sqrt(left.shape[1] * squares / freedom)) if freedom >= SPARE else None
+
+    return NoiseFloor(
+        rms(points[far], groups[far]),
+        rms(points, groups * (stretch.max() + 1) + stretch),
+        None if sigma is None else sigma * float(np.sqrt(points.shape[1])),
+    )
+
+
+def _repeats_in_time(measurements: Measurements, kept: NDArray[np.bool_]) -> tuple[Groups, Array, NDArray[np.bool_]]:
+    """Of the kept rows (m,) their `repeat_numbers`, the time from 0 to 1 over the session, and which of them remain
+    when each repeat within `APART` of the last one that remains is removed."""
+    assert measurements.conditions.time is not None  # measurements know it
+    groups, time = measurements.repeat_numbers[kept], measurements.conditions.time[kept] + 0.5
+    far = np.zeros(len(groups), dtype=bool)
+    last: dict[int, float] = {}
+    for row in np.argsort(time, kind="stable").tolist():
+        if time[row] - last.get(groups[row], -np.inf) >= APART:
+            far[row], last[groups[row]] = True, time[row]
+    return groups, time, far
+
+
+def repeat_finding(
+    residual: Array, rank: int, measurements: Measurements, kept: NDArray[np.bool_]
+) -> tuple[Finding, ...]:
+    """F test of lack of fit against the scatter of repeats: a fast ripple resembles noise, but it repeats.
+
+    It is over repeats far apart in time if there are enough. Empty if not significant at `LEVEL`.
+
+    residual : (m, d) [mm] of a fitted model of this rank;  kept : (m,) rows that are no outliers
+    """
+    groups, _, far = _repeats_in_time(measurements, kept)
+    left = residual[kept]
+    for rows in (far, np.ones_like(far)):
+        if pure_error(left[rows], groups[rows])[1] >= SPARE:
+            excess, p = lack_of_fit(left[rows], groups[rows], rank)
+            return (Finding("repeats", p, excess),) if p <= LEVEL else ()
+    return ()
+
+
+def with_repeats_doubted(found: Identification, measurements: Measurements) -> Identification:
+    """The fit with a first doubt if its residuals scatter more than repeats of one posture: the same where nothing is
+    repeated, and where chi2 says it already or the data have no noise."""
+    left = found.residuals_after
+    if found.misfit is not None or found.dof <= 0 or only_rounding(left, measurements):
+        return found
+    kept = ~np.isin(np.arange(len(left)) + 1, found.outlier_rows)
+    floor = noise_floor(left, measurements, kept, None).value
+    if not repeat_finding(left, left.size - found.dof, measurements, kept) or floor is None or found.scatter is None:
+        return found
+    repeats = floor / float(np.sqrt(left[:, POINT].shape[1]))
+    figures = f"{found.scatter:.3g} mm per axis, not {repeats:.3g} mm"
+    scatter = f"{MISFIT} {found.scatter / repeats:.2g} times as much as repeats of one posture ({figures})"
+    hidden = "what that does to the parameters is not in their intervals"
+    doubt = f"{scatter}: the model misses an effect, and {hidden}; armcal diagnose looks for it"
+    return replace(found, doubts=(doubt, *found.doubts))

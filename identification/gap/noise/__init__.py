@@ -1,1 +1,0 @@
-"""The noise: its size, what it depends on, what repeats say, and misfit that no effect explains."""

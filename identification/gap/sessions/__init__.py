@@ -1,1 +1,0 @@
-"""What is found in several sessions, and what only in one."""

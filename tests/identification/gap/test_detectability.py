@@ -1,0 +1,197 @@
+"""What a plan can show, before data; and waves that a narrow range cannot tell apart, against likenesses from complex
+numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from identification.arm import Arm, EffectSpec, Gravity
+from identification.errors import InputError
+from identification.gap.blocks import linearized
+from identification.gap.detectability import NEAR, Beside, assess, detectability, detectable_lambda, order_ranges
+from identification.gap.fit import Rows, fit
+from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.words import order_clauses
+from identification.measurements import Conditions, Measurements
+from identification.model import Model
+
+ARM = Arm(
+    [260.0, 180.0, 120.0],
+    sigma=0.1,
+    gravity=Gravity(np.array([0.0, -9.81]), np.array([8.0, 5.0, 3.0]), np.full(3, 0.5), 5.0),
+)
+POSTURES = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 3))
+
+
+@pytest.mark.parametrize(("size", "freedom", "level"), [(1, 20, 0.01), (2, 50, 0.001), (4, 12, 0.05), (1, 2, 1e-5)])
+def test_detectable_size_has_ninety_per_cent_power(size: int, freedom: int, level: float) -> None:
+    needed = detectable_lambda(size, freedom, level)
+    limit = stats.f.isf(level, size, freedom)
+    assert stats.ncf.sf(limit, size, freedom, needed**2) == pytest.approx(0.9, abs=1e-6)
+
+
+def test_levels_below_rounding() -> None:
+    """With two parameters the tail of F is (1 + 2 f / dof)^(-dof / 2), in closed form."""
+    needed = detectable_lambda(2, 20_000, 1e-20)
+    limit = 10_000 * (1e-20 ** (-1.0 / 10_000) - 1.0)
+    assert stats.ncf.sf(limit, 2, 20_000, needed**2) == pytest.approx(0.9, abs=1e-6)
+
+
+def test_one_sided_size() -> None:
+    needed = detectable_lambda(1, 25, 0.002, one_sided=True)
+    assert stats.nct.sf(stats.t.isf(0.002, 25), 25, needed) == pytest.approx(0.9, abs=1e-6)
+
+
+def test_share_and_size_of_one_effect_from_its_own_model() -> None:
+    result = detectability(ARM, POSTURES)
+    model = Model(ARM.with_effects(EffectSpec("gear_ratio", 2)))
+    columns = model.jacobian(POSTURES).reshape(60, -1)
+    added = columns[:, -1]
+    left = added - columns[:, :-1] @ np.linalg.lstsq(columns[:, :-1], added, rcond=None)[0]
+    k = result.names.index("gear_ratio:2")
+    assert result.norm_fractions[k] == pytest.approx(np.linalg.norm(left) / np.linalg.norm(added), rel=1e-8)
+    size = result.detectable["gear_ratio:2"]
+    assert size.unit == "1"
+    # the size is a length lambda between 3.5 and 6 standard deviations: 90 % power at 0.05 / (about 30 effects)
+    assert 3.5 < size.value * np.linalg.norm(left) / 0.1 < 6.0
+    assert size.tip_mm == pytest.approx(size.value * np.sqrt(np.mean(np.sum(added.reshape(30, 2) ** 2, axis=1))))
+
+
+def test_likeness_is_one_for_the_effect_itself_and_for_a_part_of_a_family() -> None:
+    result = detectability(ARM, POSTURES)
+    np.testing.assert_allclose(np.diag(result.likeness), 1.0)
+    part, whole = result.names.index("joint_compliance:2"), result.names.index("joint_compliance")
+    assert result.likeness[part, whole] == pytest.approx(1.0)
+    assert result.likeness[whole, part] < 0.9
+    assert ("joint_compliance:2", "joint_compliance") in [(a, b) for a, b, _ in result.pairs()]
+
+
+def test_needs_decide_what_is_tried() -> None:
+    bare = detectability(Arm([260.0, 180.0, 120.0]), POSTURES)
+    assert "link_bending" in bare.skipped
+    assert "thermal_growth" in bare.skipped
+    warm = detectability(ARM, POSTURES, Conditions(temperature=np.linspace(-2, 2, 30)))
+    assert {"thermal_growth", "link_bending"} <= set(warm.names)
+    assert {"tool_offset", "measurement_scale", "base_rotation"} == set(warm.aliases)
+
+
+def test_constant_direction_shows_no_backlash() -> None:
+    result = detectability(ARM, POSTURES, Conditions(directions=np.ones((30, 3))))
+    assert result.detectable["backlash:2"].value is None
+
+
+def test_refuses_fewer_than_four_residual_degrees_of_freedom() -> None:
+    with pytest.raises(InputError, match="4 rows leave 2 residual degrees of freedom for tests, allowed: at least 4"):
+        detectability(ARM, POSTURES[:4])
+    assert detectability(ARM, POSTURES[:5]).freedom == 4
+
+
+def test_no_size_listed_moves_the_tip_out_of_linear_theory() -> None:
+    """On two angles a joint's cosine is a constant, but for rounding: its size would be thousands of degrees."""
+    rng = np.random.default_rng(2)
+    postures = rng.uniform(-np.pi, np.pi, (30, 3))
+    postures[:, 2] = np.radians(80.0) * rng.choice([-1.0, 1.0], 30) + np.radians(1e-3) * rng.normal(size=30)
+    sizes = detectability(ARM, postures).detectable
+    assert sizes["encoder_eccentricity:3"].value is None
+    assert sizes["gear_ratio:2"].value is not None
+    for name in ("gear_ratio:2", "encoder_eccentricity:2", "gear_ratio:3"):
+        if (size := sizes[name].value) is not None:
+            joint = int(name[-1])
+            model = Model(ARM.with_effects(EffectSpec(name[:-2], joint)))
+            column = model.jacobian(postures)[:, :, 6] * (np.radians(size) if "encoder" in name else size)
+            assert np.sqrt(np.mean(np.sum(column**2, axis=1))) <= 0.1 * 560.0 * 1.01
+
+
+@pytest.mark.parametrize("effects", [("gear_ratio:2",), ("encoder_eccentricity:1",), ("gear_ratio:2", "backlash:3")])
+def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None:
+    """Least squares of the other rows, by numpy alone."""
+    rng, out = np.random.default_rng(6), [3, 17]
+    exact = Model(ARM.with_effects(EffectSpec("gear_ratio", 2))).position(POSTURES, np.r_[np.zeros(6), 4e-4])
+    noisy = exact + 0.1 * rng.standard_normal(exact.shape)
+    noisy[out] += 5.0
+    rows, kept = Rows.of(Measurements(POSTURES, noisy)), np.setdiff1d(np.arange(30), out)
+    library = hypotheses(ARM, frozenset(), rows)
+    at = fit(library.base, rows.pick(kept))
+    problem = linearized(library, at, rows, out, frozenset())
+    beside = Beside(problem, [problem.numbers[f"row:{k}"] for k in out])
+    blocks = [problem.numbers[label] for label in effects]
+    base = library.base.jacobian(POSTURES, at.values, rows.conditions)[kept].reshape(56, -1)
+    own = np.concatenate([problem.columns[k] @ problem.roots[k] for k in blocks], axis=2)[kept].reshape(56, -1)
+
+    def left(y: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        return y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+
+    projected = left(own, base)
+    np.testing.assert_allclose(beside.gram(problem.products.places(blocks)), projected.T @ projected, atol=1e-6)
+    y = (noisy - library.base.position(POSTURES, at.values, rows.conditions))[kept].ravel()
+    without, there = (np.sum(left(y, columns) ** 2) for columns in (base, np.hstack([base, own])))
+    freedom = 56 - 6 - own.shape[1]
+    f = (without - there) / own.shape[1] / (there / freedom)
+    assert beside.freedom == 50
+    assert beside.f_test(blocks) == pytest.approx((f, stats.f.sf(f, own.shape[1], freedom)), rel=1e-4)
+    sees = assess(library, beside, rows, 0.1)
+    assert sees.freedom == 50
+    size = sees.detectable["gear_ratio:2"].value
+    column = problem.columns[problem.numbers["gear_ratio:2"]][kept].reshape(56, 1)
+    least = 0.1 * detectable_lambda(1, 49, 0.05 / sum(h.weight for h in library.members) / np.sqrt(3.0))
+    assert size == pytest.approx(least / np.linalg.norm(left(column, base)), rel=1e-6)
+
+
+LENGTHS = np.array([300.0, 200.0])
+SIZE, K = 0.002, 20  # [rad], periods per turn
+
+
+def likeness(q: np.ndarray, joint: int, one: float, other: float) -> float:
+    """Of two waves in a joint after projection off lengths and offsets; the tip is a complex number."""
+    links = LENGTHS * np.exp(1j * np.cumsum(q, axis=1))
+    lever = 1j * links[:, joint:].sum(axis=1)
+    base = np.column_stack([links, 1j * links.sum(axis=1), 1j * links[:, 1]])
+    real = lambda z: np.concatenate([z.real, z.imag])  # noqa: E731
+    q_base, _ = np.linalg.qr(real(base))
+
+    def space(k: float) -> np.ndarray:
+        wave = real(lever[:, None] * np.column_stack([np.cos(k * q[:, joint]), np.sin(k * q[:, joint])]))
+        return np.linalg.qr(wave - q_base @ (q_base.T @ wave))[0]
+
+    return float(np.linalg.norm(space(one).T @ space(other)) / np.sqrt(2.0))
+
+
+@pytest.mark.parametrize("degrees", [40.0, 70.0, 110.0, 150.0, 360.0])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_wave_is_a_shape_where_its_neighbor_is_alike(degrees: float, joint: int) -> None:
+    generator = np.random.default_rng(3)
+    q = generator.uniform(-np.pi, np.pi, (150, 2))
+    q[:, joint] *= degrees / 360.0
+    bent = q.copy()
+    bent[:, joint] += SIZE * np.cos(K * q[:, joint])
+    z = (LENGTHS * np.exp(1j * np.cumsum(bent, axis=1))).sum(axis=1)
+    positions = np.column_stack([z.real, z.imag]) + generator.normal(0.0, 0.01, (150, 2))
+    spec = EffectSpec("transmission_ripple", joint + 1, {"k": K})
+    rows = Rows.of(Measurements(q, positions))
+    found = fit(Model(Arm(LENGTHS, effects=(spec,))), rows)
+    label = f"transmission_ripple:{joint + 1}[k={K}]"
+    shapes = order_ranges(found, (label,))
+    alike = max(likeness(q, joint, K, K - 1), likeness(q, joint, K, K + 1))
+    assert abs(alike - NEAR) > 0.005  # the linear columns of model and oracle differ by the size of the effect
+    assert len(shapes) == (alike >= NEAR)
+    assert order_ranges(found, ()) == ()
+    if shapes:
+        apart = 2.0 * np.pi / np.sqrt(12.0 * np.var(q[:, joint]))
+        entry = shapes[0]._asdict()
+        assert entry["effect"] == label
+        assert entry["orders"] == (max(1, np.ceil(K - apart)), np.floor(K + apart))
+        np.testing.assert_allclose(entry["range_deg"], np.degrees([q[:, joint].min(), q[:, joint].max()]))
+        assert (
+            f"over the {np.degrees(np.ptp(q[:, joint])):.0f} deg that joint {joint + 1} moved"
+            in order_clauses(shapes)[0]
+        )
+
+
+def test_other_effects_are_no_waves() -> None:
+    q = np.random.default_rng(4).uniform(-0.3, 0.3, (40, 2))
+    arm = Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 1), EffectSpec("base_drift")))
+    z = (LENGTHS * np.exp(1j * np.cumsum(q, axis=1))).sum(axis=1)
+    rows = Rows.of(Measurements(q, np.column_stack([z.real, z.imag])))
+    assert order_ranges(fit(Model(arm), rows), ("gear_ratio:1", "base_drift")) == ()

@@ -1,0 +1,183 @@
+"""What returns in another session: simulated in complex numbers, judged as a reader of the definition would."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+from scipy.special import logsumexp, softmax
+
+from identification.arm import Arm, EffectSpec
+from identification.gap.diagnose import diagnose
+from identification.gap.evidence import SIZES
+from identification.gap.fit import Rows, fit
+from identification.gap.replication import SAME, CurveColumns, Replication, replication_clauses, replications
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.sessions import pooled_sessions, with_sessions
+
+LENGTHS, SIGMA, K = np.array([300.0, 200.0]), 0.1, 5
+BASES = [(0.0, 0.0), (0.7, 100.0 - 50.0j), (-2.0, 30.0j)]
+
+
+def session(number: int, size: complex, m: int = 60, seed: int | None = None) -> Measurements:
+    """A wave of 5 per turn in joint 2, a cos + b sin with a + ib = `size` [rad]."""
+    generator = np.random.default_rng(number if seed is None else [number, seed])
+    q = generator.uniform(-np.pi, np.pi, (m, 2))
+    bent = q + np.array([0.001, -0.002])
+    bent[:, 1] += size.real * np.cos(K * q[:, 1]) + size.imag * np.sin(K * q[:, 1])
+    turn, shift = BASES[number]
+    z = np.exp(1j * turn) * (LENGTHS * np.exp(1j * np.cumsum(bent, axis=1))).sum(axis=1) + shift
+    return Measurements(q, np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (m, 2)))
+
+
+def replication(*parts: Measurements) -> tuple[Replication, Measurements]:
+    data = pooled_sessions({f"day {k + 1}": part for k, part in enumerate(parts)})
+    arm = with_sessions(Arm(LENGTHS), data)
+    spec = EffectSpec("transmission_ripple", 2, {"k": K})
+    fitted = fit(Model(arm.with_effects(*arm.effects, spec)), Rows.of(data))
+    (one,) = replications(fitted, data.session_names, (f"transmission_ripple:2[k={K}]",))
+    return one, data
+
+
+def found(*sizes: complex) -> tuple[Replication, Measurements]:
+    return replication(*(session(k, size) for k, size in enumerate(sizes)))
+
+
+SIZE = 0.001 - 0.0005j  # some 0.2 mm at the tip of a link of 200 mm
+
+
+@pytest.mark.parametrize(
+    ("sizes", "answer", "each"),
+    [
+        ((SIZE, SIZE), True, (True, True)),
+        ((SIZE, SIZE, SIZE), True, (True, True, True)),
+        ((10.0 * SIZE, 11.0 * SIZE), True, (True, True)),  # a difference of ten standard deviations, and of a tenth
+        ((SIZE, -SIZE), False, (False, False)),  # what one session says is wrong by twice the effect in the other
+        ((SIZE, 0.0j), False, (None, False)),  # of nothing the other session can learn nothing
+    ],
+)
+def test_what_returns_and_what_does_not(
+    sizes: tuple[complex, ...], answer: bool, each: tuple[bool | None, ...]
+) -> None:
+    one, _ = found(*sizes)
+    assert one.replicates is answer
+    assert tuple(s.replicates for s in one.sessions) == each
+    for there, size in zip(one.sessions, sizes, strict=True):
+        errors = (np.radians(there.values) - [size.real, size.imag]) / np.radians(there.deviations)
+        assert np.all(np.abs(errors) < 5.0)
+    assert list(replication_clauses((one,))) == [
+        f"{'replicates' if answer else 'does not replicate'} across sessions: {one.effect}"
+    ]
+
+
+@pytest.mark.parametrize(("second", "right", "wrong"), [(SIZE, True, False), (0.0j, False, True)])
+def test_five_rows_of_a_session_say_it_or_leave_it_open(second: complex, right: bool, wrong: bool) -> None:
+    """The effect is 12 standard deviations in 60 rows, 3.5 in five, of whose ten coordinates the base takes three."""
+    sets = (replication(session(0, SIZE, 60, k), session(1, second, 5, k))[0] for k in range(40))
+    answers = Counter(one.replicates for one in sets)
+    assert answers[wrong] <= 4  # what is said has a probability of 0.9
+    assert answers[right] >= 10
+    assert answers[None] >= 10
+
+
+def test_what_is_open_in_one_session_is_open() -> None:
+    sets = [replication(session(0, SIZE), session(1, SIZE), session(2, SIZE, 4, k))[0] for k in range(5)]
+    (one, *_) = (one for one in sets if one.sessions[2].replicates is None)
+    assert [there.replicates for there in one.sessions[:2]] == [True, True]
+    assert one.replicates is None
+    assert str(one).startswith(f"{one.effect} is open across sessions (day 1: a = ")
+    assert one.to_json()["sessions"][1]["parameters"][0]["name"] == "transmission_ripple:2.a"
+
+
+def log_likelihood(y: np.ndarray, blocks: list[np.ndarray], sizes: tuple[float, ...]) -> float:
+    """Of y ~ N(0, sigma^2 (1 + sum s^2 Z Z^T)) with p(sigma) ~ 1 / sigma."""
+    covariance = np.eye(len(y)) + sum(s**2 * z @ z.T for s, z in zip(sizes, blocks, strict=True))
+    quadratic = float(y @ np.linalg.solve(covariance, y))
+    return -0.5 * np.linalg.slogdet(covariance)[1] - 0.5 * len(y) * np.log(quadratic)
+
+
+def test_the_probability_is_that_of_dense_algebra() -> None:
+    """In coordinates off the base; an effect of unit size has the inverse of its information as covariance."""
+    one, data = replication(session(0, SIZE, 14), session(1, 0.6 * SIZE, 9))
+    q, second = data.postures, (data.session == "day 2")[:, None]
+    links = LENGTHS * np.exp(1j * np.cumsum(q, axis=1)) * np.exp(1j * np.where(second, BASES[1][0], 0.0))
+    lever, ones = 1j * links[:, 1:], np.ones((len(q), 1))
+    tip = 1j * links.sum(axis=1, keepdims=True)
+    base = np.hstack([links, tip, lever, ones, 1j * ones, tip * second, second, 1j * second])
+    wave = lever * np.column_stack([np.cos(K * q[:, 1]), np.sin(K * q[:, 1])])
+    rest = data.positions @ [1.0, 1.0j] - np.where(second[:, 0], BASES[1][1], 0.0) - links.sum(axis=1)
+    base, wave, first, y = (np.concatenate([z.real, z.imag]) for z in (base, wave, wave * ~second, rest))
+    off = null_space(base.T).T
+    wave, first, y = off @ wave, off @ first, off @ y
+    root = np.linalg.cholesky(np.linalg.inv(wave.T @ wave) / 2.0)
+    wave, first = wave @ root, first @ root
+    same, other = np.hstack([wave, SAME * first]), wave - first
+    tables = [
+        [log_likelihood(y, [same], (s,)) for s in SIZES],
+        [log_likelihood(y, [first, other], (s, t)) for s in SIZES for t in SIZES],
+        [log_likelihood(y, [other], (s,)) for s in SIZES],
+        [log_likelihood(y, [first], (s,)) for s in SIZES],
+    ]
+    expected = softmax([logsumexp(table) - np.log(len(table)) for table in tables])[0]
+    assert 0.05 < expected < 0.95
+    assert one.sessions[0].probability == pytest.approx(expected, rel=0.01)  # linearized at the drawing
+
+
+def test_one_session_has_nothing_to_compare() -> None:
+    data = session(0, SIZE)
+    rows = Rows.of(data)
+    fitted = fit(Model(Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 1),))), rows)
+    assert replications(fitted, data.session_names, ("gear_ratio:1",)) == ()
+
+
+def bumpy(number: int, sign: float, width: float) -> Measurements:
+    """Two bumps in the error of joint 2, which turns by `width` to both sides."""
+    generator = np.random.default_rng(20 + number)
+    q = generator.uniform(-np.pi, np.pi, (70, 2))
+    q[:, 1] *= width / np.pi
+    bent, turn = q.copy(), BASES[number]
+    for center in (-0.6, 0.5):
+        bent[:, 1] += sign * 0.004 * np.exp(-0.5 * ((q[:, 1] - center) / 0.2) ** 2)
+    z = np.exp(1j * turn[0]) * (LENGTHS * np.exp(1j * np.cumsum(bent, axis=1))).sum(axis=1) + turn[1]
+    return Measurements(q, np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (70, 2)))
+
+
+@pytest.mark.parametrize(("sign", "answer"), [(1.0, True), (-1.0, False)])
+def test_a_curve_returns_where_both_sessions_have_measured(sign: float, answer: bool) -> None:
+    """One session covers a part of the angles of the other; its curve has another level there."""
+    data = pooled_sessions({"wide": bumpy(0, 1.0, np.pi), "narrow": bumpy(1, sign, 1.2)})
+    diagnosis = diagnose(Arm(LENGTHS), data)
+    curve = next((r for r in diagnosis.replication if r.effect == "joint_error_curve:2"), None)
+    if answer:
+        assert curve is not None
+        assert curve.to_json()["sessions"][0]["parameters"] == []
+    assert (curve.replicates if curve else False) is answer
+
+
+@pytest.mark.parametrize("sides", [(1.0, -1.0), (1.0, 0.5)])
+def test_a_curve_is_open_without_common_angles(sides: tuple[float, float]) -> None:
+    """A bump at angles of joint 2 that the second session never has."""
+    generator = np.random.default_rng(30)
+    q = generator.uniform(-np.pi, np.pi, (80, 2))
+    q[:, 1] = np.repeat(sides, 40) * np.where(q[:, 1] > 0.0, 1.0, 0.9)
+    bent = q.copy()
+    bent[:40, 1] += 0.004 * (q[:40, 1] > 0.95)
+    z = (LENGTHS * np.exp(1j * np.cumsum(bent, axis=1))).sum(axis=1)
+    data = Measurements(
+        q,
+        np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (80, 2)),
+        session=np.repeat(["one", "two"], 40),
+    )
+    fitted = fit(Model(with_sessions(Arm(LENGTHS), data)), Rows.of(data))
+    lever = LENGTHS[1] * np.exp(1j * np.sum(q, axis=1)) * 1j
+    waves = lever[:, None] * np.cos(np.outer(q[:, 1], np.arange(1, 5))) / np.arange(1, 5) / 100.0
+    columns = np.stack([waves.real, waves.imag], axis=1)
+    (one,) = replications(fitted, data.session_names, (), {"joint_error_curve:2": CurveColumns(2, columns, 1)})
+    assert one.replicates is None
+    assert str(one) == (
+        "joint_error_curve:2 is open across sessions "
+        "(one: the same with probability 0.25; two: the same with probability 0.25)"
+    )
