@@ -8,7 +8,7 @@ from difflib import SequenceMatcher
 from types import MappingProxyType
 
 FEWEST, LONGEST = 3, 60  # characters of a word in which letters may be wrong: shorter ones are like too many others
-NEAR = 0.75  # share of the letters that two words have in common, in this order: three of four
+NEAR, NEAR_OF_THREE = 0.75, 0.66  # share of the letters that two words have in common, in this order; of three letters
 SHOWN = 3  # names that are suggested at once; more help nobody
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
@@ -33,7 +33,8 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
         matcher.set_seq1(name.lower())
         alike[name] = matcher.ratio()
     best = max(alike.values(), default=0.0)
-    if best >= NEAR and (len(low) >= FEWEST or best == 1.0):
+    limit = NEAR if len(low) > FEWEST else NEAR_OF_THREE if len(low) == FEWEST else 1.0
+    if best >= limit:
         near = dict.fromkeys(spelt[name] for name, ratio in alike.items() if ratio == best)
     else:
         near = dict.fromkeys(option for option in options if _is_part(low, option.lower()))

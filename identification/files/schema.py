@@ -88,6 +88,7 @@ def _direction(values: list[float]) -> list[float]:
 
 
 T = TypeVar("T")
+F = TypeVar("F", bound=BaseModel)
 InSpace = Annotated[T | None, Of(3)]
 NeededInPlane = Annotated[T | None, Of(2, required=True)]
 NeededInSpace = Annotated[T | None, Of(3, required=True)]
@@ -482,26 +483,33 @@ def validated_arm(tables: Mapping[str, Any], place: str = "") -> ArmFile:
     kind = tables.get("kind", "planar")
     if not isinstance(kind, str) or kind not in DIMENSIONS:
         raise InputError(f"kind: found {kind!r}, allowed: planar or spatial")
-    dimension = DIMENSIONS[kind]
+    return validated(ArmFile, tables, place, DIMENSIONS[kind])
+
+
+def validated(file: type[F], tables: Mapping[str, Any], place: str = "", dimension: int = 2) -> F:
+    """The tables of any file; raises `InputError` as `validated_arm` does.
+
+    dimension : of the arm, for keys and points that depend on it
+    """
     try:
-        return ArmFile.model_validate(tables, context={"dimension": dimension})
+        return file.model_validate(tables, context={"dimension": dimension})
     except ValidationError as error:
         # a misspelt key is both unknown and missing: the first of the two says more
         says_most = {"extra_forbidden": 0, "other_arm": 1}
         first = min(error.errors(include_url=False), key=lambda detail: says_most.get(detail["type"], 2))
-        raise InputError(f"{place}{_sentence(first, dimension)}") from None
+        raise InputError(f"{place}{_sentence(first, file, dimension)}") from None
 
 
-def _sentence(detail: Any, dimension: int) -> str:
+def _sentence(detail: Any, file: type[BaseModel], dimension: int) -> str:
     """What is wrong, in one line."""
     kind, context = detail["type"], detail.get("ctx", {})
     loc = (*detail["loc"], context["key"]) if "key" in context else detail["loc"]
-    table, description = _place(loc)
+    table, description = _place(loc, file)
     # entries are counted from 1, and the kind of a constraint is no part of the key: `constraints[2].x_mm`
     shown = (*loc[:2], *loc[3:]) if loc and loc[0] == "constraints" else loc
     key = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in shown if part != "")[1:]
     if kind == "extra_forbidden":
-        return f"{key}: {_unknown(str(loc[-1]), table, dimension)}"
+        return f"{key}: {_unknown(str(loc[-1]), table, table is file, dimension)}"
     kinds = [
         tag
         for each in get_args(ConstraintTable)
@@ -522,9 +530,9 @@ def _sentence(detail: Any, dimension: int) -> str:
     return f"{key}: {state}, allowed: {description.replace('COORDINATES', NUMBERS[dimension])}"
 
 
-def _place(loc: tuple[int | str, ...]) -> tuple[type[BaseModel], str]:
+def _place(loc: tuple[int | str, ...], file: type[BaseModel]) -> tuple[type[BaseModel], str]:
     """The innermost table that a place in the file lies in, and what the innermost key on the way allows."""
-    table: type[BaseModel] = ArmFile
+    table = file
     description, inner = "a table", [table]
     for part in loc:
         tagged = [
@@ -558,11 +566,11 @@ def _tables(annotation: Any) -> list[type[BaseModel]]:
     return [table for part in get_args(annotation) for table in _tables(part)]
 
 
-def _unknown(key: str, table: type[BaseModel], dimension: int) -> str:
+def _unknown(key: str, table: type[BaseModel], outermost: bool, dimension: int) -> str:
     """What to do about a key that a table does not have."""
     others = {name for name, mark in _marks(table) if mark.dimension != dimension}
     names = [name for name in table.model_fields if name not in others]
-    if table is ArmFile and not close_names(key, names):
+    if outermost and not close_names(key, names):
         inner = {name: _tables(table.model_fields[name].annotation) for name in names}
         below = [name for name, tables in inner.items() if len(tables) == 1 and key in tables[0].model_fields]
         if len(below) == 1:

@@ -29,7 +29,7 @@ from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables, load_arm
 from identification.files.arm_text import dump_arm
 from identification.files.io import PathLike, named_file, read_toml
-from identification.files.schema import Positive, Schema, StrictTable
+from identification.files.schema import StrictTable, validated
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -59,7 +59,7 @@ class StudyFile(StrictTable):
     runs: list[Annotated[Count, Field(le=MOST_RUNS)]] = Field(
         default_factory=list, description=f"whole numbers >= 1, at most {MOST_RUNS:,}"
     )
-    sigma_mm: list[Positive] | None = Field(
+    sigma_mm: list[Annotated[float, Field(gt=0)]] | None = Field(
         None, min_length=1, description="numbers > 0 [mm], at least one; left out: the arm's own"
     )
     replications: Annotated[Count, Field(le=MOST_REPLICATIONS)] = Field(
@@ -68,17 +68,14 @@ class StudyFile(StrictTable):
     block: Annotated[Count, Field(le=MOST_BLOCK)] = Field(
         10_000, description=f"a whole number >= 1, at most {MOST_BLOCK:,}: replications per task"
     )
-    solver_seconds: Positive = Field(60.0, description="a number > 0 [s]")
+    solver_seconds: Annotated[float, Field(gt=0)] = Field(60.0, description="a number > 0 [s]")
     truths: list[TruthTable] | None = Field(None, min_length=1, description="tables [[truths]], at least one")
     models: list[ModelTable] | None = Field(None, min_length=1, description="tables [[models]], at least one")
 
 
-SCHEMA = Schema({"": StudyFile, "truths": TruthTable, "models": ModelTable})
-
-
 def parse_study(tables: dict[str, Any]) -> StudyFile:
     """The tables of a study file, checked. Raises `InputError` naming key, what was found and what is allowed."""
-    return SCHEMA.validated(tables)
+    return validated(StudyFile, tables)
 
 
 def load_study(path: PathLike) -> Study:
