@@ -21,7 +21,7 @@ from identification.errors import InputError
 from identification.gap.blocks import RANK, Linearized, linearized
 from identification.gap.evidence import SIZES, Index
 from identification.gap.fit import Fit, Rows, fit
-from identification.gap.hypotheses.hypotheses import HypothesisSet, hypotheses
+from identification.gap.hypotheses import HypothesisSet, hypotheses
 from identification.gap.noise import SPARE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model

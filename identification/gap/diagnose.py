@@ -28,7 +28,7 @@ from identification.gap.confirmation import (
 from identification.gap.curve import Curve
 from identification.gap.detectability import Beside, assess, look_alikes, order_ranges, require_spare
 from identification.gap.fit import Fit, Rows, fit
-from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import misfit, noise_floor, repeat_finding
 from identification.gap.posterior import Explanation, Posterior, posterior
 from identification.gap.replication import curve_columns, replications

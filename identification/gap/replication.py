@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from identification.arrays import Array
-from identification.gap.blocks import Where
+from identification.gap.columns import Where
 from identification.gap.curve import Curve
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
@@ -130,7 +130,7 @@ def replication_clauses(found: tuple[Replication, ...]) -> Iterator[str]:
 
 def curve_columns(found: Posterior, one: Explanation, fitted: Fit, curves: Sequence[Curve]) -> dict[str, CurveColumns]:
     """Key of each of these curves -> its columns in the rows of a fit;  one : the explanation that has them"""
-    where = Where.of(fitted.model, fitted.values, fitted.rows.postures, fitted.rows.conditions)
+    where = Where(fitted.model, fitted.values, fitted.rows.postures, fitted.rows.conditions)
     keys, listed = {curve.joint: curve.key for curve in curves}, {}
     for block, number, size in zip(one.blocks, one.weighed.blocks, one.weighed.sizes, strict=True):
         if block.basis is not None and block.columns is not None and (joint := block.basis.joint + 1) in keys:

@@ -14,7 +14,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.estimation.intervals import freedom_of, quantile_95
 from identification.gap.fit import Rows, fit
-from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.hypotheses import hypotheses
 from identification.measurements import rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
@@ -74,7 +74,11 @@ def library_gap(data: DataSet) -> float:
     """Held-out gap [mm] of the model with every effect of the library; orders of ripple and single joints left out."""
     assert data.holdout is not None
     library = hypotheses(data.arm, data.measurements.given)
-    specs = (h.spec for h in library.unscanned if not h.key.startswith("joint_compliance:"))
+    specs = (
+        h.spec
+        for h in library.members
+        if not h.scanned and library.acts(h) and not h.key.startswith("joint_compliance:")
+    )
     return rms_distance(_missed(data, Model(data.arm.with_effects(*specs)))[1])
 
 

@@ -23,7 +23,7 @@ from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, library, unknown_effect
 from identification.errors import InputError
 from identification.estimation.prior import Prior
-from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, hypotheses
+from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 

@@ -1,46 +1,109 @@
-"""The hypotheses of a diagnosis: every effect of the library that this arm and these data can show.
+"""The dictionary: everything that may be missing, foremost every effect that this arm and these data can show.
 
 A hypothesis is one effect at one joint, or of the whole arm. Effects with settings (the order k of a gear ripple, the
 time of a step) are scanned: each value is a hypothesis, and together they have the weight of one unscanned effect.
+
+Gears cause waves with hundreds of periods per turn and of orders that are not whole numbers. All of them are
+hypotheses, with the weight of one order among all; only those that explain most at each joint are added to the
+dictionary, as the others have no probability to speak of.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
-from identification.effects.places import state_size
-from identification.gap.fit import Rows
-from identification.gap.hypotheses.columns import Bundle, bundles
+from identification.effects.rare import RARE
+from identification.gap.columns import KEPT, Basis, Bundle, Where, bundles
+from identification.gap.fit import Fit, Rows
+from identification.information import column_space
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 UNSEEN = 1e-3  # share of the reach
-KEPT = 128  # effort: models compiled, of some arms
-Slopes = list[Array | None]  # per bundle (m, K, Z), None where they depend on the fitted model
+ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn: every wave between has a likeness of 0.97 with one
+CLEAR = 8.0  # log likelihood ratio below which a wave of further order is not added
+PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 
 
 @dataclass(frozen=True)
-class Hypothesis:
-    """One effect that might be missing.
+class Block:
+    """One thing that may be missing.
 
+    label : unique;  place : `joint:j`, `time`, `temperature`, `workspace`, `row:i` (from 0), or the effect's name
     weight : prior weight: 1 for an effect of the whole arm, n^(-1/2) at each of n joints (between one for each joint
         and one for all joints together), divided by the number of scanned settings, times the effect's own `prior`
+    basis : of an error curve
+    parts : effects that the rest of the library has in it: many small ones, that cannot be told apart
+    columns : outside the library, its (m, d, p) columns at other postures
     """
+
+    label: str
+    place: str
+    weight: float
+    basis: Basis | None = None
+    parts: tuple[Block, ...] = ()
+    columns: Callable[[Where], Array] | None = None
+
+    @property
+    def key(self) -> str:
+        """`name:joint` of an effect, without settings; else its place."""
+        return self.place
+
+    @property
+    def member(self) -> Hypothesis | None:
+        """Itself if it is an effect of the library."""
+        return None
+
+    @property
+    def row(self) -> bool:
+        """Whether it is the shift of a single row."""
+        return self.place.startswith("row:")
+
+    @property
+    def named(self) -> bool:
+        """Whether it is an effect of the library."""
+        return self.member is not None
+
+    @property
+    def written(self) -> bool:
+        """Whether an arm file can have it."""
+        return self.named or self.basis is not None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hypothesis(Block):
+    """An effect of the library; its label has the scanned setting: `transmission_ripple:2[k=6]`."""
 
     effect: Effect
     spec: EffectSpec
-    weight: float = 1.0
+
+    @classmethod
+    def of(cls, arm: Arm, spec: EffectSpec, weight: float) -> Hypothesis:
+        """An effect of an arm;  weight : of an effect that acts at all joints, less at one of them"""
+        effect = build(spec, arm.links, arm.lengths, dimension=arm.dimension)
+        if spec.joint is None:
+            return cls(effect.label, PLACES.get(spec.name, spec.name), weight, effect=effect, spec=spec)
+        return cls(effect.label, f"joint:{spec.joint}", weight / np.sqrt(arm.links), effect=effect, spec=spec)
+
+    @property
+    def key(self) -> str:
+        """`name` or `name:joint`, without the scanned setting."""
+        return self.spec.key
+
+    @property
+    def member(self) -> Hypothesis:
+        """Itself."""
+        return self
 
     @property
     def scanned(self) -> bool:
@@ -48,29 +111,14 @@ class Hypothesis:
         return bool(self.effect.chosen)
 
     @cached_property
-    def key(self) -> str:
-        """`name` or `name:joint`, without the scanned setting."""
-        return self.spec.key
-
-    @cached_property
-    def label(self) -> str:
-        """The key with the scanned setting: `transmission_ripple:2[k=6]`."""
-        return self.effect.label
-
-    @cached_property
     def size(self) -> int:
         """Number of parameters."""
         return len(self.effect.parameters)
 
-    @cached_property
-    def one_sign(self) -> bool:
-        """True if no parameter can be negative."""
-        return all(p.lower == 0.0 for p in self.effect.parameters)
-
     @property
     def family(self) -> bool:
-        """True for an effect with one similar parameter for each joint."""
-        return not self.scanned and self.one_sign and self.size > 1
+        """True for an effect with one similar parameter for each joint, which cannot be negative."""
+        return not self.scanned and self.size > 1 and all(p.lower == 0.0 for p in self.effect.parameters)
 
     @cached_property
     def one_sided(self) -> bool:
@@ -78,15 +126,9 @@ class Hypothesis:
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
 
 
-def modelled(arm: Arm) -> Model:
-    """Model of an arm, cached: searches with other noise models or data use the same models again."""
-    known = of_dimension(arm.dimension)
-    return _modelled(arm, tuple(known[spec.name] for spec in arm.effects))
-
-
 @lru_cache(maxsize=KEPT)
 def _modelled(arm: Arm, classes: tuple[type[Effect], ...]) -> Model:
-    """classes : of the arm's effects, part of the key as users can redefine an effect"""
+    """Model of an arm;  classes : of its effects, part of the key as users can redefine an effect"""
     return Model(arm)
 
 
@@ -112,24 +154,15 @@ class HypothesisSet:
         return self._places.get(hypothesis.label, len(self.members))
 
     @cached_property
-    def sizes(self) -> NDArray[np.int64]:
-        """(H,) parameters of each member."""
-        return np.array([h.size for h in self.members], dtype=np.int64)
-
-    @cached_property
     def base(self) -> Model:
         """Model of the arm without further effects."""
         return self.model(())
 
     def model(self, chosen: Sequence[Hypothesis]) -> Model:
         """Model of the arm with the effects of these hypotheses, in the order of the members."""
-        ordered = sorted(chosen, key=self.place)
-        return modelled(self.arm.with_effects(*self.arm.effects, *(h.spec for h in ordered)))
-
-    @cached_property
-    def unscanned(self) -> tuple[Hypothesis, ...]:
-        """Hypotheses without a scanned setting that can act on the base model."""
-        return tuple(h for h in self.members if not h.scanned and self.acts(h))
+        ordered, classes = sorted(chosen, key=self.place), of_dimension(self.arm.dimension)
+        arm = self.arm.with_effects(*self.arm.effects, *(h.spec for h in ordered))
+        return _modelled(arm, tuple(classes[spec.name] for spec in arm.effects))
 
     def own_places(self, model: Model) -> list[int]:
         """Indices of the base model's parameters in a model with further effects; similar ones change their names."""
@@ -147,28 +180,17 @@ class HypothesisSet:
     def _bundles(self) -> tuple[Bundle, ...]:
         return bundles(self.arm, [(number, h.effect) for number, h in enumerate(self.members)])
 
-    def slopes(self, rows: Rows) -> Slopes:
-        """The part of the columns that does not depend on the fit, shared by all fits to the same rows."""
-        state = np.zeros((len(rows), state_size(self.arm.links, self.arm.dimension)))
-        return [b.slopes(rows.postures, rows.conditions, state) if b.fixed else None for b in self._bundles]
-
-    def columns(
-        self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None
-    ) -> list[Array]:
+    def columns(self, rows: Rows, values: Mapping[str, float], model: Model | None = None) -> list[Array]:
         """For each member the (m, d, size) derivative of the position with respect to its parameters.
 
         values : parameters of `model` (None: the base model); the effect's own are at their neutral values
-        slopes : of these rows, from the method of that name
         """
         model = model or self.base
-        at = (rows.postures, model.parameters.vector(values), rows.conditions)
-        levers, state = model.place_levers(*at)
-        known = slopes or self.slopes(rows)
-        found: dict[int, Array] = {}
-        for bundle, given in zip(self._bundles, known, strict=True):
-            given = bundle.slopes(rows.postures, rows.conditions, state) if given is None else given
-            found |= bundle.columns(levers, given)
-        return [found[k] for k in range(len(self.members))]
+        levers, state = model.place_levers(rows.postures, model.parameters.vector(values), rows.conditions)
+        columns: dict[int, Array] = {}
+        for bundle in self._bundles:
+            columns |= bundle.columns(rows.postures, rows.conditions, state, levers)
+        return [columns[k] for k in range(len(self.members))]
 
 
 def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> HypothesisSet:
@@ -237,5 +259,58 @@ def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hy
     """The hypotheses of one effect at one joint: one for each setting."""
     arm, scans = scope.arm, [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
     specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
-    weight = cls.prior * (1.0 if spec.joint is None else 1.0 / np.sqrt(arm.links)) / max(len(specs), 1)
-    return [Hypothesis(build(s, arm.links, arm.lengths, dimension=arm.dimension), s, weight) for s in specs]
+    return [Hypothesis.of(arm, one, cls.prior / max(len(specs), 1)) for one in specs]
+
+
+def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Sequence[Hypothesis]) -> HypothesisSet:
+    """The library with the ripple of further order that explains most at each joint, and its neighbors, if it is clear.
+
+    at : fit of the chosen effects;  rows : with any noise model
+    """
+    arm, known = library.arm, {h.label for h in library.members}
+    if not any(h.effect.name == "transmission_ripple" for h in library.members):
+        return library
+    position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
+    levers = at.model.joint_levers(rows.postures, at.values, rows.conditions)
+    unseen, added = untested_joints(at.model, rows), []
+    owners = {p.name: e for e in at.model.effects for p in e.parameters}
+    labels = {h.label for h in chosen}
+    for j in range(arm.links):
+        q = rows.postures[:, j]
+        if np.ptp(q) == 0.0 or j + 1 in unseen:
+            continue
+        # what is named at this joint may be there instead of the wave
+        own = [
+            k
+            for k, n in enumerate(at.model.names)
+            if n in owners and owners[n].label in labels and owners[n].joint == j + 1
+        ]
+        rest = np.setdiff1d(np.arange(len(at.values)), own)
+        y = rows.whiten(rows.positions - position + jacobian[:, :, own] @ at.values[own])
+        basis = column_space(rows.whiten(jacobian[:, :, rest]), at.model.scales[rest])
+        y = y - basis @ (basis.T @ y)
+        gains = np.concatenate([_gains(rows, basis, y, levers[:, :, j], q, some) for some in np.array_split(ORDERS, 8)])
+        best = int(np.argmax(np.round(gains, 12)))
+        freedom = len(y) - basis.shape[1]
+        if freedom < 3 or -0.5 * freedom * np.log1p(-min(gains[best], 1.0 - 1e-12)) < CLEAR:
+            continue
+        for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
+            spec = EffectSpec("transmission_ripple", j + 1, {"k": float(order)})
+            one = Hypothesis.of(arm, spec, RARE / len(ORDERS))
+            if one.label not in known:
+                added.append(one)
+    return replace(library, members=(*library.members, *added)) if added else library
+
+
+def _gains(rows: Rows, basis: Array, y: Array, lever: Array, q: Array, orders: Array) -> Array:
+    """(K,) share of y^T y that a wave of each order explains, projected off a basis."""
+    angles = q[:, None] * orders
+    waves = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
+    x = rows.whiten(lever[:, :, None] * waves[:, None, :])
+    x -= basis @ (basis.T @ x)
+    x = x.reshape(len(x), -1, 2)
+    gram, scores = np.einsum("nki,nkj->kij", x, x), np.einsum("nki,n->ki", x, y)
+    gram += 1e-9 * np.einsum("kii->k", gram)[:, None, None] * np.eye(2) + 1e-300 * np.eye(2)
+    return np.asarray(
+        np.einsum("ki,ki->k", scores, np.linalg.solve(gram, scores[:, :, None])[:, :, 0]) / max(y @ y, 1e-300)
+    )
