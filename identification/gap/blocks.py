@@ -21,6 +21,7 @@ from identification.gap.columns import Basis, Where, times
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
 from identification.gap.hypotheses import Block, HypothesisSet, untested_joints
+from identification.information import column_space_of
 from identification.kinematics.parameters import REVOLUTE
 
 # reasons: identification/README.md, "Constants"
@@ -238,12 +239,8 @@ def linearized(
     wrong : rows that may be outlying
     outside : labels of blocks outside the library, None: all
     """
-    model = at.model
-    position, jacobian = model.linearize(rows.postures, at.values, rows.conditions)
-    base = library.own_places(model)
-    added = np.setdiff1d(np.arange(len(at.values)), base)
-    # the data as the base model sees them: what the fit has beyond it is given back
-    y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
+    model, base = at.model, library.own_places(at.model)
+    y, jacobian = library.as_base(at, rows)
     # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
     fitted = {
         e.label: [model.names.index(p.name) for p in e.parameters if p.name in model.names] for e in model.effects
@@ -264,10 +261,7 @@ def linearized(
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
     starts = np.concatenate([[0], np.cumsum([c.shape[2] for c in columns])])
     white, target = rows.whiten(np.concatenate(columns, axis=2)), rows.whiten(y)
-    scales = model.scales[base]
-    u, s, vt = np.linalg.svd(rows.whiten(jacobian[:, :, base]) / scales, full_matrices=False)
-    clear = s > 1e-9 * s.max(initial=0.0)
-    u, back = u[:, clear], (vt[clear].T / s[clear]) / scales[:, None]  # (g, r): from u^T y to the parameters
+    u, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
     inside, before = u.T @ white, np.einsum("np,np->p", white, white)
     white -= u @ inside
     left = target - u @ (u.T @ target)
@@ -276,11 +270,7 @@ def linearized(
     every = [_root(gram[p, p], float(np.sum(before[p])), b) for p, b in zip(parts, blocks, strict=True)]
     shown = [k for k, root in enumerate(every) if root.shape[1]]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]
-    to_columns = np.zeros((len(gram), sum(root.shape[1] for root in roots)))
-    end = 0
-    for k, root in zip(shown, roots, strict=True):
-        to_columns[parts[k], end : end + root.shape[1]] = root
-        end += root.shape[1]
+    to_columns = np.asarray(block_diag(*every)) if every else np.zeros((0, 0))
     many = [k for k, b in enumerate(blocks) if _common(b, library)]
     if len(many) > 1 and (outside is None or REST in outside):
         # the rest of the library as one block: each of its effects, and each error curve, with the same expected square
@@ -298,7 +288,7 @@ def linearized(
         to_columns.T @ gram @ to_columns,
         right @ to_columns,
         float(left @ left),
-        len(target) - int(clear.sum()),
+        len(target) - u.shape[1],
         np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])]),
         np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
         np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64),

@@ -171,6 +171,13 @@ class HypothesisSet:
         renamed = dict(zip(own, there, strict=True))
         return [model.parameters.index(renamed.get(name, name)) for name in self.base.names]
 
+    def as_base(self, at: Fit, rows: Rows) -> tuple[Array, Array]:
+        """(m, d) positions of these rows as the base model sees them, less what it computes at a fit: what the fit has
+        beyond it is given back; and its (m, d, p) columns there."""
+        position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
+        added = np.setdiff1d(np.arange(len(at.values)), self.own_places(at.model))
+        return rows.positions - position + jacobian[:, :, added] @ at.values[added], jacobian
+
     def acts(self, hypothesis: Hypothesis) -> bool:
         """False if the effect only changes others (`Effect.through`) and the base model has none of those."""
         through = hypothesis.effect.through

@@ -17,7 +17,7 @@ from doe.report.gap_tables import (
 from doe.report.next_postures import missing_payload
 from doe.report.page import Section, Sheet
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.gap.candidate import Candidate, Estimate
+from identification.gap.result import Candidate, Estimate
 from identification.measurements import Measurements
 
 NOTHING = Calibration.of(np.zeros(2), np.zeros(2), MappingProxyType({}), (), np.zeros((0, 0)), MappingProxyType({}))
