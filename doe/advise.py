@@ -6,24 +6,22 @@ more runs the more is known: each plan is begun from the one of fewer runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from doe.bounds.best_known import bound_that_holds
+from doe.bounds.best_known import bound_that_holds, bounds_of_runs
 from doe.bounds.bound import Bound
-from doe.bounds.every_run import bounds_of_runs
 from doe.design import Design
 from doe.plan.addition import with_additions
-from doe.plan.ascent import climbs
 from doe.plan.plan import Plan
-from doe.plan.tip_error import TipError, robust_or_none, tip_error
+from doe.plan.tip_error import TipError, TipErrors
 from doe.problem.prior import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import workspace
 from doe.solvers import solve
 from identification.arm import SIGMA_RANGE, Arm
 from identification.arrays import Array
@@ -76,7 +74,7 @@ class Advice:
         """The plan with the fewest runs that reaches the target; None if none does (or there is no target)."""
         if self.target is None:
             return None
-        reached = (d for d in self.designs if (found := self.accuracy(d)) is not None and found <= self.target)
+        reached = (d for d in self.designs if (std := self.accuracy(d)) is not None and std <= self.target)
         return min(reached, key=lambda d: len(d.plan), default=None)
 
     def efficient_runs(self, efficiency: float = 0.999) -> tuple[int, ...]:
@@ -96,8 +94,8 @@ class Advice:
         data = self.designs[k].to_json()
         keys = ("runs", "log_det", "bound", "efficiency", "certified_optimal", "std", "status")
         tip = self.tip_errors[k].to_json() if self.tip_errors else None
-        known = self.designs[k].deviations
-        largest = None if known is None else known.largest_length
+        expected = self.designs[k].deviations
+        largest = None if expected is None else expected.largest_length
         return {key: data[key] for key in keys} | {"largest_length_std_mm": largest, "tip_error_mm": tip}
 
 
@@ -118,29 +116,47 @@ def advise(
     seconds : for everything, of which the bounds may take up to a quarter; shared by the numbers of runs
     Raises `InputError` for numbers of runs below the fewest possible, or a target without sigma.
     """
-    check_wanted(problem, runs, target)
+    fewest, sigma = problem.fewest_runs, problem.model.sigma
+    if not runs or min(runs) < fewest:
+        raise InputError(f"runs: {min(runs, default=None)}, allowed: >= {fewest} ({problem.parameters} unknowns)")
+    if target is not None and sigma is None:
+        raise InputError(f"--target-mm {NEEDS_SIGMA}")
+    if target is not None and not (np.isfinite(target) and target > 0.0):
+        raise InputError(f"target_mm: {target}, allowed: > 0")
     began, budget = perf_counter(), np.inf if seconds is None else seconds
-    wide = robust_or_none(problem)
-    poses = None if wide is None else workspace(problem)  # once: rare postures take long to find
+    errors = TipErrors.of(problem)
     bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + SHARE * budget)
-    found: dict[int, Design] = {}
+    designs: dict[int, Design] = {}
+    fewer: Design | None = None
 
-    def promise(postures: Array) -> Array:
-        return promised(problem, postures, wide, poses)
+    def keeps(most: Array, postures: Array) -> bool:
+        return bool(np.all(promised(problem, postures, errors) <= most))
 
     try:
         for done, m in enumerate(sorted(set(runs))):
             progress(done, len(runs), f"{m} runs")
-            left = max(began + budget - perf_counter(), 0.0) / (len(runs) - done)
-            limit = None if seconds is None else left
-            fewer = next(reversed(found.values()), None)
-            found[m] = next_design(problem, m, fewer, bounds[m], promise, seed, limit)
+            begin, most = None, np.array(np.inf)
+            if fewer is not None:
+                generator = np.random.default_rng([seed, m])
+                begin = with_additions(problem, fewer.plan.postures, m - len(fewer.plan), generator)
+                most = promised(problem, fewer.plan.postures, errors) * (1.0 + ROUNDING)
+            design = solve(
+                problem,
+                m,
+                seed=seed,
+                starts=FRESH if problem.many_parameters and begin is not None else None,
+                seconds=None if seconds is None else max(began + seconds - perf_counter(), 0.0) / (len(runs) - done),
+                bound=bounds[m] or Bound(np.inf, "continuous"),  # none is computed
+                begin=begin,
+                accepted=partial(keeps, most),
+            )
+            held = bound_that_holds(problem, bounds[m], design.plan.postures, design.value)
+            designs[m] = fewer = replace(design, bound=held)
     except KeyboardInterrupt:
-        if not found:
+        if not designs:
             raise
-    designs = tuple(found[m] for m in runs if m in found)
-    errors = () if wide is None else tuple(tip_error(problem, wide, d.plan.postures, poses) for d in designs)
-    return Advice(designs, target, errors)
+    made = tuple(designs[m] for m in runs if m in designs)
+    return Advice(made, target, () if errors is None else tuple(errors.of_plan(d.plan.postures) for d in made))
 
 
 def with_scatter(arm: Arm) -> tuple[Arm, str]:
@@ -155,59 +171,10 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
     return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {given}, is taken for it."
 
 
-def check_wanted(problem: DesignProblem, runs: Sequence[int], target: float | None) -> None:
-    """Raises `InputError` for numbers of runs below the fewest possible, or a target without sigma."""
-    fewest = problem.fewest_runs
-    if not runs or min(runs) < fewest:
-        raise InputError(f"runs: {min(runs, default=None)}, allowed: >= {fewest} ({problem.parameters} unknowns)")
-    if target is not None and problem.model.sigma is None:
-        raise InputError(f"--target-mm {NEEDS_SIGMA}")
-    if target is not None and not (np.isfinite(target) and target > 0.0):
-        raise InputError(f"target_mm: {target}, allowed: > 0")
-
-
-def next_design(
-    problem: DesignProblem,
-    runs: int,
-    fewer: Design | None,
-    bound: Bound | None,
-    promise: Callable[[Array], Array],
-    seed: int,
-    seconds: float | None,
-) -> Design:
-    """The best plan found of so many runs, begun from that of fewer runs and its best additions.
-
-    promise : of a plan (m, n) what must not be more than of fewer runs, see `promised`
-    """
-    begin, known = None, None
-    if fewer is not None:
-        generator = np.random.default_rng([seed, runs])
-        begin = with_additions(problem, fewer.plan.postures, runs - len(fewer.plan), generator)
-        known = promise(fewer.plan.postures)
-
-    def accepted(postures: Array) -> bool:
-        return known is None or bool(np.all(promise(postures) <= known * (1.0 + ROUNDING)))
-
-    design = solve(
-        problem,
-        runs,
-        seed=seed,
-        starts=FRESH if climbs(problem) and begin is not None else None,
-        seconds=seconds,
-        bound=bound or Bound(np.inf, "continuous"),  # none is computed
-        begin=begin,
-        accepted=accepted,
-    )
-    return replace(design, bound=bound_that_holds(problem, bound, design.plan.postures, design.value))
-
-
-def promised(problem: DesignProblem, postures: Array, wide: DesignProblem | None, poses: Array | None) -> Array:
-    """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right.
-
-    wide, poses : as of `tip_error`
-    """
+def promised(problem: DesignProblem, postures: Array, errors: TipErrors | None) -> Array:
+    """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right."""
     design = Design(problem, Plan(postures, joint_types=problem.model.joint_types))
-    known = design.deviations
-    deviations = [np.inf, np.inf] if known is None else [known.largest_length, known.largest_angle]
-    errors = [] if wide is None else [tip_error(problem, wide, postures, poses)]
-    return np.array([*deviations, *(figure for error in errors for figure in (error.right, error.worst))])
+    expected = design.deviations
+    deviations = [np.inf, np.inf] if expected is None else [expected.largest_length, expected.largest_angle]
+    of_tip = [] if errors is None else [errors.of_plan(postures)]
+    return np.array([*deviations, *(figure for error in of_tip for figure in (error.right, error.worst))])

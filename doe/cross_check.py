@@ -38,7 +38,7 @@ class CrossCheck:
 
     def rows(self) -> list[dict[str, Any]]:
         """Method, space, attained value, upper bound, Table I residual of the (weighted) plan."""
-        found: list[tuple[str, str, ApproximateDesign | Design | None]] = [
+        designs: list[tuple[str, str, ApproximateDesign | Design | None]] = [
             ("relaxation", "candidates", self.relaxed),
             ("column generation", "all postures", self.continuous),
             ("exact plan", f"{len(self.exact.plan)} runs", self.exact),
@@ -51,7 +51,7 @@ class CrossCheck:
                 "bound": None if design.bound is None else design.bound.value,
                 "table_1_max_residual": Design(self.exact.problem, design.plan).table_1_max_residual,
             }
-            for name, space, design in found
+            for name, space, design in designs
             if design is not None
         ]
         rows[-1]["method"] += self.truncation_note

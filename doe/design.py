@@ -85,16 +85,17 @@ class Design:
     @cached_property
     def outside(self) -> tuple[int, ...]:
         """Runs (from 1) beyond a joint limit or a constraint by more than rounding: no bound holds for such a plan."""
-        q, breaks = self.plan.postures, self._beyond_limits(self.plan.postures)
+        problem, q = self.problem, self.plan.postures
+
+        def beyond(postures: Array) -> NDArray[np.bool_]:
+            return np.any((postures < problem.lower - FITS) | (postures > problem.upper + FITS), axis=1)
+
+        breaks = beyond(q)
         if breaks.any():
-            breaks = self._beyond_limits(whole_turns_aside(self.problem, q))
-        for constraint in self.problem.constraints:
+            breaks = beyond(whole_turns_aside(problem, q))
+        for constraint in problem.constraints:
             breaks |= np.any(constraint.margin(q) < -FITS, axis=1)
         return tuple((np.flatnonzero(breaks) + 1).tolist())
-
-    def _beyond_limits(self, postures: Array) -> NDArray[np.bool_]:
-        """(m,) True where a joint lies beyond its limits by more than rounding."""
-        return np.any((postures < self.problem.lower - FITS) | (postures > self.problem.upper + FITS), axis=1)
 
     @cached_property
     def log_det(self) -> float:
@@ -219,8 +220,20 @@ def optimality_in_words(optimality: str | None, bound: Mapping[str, Any] | None)
 
 
 def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:
-    """Any plan as a `Design`, judged against `bound` if one is given; knows no solver."""
-    return Design(problem, given_plan(problem, plan), bound)
+    """Any plan as a `Design`, judged against `bound` if there is one; knows no solver.
+
+    plan : or its postures (m, n) [rad]. Raises `InputError` for what is no plan of this arm.
+    """
+    try:
+        judged = plan if isinstance(plan, Plan) else Plan(np.asarray(plan, dtype=float))
+        judged = replace(judged, joint_types=problem.model.joint_types)
+    except (TypeError, ValueError):
+        raise InputError(f"plan: {plan!r:.40}, allowed: an array (m, {problem.joints}) of joint angles [rad]") from None
+    if judged.postures.ndim != 2 or judged.links != problem.joints:
+        raise InputError(f"plan: shape {judged.postures.shape}, allowed: (m, {problem.joints})")
+    if len(wrong := np.flatnonzero(~np.isfinite(judged.postures).all(axis=1))):
+        raise InputError(f"plan: run {wrong[0] + 1} is not finite, allowed: finite joint angles")
+    return Design(problem, judged, bound)
 
 
 def score_plan(problem: DesignProblem, plan: Plan | ArrayLike, *, seconds: float | None = None) -> Design:
@@ -229,28 +242,13 @@ def score_plan(problem: DesignProblem, plan: Plan | ArrayLike, *, seconds: float
 
     seconds : for the bound; cut by them it holds all the same
     """
-    found = score(problem, given_plan(problem, plan))
-    if found.outside:
-        return found
-    end, runs = np.inf if seconds is None else perf_counter() + seconds, len(found.plan)
-    bound = best_known_bound(problem, runs, lambda: perf_counter() > end)
-    return replace(
-        found, bound=bound_that_holds(problem, bound, found.plan.postures, found.value, lambda: perf_counter() > end)
-    )
-
-
-def given_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Plan:
-    """The plan itself, or of its postures (m, n) [rad]. Raises `InputError` for what is no plan of this arm."""
-    try:
-        given = plan if isinstance(plan, Plan) else Plan(np.asarray(plan, dtype=float))
-        given = replace(given, joint_types=problem.model.joint_types)
-    except (TypeError, ValueError):
-        raise InputError(f"plan: {plan!r:.40}, allowed: an array (m, {problem.joints}) of joint angles [rad]") from None
-    if given.postures.ndim != 2 or given.links != problem.joints:
-        raise InputError(f"plan: shape {given.postures.shape}, allowed: (m, {problem.joints})")
-    if len(wrong := np.flatnonzero(~np.isfinite(given.postures).all(axis=1))):
-        raise InputError(f"plan: run {wrong[0] + 1} is not finite, allowed: finite joint angles")
-    return given
+    design = score(problem, plan)
+    if design.outside:
+        return design
+    end, postures = np.inf if seconds is None else perf_counter() + seconds, design.plan.postures
+    bound = best_known_bound(problem, len(postures), lambda: perf_counter() > end)
+    held = bound_that_holds(problem, bound, postures, design.value, lambda: perf_counter() > end)
+    return replace(design, bound=held)
 
 
 def _number(value: float | None) -> float | None:

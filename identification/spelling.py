@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from difflib import SequenceMatcher
 from types import MappingProxyType
 
 FEWEST, LONGEST = 3, 60  # characters of a word in which letters may be wrong: shorter ones are like too many others
-PER_MISTAKE, MOST = 4, 3  # characters of which one may be wrong, and mistakes of a word
+NEAR, NEAR_OF_THREE = 0.75, 0.66  # share of the letters that two words have in common, in this order; of three letters
 SHOWN = 3  # names that are suggested at once; more help nobody
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
 def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> list[str]:
-    """Up to three names: those with the fewest wrong letters, else those that have the word or are a part of it.
+    """Up to three names: those that are most alike (`difflib`), else those that have the word or are a part of it.
 
     meant : another word -> the name that says the same
 
@@ -25,33 +26,19 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
     options, low = sorted(set(allowed)), word.lower()
     if len(word) > LONGEST:
         return []
-    others = {other: name for other, name in meant.items() if name in options}
-    spelt = {**others, **{option: option for option in options}}
-    limit = min(max((len(low) - 1) // PER_MISTAKE, 1), MOST) if len(low) >= FEWEST else 0
-    far = {name: letters_wrong(low, name.lower(), limit) for name in spelt}
-    if (least := min(far.values(), default=limit + 1)) <= limit:
-        found = dict.fromkeys(spelt[name] for name, count in far.items() if count == least)
+    spelt = {**{other: name for other, name in meant.items() if name in options}, **{name: name for name in options}}
+    matcher = SequenceMatcher(b=low, autojunk=False)
+    alike = dict[str, float]()
+    for name in spelt:
+        matcher.set_seq1(name.lower())
+        alike[name] = matcher.ratio()
+    best = max(alike.values(), default=0.0)
+    limit = NEAR if len(low) > FEWEST else NEAR_OF_THREE if len(low) == FEWEST else 1.0
+    if best >= limit:
+        near = dict.fromkeys(spelt[name] for name, ratio in alike.items() if ratio == best)
     else:
-        found = dict.fromkeys(option for option in options if _is_part(low, option.lower()))
-    return list(found) if len(found) <= SHOWN else []
-
-
-def letters_wrong(word: str, name: str, most: int) -> int:
-    """Letters to put in, leave out, change, or swap with the next, to turn one into the other (optimal string
-    alignment: L. Boytsov, "Indexing methods for approximate dictionary searching", 2011); most + 1 for any more."""
-    if word == name:
-        return 0
-    if not most or abs(len(word) - len(name)) > most:
-        return most + 1
-    before, last = [0] * (len(name) + 1), list(range(len(name) + 1))
-    for i, a in enumerate(word, start=1):
-        row = [i]
-        for j, b in enumerate(name, start=1):
-            row.append(min(last[j] + 1, row[j - 1] + 1, last[j - 1] + (a != b)))
-            if i > 1 and j > 1 and a == name[j - 2] and word[i - 2] == b:
-                row[j] = min(row[j], before[j - 2] + 1)
-        before, last = last, row
-    return min(last[-1], most + 1)
+        near = dict.fromkeys(option for option in options if _is_part(low, option.lower()))
+    return list(near) if len(near) <= SHOWN else []
 
 
 def _is_part(word: str, name: str) -> bool:

@@ -1,6 +1,6 @@
 """A simulated small six-axis arm (reach 0.5 m) that sags under gravity, with three reflectors on its flange.
 
-Products of exponentials in plain numpy (doe/studies/blind/spatial_simulator.py); nothing here calls the model. Beside
+Lines in space in plain numpy (doe/studies/blind/simulator.py); nothing here calls the model. Beside
 its geometry the arm has compliant joints, play that gravity pushes to one side, encoders off centre and backlash; every
 posture has a further error of its own, which its three reflectors share.
 """
@@ -13,8 +13,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from doe.studies.blind.simulator import Drawn, RowConditions, session
-from doe.studies.blind.spatial_simulator import SpatialTruth, position, shift, turn
+from doe.studies.blind.simulator import Drawn, TrueArm, position, session, shift, turn
 from identification.arm import Arm, Gravity
 from identification.files.urdf import urdf_text
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
@@ -37,24 +36,21 @@ OTHERS: tuple[Drawn, ...] = (
 )
 
 
-def small_arm(rng: np.random.Generator, *effects: Drawn, compliance: np.ndarray = COMPLIANCE) -> SpatialTruth:
+def small_arm(rng: np.random.Generator, *effects: Drawn, compliance: np.ndarray = COMPLIANCE) -> TrueArm:
     """The real arm, its axes 1 mrad and 0.3 mm off, its encoders 3 mrad, with compliance [rad/(N m)] and `effects`."""
-    lines = np.zeros((6, 3))
     base = shift(np.array([1500.0, -400.0, 200.0]))
     base[:3, :3] = turn(np.array([0.0, 0.0, 0.7]))
     tools = np.array([(40.0, 0.0, 30.0), (-30.0, 35.0, 45.0), (-25.0, -30.0, 60.0)])
     offsets = rng.normal(0.0, 3e-3, 6)
-    truth = SpatialTruth(TABLE, lines, lines, offsets, base, tools, MASSES, PAYLOAD, LOWER, UPPER, 0.02)
-    home = truth.home[:-1]
-    axes = home[:, :3, 2] + 1e-3 * rng.standard_normal(lines.shape)
-    points = home[:, :3, 3] + 0.3 * rng.standard_normal(lines.shape)
+    loads = {"masses": MASSES, "payload": PAYLOAD, "lower": LOWER, "upper": UPPER, "sigma": 0.02}
     sag: list[Drawn] = [("joint_compliance", None, {"c": compliance})]
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    return replace(truth, axes=axes, points=points, effects=[*sag, *effects])
+    return TrueArm.built(
+        TABLE, rng, 1e-3, 0.3, offsets=offsets, base=base, tools=tools, effects=[*sag, *effects], **loads
+    )
 
 
 def measured(
-    truth: SpatialTruth,
+    truth: TrueArm,
     postures: np.ndarray,
     rng: np.random.Generator,
     *,
@@ -63,11 +59,10 @@ def measured(
 ) -> Measurements:
     """Every posture (m, 6) at each reflector in turn, with noise [mm] of each row and of each posture."""
     k = len(REFLECTORS)
-    run: RowConditions = session(truth, np.repeat(postures, k, axis=0), rng)  # type: ignore[arg-type]
-    marker = np.tile(np.arange(k), len(postures))
+    run = session(truth, np.repeat(postures, k, axis=0), rng, k)
     shared = np.repeat(of_posture * rng.standard_normal((len(postures), 3)), k, axis=0)
-    found = position(truth, run, marker) + shared + sigma * rng.standard_normal((len(run.q), 3))
-    names = {"marker": np.array(REFLECTORS)[marker], "marker_names": REFLECTORS}
+    found = position(truth, run) + shared + sigma * rng.standard_normal((len(run.q), 3))
+    names = {"marker": np.array(REFLECTORS)[run.marker], "marker_names": REFLECTORS}
     return Measurements(run.q, found, np.arange(len(run.q), dtype=float), directions=run.s, **names)
 
 

@@ -23,6 +23,7 @@ LAYERS = {
     "identification.progress": 0,
     "identification.data_frames": 1,
     "identification.html_tables": 0,
+    "identification.document": 0,
     "identification.numbers_in_text": 0,
     "identification.threads": 0,
     "identification.files": 1,
@@ -37,18 +38,11 @@ LAYERS = {
     "identification.measurements": 2,
     "identification.measurement_values": 2,
     "identification.files.schema": 2,
-    "identification.files.arm_schema": 2,
-    "identification.files.arm_schema_spatial": 2,
-    "identification.files.arm_effects": 2,
-    "identification.files.joint_counting": 2,
-    "identification.files.arm_spatial": 2,
+    "identification.files.arm_chain": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names
     "identification.files.arm_text": 2,
-    "identification.files.arm_text_spatial": 2,
     "identification.files.measurement": 2,
     "identification.files.measurement_columns": 2,
-    "identification.files.length_columns": 2,
-    "identification.files.order_columns": 2,
     "identification.files.target": 2,
     "identification.vectorize": 0,
     "identification.model.compiled_parts": 3,
@@ -75,9 +69,7 @@ LAYERS = {
     "identification.validate": 6,
     "identification.gap": 6,
     "identification.inspection": 5,
-    "identification.inspection.reading": 2,
     "identification.inspection.readings": 5,
-    "identification.inspection.parallel_axes": 2,
     "identification.inspection.set_up": 6,
     "identification.inspection.enough": 7,
     "identification.inspection.sag": 7,
@@ -231,11 +223,7 @@ def test_every_layer_has_a_module() -> None:
 # names of several modules that mean the same in each
 SAME = {
     "command": "a verb of the command line",
-    "html text": "a result as it is shown: of a fit, of a diagnosis",
-    "arm_of data_set hidden true_values": "cells of the blind study, in the plane and in space",
-    "outside_effect many_effects sized family": "what they hide, in the plane and in space",
-    "random_truth position base_jacobian column": "its simulators, in the plane and in space",
-    "write_pictures": "the pictures of a study",
+    "html": "a result as it is shown",
 }
 
 

@@ -1,41 +1,73 @@
 """Column generation: optimal weights on few postures, priced against very many, or against all of the joint box.
 
-The loop is in `doe.bounds.restricted_master`, the searches for postures in `doe.bounds.pricing`. Here they are put
-together, with the certificate at the end: on the plan that is reported, proven by `doe.bounds.branch_and_bound` where
-the model allows.
+    repeat:  weights   solve the small problem on a working set of postures   (weights, convex_program)
+             price     find postures with tr(G F(q)) above tr(G M)            (a stage)
+             purge     drop postures that need not carry weight
+
+Cheap stages come first; the last one decides. The loop ends when no posture improves the design. The certificate at the
+end is of the plan that is reported, proven by `doe.bounds.branch_and_bound` where the model allows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 
-from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design, how_it_ended
+from doe.bounds.approximate_design import ApproximateDesign
 from doe.bounds.bound import Bound
 from doe.bounds.branch_and_bound import maximum
-from doe.bounds.continuous import ContinuousSet
-from doe.bounds.equivalence import largest_sensitivity, last_pass
-from doe.bounds.pricing import Shortlist, candidate_price, continuous_price
-from doe.bounds.restricted_master import Stage, generate_columns
+from doe.bounds.continuous import SAME, ContinuousSet, distinct
+from doe.bounds.convex_program import smallest_eigenvalue_weights
+from doe.bounds.equivalence import REMEMBERED, CandidateJacobians, largest_sensitivity, last_pass
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
-from doe.plan.ascent import IN_TIME, WIDE, climbs
-from doe.plan.constrained_ascent import ascent
+from doe.bounds.weights import POWERS, interior_point_weights, multiplicative_weights, sparsest
+from doe.criteria import Criterion
+from doe.plan.ascent import PlanAscent
 from doe.problem.candidates import Candidates, PostureList, well_spread
 from doe.problem.feasible import random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.prior import PriorInformation
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
-from identification.errors import JobError
+from identification.errors import InputError, JobError
+
+# (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
+# largest sensitivity of all that was visited
+Price = Callable[[Array, float, Array], tuple[Array, float]]
 
 SAMPLE = 20_000  # of very many candidates, which are priced first
+SHORT = 30_000  # of the best candidates, which are priced then
+PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
+NEAR = 0.2  # [rad] times the root of the relative gap
+ROUNDS = 200
+CROWD = 30  # postures per parameter
+ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
+EXACT = 1e-14  # the same at the end: rounding
+NEGLIGIBLE = 1e-10  # weight below which a posture is dropped
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
-FINE = 1e-6  # the same, before the first thorough search
+FINE = 1e-6  # the same, before the first thorough search; and from which the weights at the end are exact
 MILLIONTH = 1e-6  # relative gap for very many candidates and many parameters: a pass takes seconds
 SEMIDEFINITE = 1e-6  # relative gap that a semidefinite program reaches reliably
-LONG = 3  # postures per parameter of that plan
+LONG = 3  # postures per parameter of a plan that is climbed to begin from
 PROOFS = 20  # attempts, each with a posture more that was missed
 MOST_BOXES = 8_000  # of branch and bound; about a second
+GAP = 0.01  # relative gap of rough weights: the bound is within as much of the optimum
+WEIGHTED = 2000  # candidates that are weighted roughly at once however many parameters there are
+CARRIED = 1e-6  # rough weight, relative to the largest, below which a posture is left out
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One pricing, used until the gap it finds is below `goal` (relative).
+
+    back : stages to go back when it found something: a cheaper search refines what a thorough one found
+    """
+
+    price: Price
+    goal: float
+    back: int = 0
 
 
 def column_generation(
@@ -44,7 +76,7 @@ def column_generation(
     *,
     runs: int | None = None,
     tolerance: float = 1e-9,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> ApproximateDesign:
     """Optimal weights over a finite candidate set of any size, in the memory of one chunk of it.
 
@@ -53,19 +85,59 @@ def column_generation(
     stop : asked after every pricing; the bound is then that of the weights so far, after a pass over all candidates
     Raises JobError where the candidates do not identify all parameters.
     """
-    began = perf_counter()
-    prior = problem.prior.per_new_run(runs)
+    began, prior = perf_counter(), problem.prior.per_new_run(runs)
     tolerance = _attainable(problem, tolerance)
-    stages = [Stage(candidate_price(problem, candidates, prior), tolerance)]
+    everything = CandidatePrice(problem, candidates, prior)
+    stages = [Stage(everything, tolerance)]
     if len(candidates) > 4 * SAMPLE:
-        tolerance = max(tolerance, MILLIONTH) if problem.parameters > WIDE else tolerance
-        sample, few = PostureList(well_spread(candidates, SAMPLE)), Shortlist(problem, candidates, prior)
-        first = Stage(candidate_price(problem, sample, prior), max(COARSE, tolerance))
-        stages = [first, Stage(few.best, tolerance), Stage(few.everything, tolerance, back=1)]
+        tolerance = max(tolerance, MILLIONTH) if problem.many_parameters else tolerance
+        everything.short = CandidatePrice(problem, PostureList(well_spread(candidates, SAMPLE)), prior)
+        cheap = Stage(lambda *request: everything.short(*request), tolerance)  # type: ignore[misc]
+        stages = [cheap, Stage(everything, tolerance, back=1)]
     start = well_spread(candidates, 6 * problem.parameters)
-    ended, _ = generate_columns(problem, prior, start, stages, stop)
-    largest = largest_sensitivity(problem, candidates, ended.gradient, prior, last_pass(stop, began))
-    return with_certificate(ended, largest, len(candidates), tolerance, began, rigorous=True, cut=stop())
+    design, _ = generate_columns(problem, prior, start, stages, stop)
+    largest = largest_sensitivity(problem, candidates, design.gradient, prior, last_pass(stop, began))
+    settings = {"candidates": len(candidates), "rigorous": True, "solver": "column_generation"}
+    return design.certified(largest, 10.0 * tolerance, cut=stop(), seconds=perf_counter() - began, **settings)
+
+
+def rough_design(
+    problem: DesignProblem,
+    candidates: Candidates,
+    *,
+    runs: int | None = None,
+    tolerance: float = GAP,
+    stop: Stop = never,
+) -> ApproximateDesign:
+    """Weights over a finite candidate set by the multiplicative algorithm, with a bound that holds whatever the gap.
+
+    For hundreds of parameters, where the optimal weights are spread over as many postures. Very many candidates are
+    weighted in parts: a sample, then the postures of it that carry weight and the best of all others.
+
+    tolerance : relative gap of the weights on a part, half of what counts as solved
+    runs : number of new runs, needed where anything is known beforehand;  stop : asked after every step
+    Raises `InputError` for a criterion other than D, A and I, `JobError` where the candidates do not identify all
+    parameters.
+    """
+    if problem.criterion.name not in POWERS:
+        raise InputError(f"criterion: {problem.criterion.name} for solver multiplicative, allowed: D, A, I")
+    began, prior = perf_counter(), problem.prior.per_new_run(runs)
+    most = max(WEIGHTED, REMEMBERED // (problem.model.dimension * problem.parameters))
+    working = well_spread(candidates, most)
+    while True:
+        jacobians = np.ascontiguousarray(problem.scaled_jacobians(working))
+        check_identified(problem, prior, jacobians)
+        weights = multiplicative_weights(jacobians, problem.criterion, prior, tolerance, stop)
+        carried = np.where(weights > CARRIED * weights.max(), weights, 0.0)
+        design = ApproximateDesign.heaviest_first(problem, prior, working, carried)
+        price = CandidatePrice(problem, candidates, prior, last_pass(stop, began))
+        offers, largest = price(design.gradient, design.level, working)
+        goal = 2.0 * tolerance  # postures were left out
+        if largest - design.level <= goal * abs(design.level) or stop() or len(working) == len(candidates):
+            break
+        working = np.unique(np.concatenate([design.plan.postures, offers]), axis=0)
+    settings = {"candidates": len(candidates), "rigorous": True, "solver": "multiplicative"}
+    return design.certified(largest, goal, cut=stop(), seconds=perf_counter() - began, **settings)
 
 
 def continuous_design(
@@ -75,7 +147,7 @@ def continuous_design(
     tolerance: float = 1e-10,
     proof: float = 1e-10,
     also: Array | None = None,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> ApproximateDesign:
     """Optimal weights over ALL postures within limits and constraints: no grid at all.
 
@@ -85,45 +157,27 @@ def continuous_design(
     also : (k, n) postures from which the multistart starts as well
     stop : asked after every pricing; the bound is then that of the weights so far, after a thorough search
     """
-    began = perf_counter()
-    prior = problem.prior.per_new_run(runs)
+    began, prior = perf_counter(), problem.prior.per_new_run(runs)
     tolerance = _attainable(problem, tolerance)
     everything = ContinuousSet(problem, prior, also)
-    if climbs(problem):
-        stages = [Stage(continuous_price(everything, np.random.default_rng(0), stop), tolerance)]
+    stages = ascents(everything, tolerance, stop)
+    if problem.many_parameters:
+        stages = [Stage(stages[-1].price, tolerance)]
         start = climbed(problem, runs, stop) if also is None else also
     else:
-        stages = ascents(everything, tolerance, stop)
         starts = PostureList(everything.starts)
-        stages.insert(0, Stage(candidate_price(problem, starts, prior), COARSE))
+        stages = [Stage(CandidatePrice(problem, starts, prior), COARSE), *stages]
         start = well_spread(starts, 6 * problem.parameters)
-    ended, gap = generate_columns(problem, prior, start, stages, stop)
-    thorough = np.random.default_rng(0) if stop() and not climbs(problem) else None
-    largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures, thorough)[1][0]))
+    design, gap = generate_columns(problem, prior, start, stages, stop)
+    thorough = np.random.default_rng(0) if stop() and not problem.many_parameters else None
+    best = everything.best(design.gradient, design.plan.postures, thorough)[1][0]
+    largest, rigorous, goal = max(design.level + gap, float(best)), False, max(tolerance, proof)
     jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
-    rigorous = False
     if jacobians is not None and not stop():
-        proof, climbs_on = max(tolerance, proof), ascents(everything, tolerance)
-        ended, largest, rigorous = prove(everything, jacobians, ended, largest, climbs_on, proof, stop)
-    return with_certificate(ended, largest, None, max(tolerance, proof), began, rigorous=rigorous, cut=stop())
-
-
-def climbed(problem: DesignProblem, runs: int | None, stop: Callable[[], bool] = IN_TIME) -> Array:
-    """(k, n) postures of a long plan that was climbed on gradients: nearly the support of the best weights."""
-    postures = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
-    return ascent(problem, runs or len(postures))(postures[None], stop=stop)[0]
-
-
-def ascents(everything: ContinuousSet, tolerance: float, stop: Callable[[], bool] = IN_TIME) -> list[Stage]:
-    """The pricing stages: a cheap multistart, then a thorough one, to a relative gap of `tolerance`."""
-    climb = continuous_price(everything, stop=stop)
-    thorough = continuous_price(everything, np.random.default_rng(0), stop)
-    return [
-        Stage(climb, max(FINE, tolerance)),
-        Stage(thorough, max(COARSE, tolerance), back=1),
-        Stage(climb, tolerance),
-        Stage(thorough, tolerance, back=1),
-    ]
+        stages = ascents(everything, tolerance)
+        design, largest, rigorous = prove(everything, jacobians, design, largest, stages, goal, stop)
+    settings = {"rigorous": rigorous, "solver": "column_generation"}
+    return design.certified(largest, 10.0 * goal, cut=stop(), seconds=perf_counter() - began, **settings)
 
 
 def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8) -> Bound:
@@ -137,6 +191,34 @@ def continuous_bound(problem: DesignProblem, *, runs: int | None = None, toleran
     return design.bound
 
 
+def climbed(problem: DesignProblem, runs: int | None, stop: Stop = never) -> Array:
+    """(k, n) postures of a long plan that was climbed on gradients: nearly the support of the best weights."""
+    postures = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
+    return PlanAscent(problem, runs or len(postures))(postures, stop=stop)
+
+
+def ascents(everything: ContinuousSet, tolerance: float, stop: Stop = never) -> list[Stage]:
+    """The pricing stages: a cheap multistart, then a thorough one, to a relative gap of `tolerance`."""
+
+    def price(generator: np.random.Generator | None) -> Price:
+        def best(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+            postures, values = everything.best(gradient, near, generator, stop)
+            # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
+            reach = NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0))
+            apart = distinct(everything.problem.comparable(postures), reach)
+            return best_offers(postures[apart], values[apart], level, 10 * everything.problem.parameters, 0.0)
+
+        return best
+
+    climb, thorough = price(None), price(np.random.default_rng(0))
+    return [
+        Stage(climb, max(FINE, tolerance)),
+        Stage(thorough, max(COARSE, tolerance), back=1),
+        Stage(climb, tolerance),
+        Stage(thorough, tolerance, back=1),
+    ]
+
+
 def _attainable(problem: DesignProblem, tolerance: float) -> float:
     """E-optimal weights come from a semidefinite program, which is less accurate than Newton's method."""
     return max(tolerance, SEMIDEFINITE) if problem.criterion.name == "E" else tolerance
@@ -145,54 +227,161 @@ def _attainable(problem: DesignProblem, tolerance: float) -> float:
 def prove(
     everything: ContinuousSet,
     jacobians: TrigonometricJacobian,
-    ended: SparseDesign,
+    design: ApproximateDesign,
     largest: float,
     stages: Sequence[Stage],
     tolerance: float,
-    stop: Callable[[], bool] = IN_TIME,
-) -> tuple[SparseDesign, float, bool]:
+    stop: Stop = never,
+) -> tuple[ApproximateDesign, float, bool]:
     """Branch and bound on the sensitivity; a posture that the multistart missed starts the loop again.
 
     Returns the design, its largest sensitivity, and whether that is proven.
     """
     problem, prior = everything.problem, everything.prior
     for _ in range(PROOFS):
-        constant = float(prior.mixed(np.zeros(()), ended.gradient))
-        polynomial = jacobians.sensitivity(ended.gradient, prior.new_fraction, constant)
-        close, known = tolerance * abs(ended.level), ended.plan.postures
-        box = problem.lower, problem.upper
-        found = maximum(polynomial, *box, known=known, tolerance=close, most_boxes=MOST_BOXES, stop=stop)
-        largest = max(largest, found.value)
-        if not found.proven:
-            return ended, largest, False
-        if found.value <= ended.level + close:
-            return ended, found.upper, True
-        start = np.concatenate([known, found.posture[None]])
-        ended, gap = generate_columns(problem, prior, start, stages, stop)
-        largest = ended.level + gap
-    return ended, found.upper, True
+        constant = float(prior.mixed(np.zeros(()), design.gradient))
+        polynomial = jacobians.sensitivity(design.gradient, prior.new_fraction, constant)
+        close, known = tolerance * abs(design.level), design.plan.postures
+        top = maximum(
+            polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=MOST_BOXES, stop=stop
+        )
+        largest = max(largest, top.value)
+        if not top.proven:
+            return design, largest, False
+        if top.value <= design.level + close:
+            return design, top.upper, True
+        start = np.concatenate([known, top.posture[None]])
+        design, gap = generate_columns(problem, prior, start, stages, stop)
+        largest = design.level + gap
+    return design, top.upper, True
 
 
-def with_certificate(
-    ended: SparseDesign,
-    largest: float,
-    candidates: int | None,
-    tolerance: float,
-    began: float,
-    *,
-    rigorous: bool,
-    cut: bool = False,
-) -> ApproximateDesign:
-    """The certificate: `largest` >= max tr(G F) over the design space."""
-    solved = largest - ended.level <= 10.0 * tolerance * abs(ended.level)
-    status, in_words = how_it_ended(largest, solved=solved, cut=cut)
-    return certified_design(
-        ended,
-        largest,
-        candidates=candidates,
-        rigorous=rigorous,
-        status=status,
-        solver="column_generation",
-        solver_status=in_words,
-        seconds=perf_counter() - began,
-    )
+# -- the loop ----------------------------------------------------------------------------------------------------------
+def generate_columns(
+    problem: DesignProblem,
+    prior: PriorInformation,
+    start: Array,
+    stages: Sequence[Stage],
+    stop: Stop = never,
+) -> tuple[ApproximateDesign, float]:
+    """Optimal weights, and the gap (absolute) that the last pricing, of the last stage unless `stop` said so, found.
+
+    Raises `JobError` where the postures to start from (k, n) do not identify all parameters.
+    """
+    criterion, comparable = problem.criterion, problem.comparable
+    postures, jacobians = start, problem.scaled_jacobians(start)
+    check_identified(problem, prior, jacobians)
+    accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
+    if stop():  # before the first weights, which take seconds where parameters are many: equal ones prove a bound too
+        weights = np.full(len(jacobians), 1.0 / len(jacobians))
+        gradient = criterion.gradient(prior.mixture(jacobians, weights))
+    else:
+        weights, gradient = optimal_weights(jacobians, criterion, prior, accuracy)
+    finest = EXACT if stages[-1].goal <= FINE else ROUGH * stages[-1].goal
+    current, gap, smallest = 0, np.inf, np.inf
+    for _ in range(ROUNDS):
+        stage, level = stages[current], float(np.sum(gradient * prior.mixture(jacobians, weights)))
+        offers, largest = stage.price(gradient, level, postures)
+        gap = largest - level
+        if stop():
+            break
+        inside = [np.abs(comparable(postures) - offer).max(axis=1).min() <= SAME for offer in comparable(offers)]
+        stuck = accuracy == finest and all(inside)  # a gap that rounding leaves
+        if len(offers) and gap > stage.goal * abs(level) and not stuck:
+            accuracy = max(ROUGH * gap / abs(level), finest)
+            # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
+            if len(postures) > CROWD * problem.parameters or gap < 0.9 * smallest:
+                carrying = _sparse(jacobians, weights) > 0.0
+                postures, jacobians = postures[carrying], jacobians[carrying]
+            postures = np.concatenate([postures, offers])
+            jacobians = np.concatenate([jacobians, problem.scaled_jacobians(offers)])
+            once = np.sort(distinct(comparable(postures)))
+            postures, jacobians = postures[once], jacobians[once]
+            smallest, current = min(smallest, gap), current - stage.back
+        elif accuracy > finest:
+            accuracy = finest
+        elif current == len(stages) - 1:
+            break
+        else:
+            current, smallest = current + 1, np.inf
+            continue
+        weights, gradient = optimal_weights(jacobians, criterion, prior, accuracy)
+    dual = gradient if criterion.name == "E" else None
+    return ApproximateDesign.heaviest_first(problem, prior, postures, _sparse(jacobians, weights), dual), gap
+
+
+def _sparse(jacobians: Array, weights: Array) -> Array:
+    """(k,) weights of the same information on as few postures as possible."""
+    return sparsest(jacobians, np.where(weights > NEGLIGIBLE, weights, 0.0))
+
+
+def optimal_weights(
+    jacobians: Array, criterion: Criterion, prior: PriorInformation, accuracy: float = EXACT
+) -> tuple[Array, Array]:
+    """Weights (k,) for scaled Jacobians (k, d, p), and (p, p) G there, by the method that the criterion allows."""
+    if criterion.name == "E":
+        return smallest_eigenvalue_weights(jacobians, prior)
+    return interior_point_weights(jacobians, criterion, prior, accuracy)
+
+
+def check_identified(problem: DesignProblem, prior: PriorInformation, jacobians: Array) -> None:
+    """Raises `JobError` where postures with these scaled Jacobians (k, d, p) do not identify all parameters."""
+    equal = prior.mixture(jacobians, np.full(len(jacobians), 1.0 / len(jacobians)))
+    if not np.isfinite(problem.criterion.value(equal)):
+        raise JobError(
+            "approximate design: the information matrix is singular on these postures, the parameters cannot all "
+            "be identified; drop an effect or allow more postures"
+        )
+
+
+# -- which postures of a finite set to add -----------------------------------------------------------------------------
+class CandidatePrice:
+    """Price of a candidate set: every candidate is evaluated, and each of many parts of the set offers its best.
+
+    short : price of the best candidates of the last pass, where the set is very large: its offers need no further pass
+    give_up : asked after every chunk; no offers and inf, which is no less than the largest, where it said so
+    """
+
+    def __init__(
+        self, problem: DesignProblem, candidates: Candidates, prior: PriorInformation, give_up: Stop = never
+    ) -> None:
+        self.problem, self.prior, self.give_up = problem, prior, give_up
+        self.jacobians = CandidateJacobians(problem, candidates)
+        self.part = max(16, -(-len(candidates) // PARTS))
+        self.short: CandidatePrice | None = None
+
+    def __call__(self, gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        """Postures to add (j, n), best first, and the largest sensitivity."""
+        best: list[tuple[Array, Array]] = []
+        floor = -np.inf
+        for postures, g in self.jacobians.sensitivities(gradient, self.prior):
+            if self.short is None:
+                edges = range(0, len(g), self.part)
+                rows = np.array([edge + int(np.argmax(g[edge : edge + self.part])) for edge in edges])
+            else:
+                rows = np.flatnonzero(g > floor)
+            best.append((postures[rows], g[rows]))
+            if self.short is not None and sum(len(values) for _, values in best) > 2 * SHORT:
+                best = [_highest(best, SHORT)]
+                floor = float(best[0][1].min())
+            if self.give_up():
+                return near[:0], np.inf
+        if self.short is None:
+            return best_offers(*_highest(best), level, 3 * self.problem.parameters)
+        self.short = CandidatePrice(self.problem, PostureList(_highest(best, SHORT)[0]), self.prior)
+        return self.short(gradient, level, near)
+
+
+def _highest(parts: list[tuple[Array, Array]], count: int | None = None) -> tuple[Array, Array]:
+    """(k, n) the postures of greatest value of all, and their values, greatest first."""
+    postures, values = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(-values, kind="stable")[:count]
+    return postures[order], values[order]
+
+
+def best_offers(postures: Array, values: Array, level: float, count: int, fraction: float = 0.1) -> tuple[Array, float]:
+    """Those of the best `count` whose value is above the level by a fraction of the largest, best first; that one."""
+    largest = float(values.max())
+    order = np.argsort(-values)[:count]
+    order = order[values[order] > level + fraction * max(largest - level, 0.0)]
+    return postures[order], largest

@@ -1,14 +1,13 @@
 """Postures of the largest sensitivity within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
 
 All starts climb together (`identification.newton_ascent`), on exact first and second derivatives
-(`doe.problem.derivatives`). Constraints are kept by a logarithmic barrier, lowered step by step, so
-that a climb can follow a wall. What is found is a numerical maximum; `doe.bounds.branch_and_bound` makes it a theorem
-where the model allows.
+(`doe.problem.derivatives`). Constraints are kept by a logarithmic barrier, lowered step by step, so that a climb can
+follow a wall. What it ends at is a numerical maximum; `doe.bounds.branch_and_bound` makes it a theorem where the model
+allows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -16,11 +15,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.plan.ascent import IN_TIME
-from doe.problem.derivatives import Derivatives, JacobianDerivatives, constraint_derivatives, constraint_values
+from doe.problem.derivatives import ConstraintDerivatives, JacobianDerivatives
 from doe.problem.feasible import random_postures
 from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.newton_ascent import Rows, newton_ascent
 
@@ -51,12 +49,8 @@ class ContinuousSet:
         return JacobianDerivatives(self.problem, range(self.problem.joints))
 
     @cached_property
-    def _walls(self) -> Derivatives:
-        return constraint_derivatives(self.problem, range(self.problem.joints))
-
-    @cached_property
-    def _margins(self) -> Callable[[Array], Array]:
-        return constraint_values(self.problem)
+    def _walls(self) -> ConstraintDerivatives:
+        return ConstraintDerivatives(self.problem, range(self.problem.joints))
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
@@ -71,40 +65,23 @@ class ContinuousSet:
         hessian += self._derivatives.bend(postures, weighted)
         return self.prior.new_fraction * slope, 2.0 * self.prior.new_fraction * hessian
 
-    # -- where to start ----------------------------------------------------------------------------------------------
     @cached_property
     def starts(self) -> Array:
         """(k, n) limits and middles of the joints that matter, and random postures, those that are feasible."""
-        generator = np.random.default_rng(0)
-        landmarks = self._landmarks(generator)
-        allowed = landmarks[self.problem.feasible(landmarks)]
-        more = [] if self.also is None else [np.atleast_2d(self.also)]
-        return np.concatenate([allowed, *more, self.random(generator, SAMPLES)])
-
-    def random(self, generator: np.random.Generator, count: int) -> Array:
-        """(count, n) feasible random postures. Raises InputError where there are none, naming the constraints."""
-        return random_postures(self.problem, count, generator)
-
-    def _landmarks(self, generator: np.random.Generator) -> Array:
-        problem = self.problem
-        active = list(problem.active_joints)
-        middle = 0.5 * (problem.lower + problem.upper)
-        levels = np.stack([problem.lower, problem.upper, middle])  # (3, n)
+        problem, generator = self.problem, np.random.default_rng(0)
+        active, middle = list(problem.active_joints), 0.5 * (problem.lower + problem.upper)
         if 3 ** len(active) <= LANDMARKS:
             places = np.array(list(product(range(3), repeat=len(active))), dtype=int)
         else:
             places = generator.integers(0, 3, (LANDMARKS, len(active)))
-        postures = np.tile(middle, (len(places), 1))
-        postures[:, active] = levels[places, active]
-        return postures
+        landmarks = np.tile(middle, (len(places), 1))
+        landmarks[:, active] = np.stack([problem.lower, problem.upper, middle])[places, active]
+        also = [] if self.also is None else [np.atleast_2d(self.also)]
+        anywhere = random_postures(problem, SAMPLES, generator)
+        return np.concatenate([landmarks[problem.feasible(landmarks)], *also, anywhere])
 
-    # -- the climb ---------------------------------------------------------------------------------------------------
     def best(
-        self,
-        gradient: Array,
-        near: Array,
-        generator: np.random.Generator | None = None,
-        stop: Callable[[], bool] = IN_TIME,
+        self, gradient: Array, near: Array, generator: np.random.Generator | None = None, stop: Stop = never
     ) -> tuple[Array, Array]:
         """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
 
@@ -112,21 +89,18 @@ class ContinuousSet:
         the best of many fresh random postures, and others whatever their value, for a high maximum may be narrow.
         `stop` ends the climb on its way.
         """
-        postures = self.climb(np.concatenate([near, self._promising(gradient, generator)]), gradient, stop)
+        pool = self.starts if generator is None else random_postures(self.problem, THOROUGH, generator)
+        order = np.argsort(-self.sensitivities(pool, gradient))
+        promising = (
+            [pool[order[:CLIMBERS]]] if generator is None else [pool[order[: 4 * CLIMBERS]], pool[: 4 * CLIMBERS]]
+        )
+        postures = self.climb(np.concatenate([near, *promising]), gradient, stop)
         values = self.sensitivities(postures, gradient)
         order = np.argsort(-values)
         order = order[distinct(self.problem.comparable(postures[order]))]
         return postures[order], values[order]
 
-    def _promising(self, gradient: Array, generator: np.random.Generator | None) -> Array:
-        if generator is None:
-            values = self.sensitivities(self.starts, gradient)
-            return self.starts[np.argsort(-values)[:CLIMBERS]]
-        fresh = self.random(generator, THOROUGH)
-        values = self.sensitivities(fresh, gradient)
-        return np.concatenate([fresh[np.argsort(-values)[: 4 * CLIMBERS]], fresh[: 4 * CLIMBERS]])
-
-    def climb(self, postures: Array, gradient: Array, stop: Callable[[], bool] = IN_TIME) -> Array:
+    def climb(self, postures: Array, gradient: Array, stop: Stop = never) -> Array:
         """Every posture moved uphill to a local maximum, within limits and constraints."""
         q = self.problem.clip(postures)
         if not self.problem.constraints:
@@ -140,37 +114,30 @@ class ContinuousSet:
             q, kind = q[apart], kind[apart]
         return q
 
-    def _ascend(self, q: Array, gradient: Array, barrier: Array, stop: Callable[[], bool]) -> Array:
-        """The climb under a barrier: (m,) its height for each posture, all 0 without constraints."""
+    def _ascend(self, q: Array, gradient: Array, barrier: Array, stop: Stop) -> Array:
+        """The climb of tr(G F(q)) + barrier * sum of log margins: (m,) barriers, all 0 without constraints."""
 
         def height(postures: Array, rows: Rows) -> Array:
-            return self._height(postures, gradient, barrier[rows])
+            values = self.sensitivities(postures, gradient)
+            if not barrier.any():
+                return values
+            margins = self._walls.values(postures)
+            inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(postures)
+            logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
+            return np.where(inside, values + barrier[rows] * logarithms, -np.inf)
 
         def slopes(postures: Array, rows: Rows) -> tuple[Array, Array]:
-            return self._slopes(postures, gradient, barrier[rows])
+            slope, hessian = self.slopes(postures, gradient)
+            if not barrier.any():
+                return slope, hessian
+            margins, first = self._walls.first(postures)
+            relative = first / margins[..., None]
+            bend = self._walls.bend(postures, 1.0 / margins) - np.swapaxes(relative, 1, 2) @ relative
+            each = barrier[rows, None]
+            return slope + each * relative.sum(axis=1), hessian + each[..., None] * bend
 
         limits = self.problem.lower, self.problem.upper
         return newton_ascent(q, height, slopes, limits, self.problem.joint_units, 1e-3 * barrier, stop)
-
-    def _height(self, q: Array, gradient: Array, barrier: Array) -> Array:
-        """(m,) tr(G F(q)) + barrier * sum of log margins; -inf outside."""
-        values = self.sensitivities(q, gradient)
-        if not barrier.any():
-            return values
-        margins = self._margins(q)
-        inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(q)
-        logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
-        return np.where(inside, values + barrier * logarithms, -np.inf)
-
-    def _slopes(self, q: Array, gradient: Array, barrier: Array) -> tuple[Array, Array]:
-        slope, hessian = self.slopes(q, gradient)
-        if not barrier.any():
-            return slope, hessian
-        margins, first, second = self._walls(q)
-        relative = first / margins[..., None]
-        bend = second / margins[..., None, None]
-        slope = slope + barrier[:, None] * relative.sum(axis=1)
-        return slope, hessian + barrier[:, None, None] * (bend.sum(axis=1) - np.swapaxes(relative, 1, 2) @ relative)
 
 
 def distinct(postures: Array, tolerance: float = SAME) -> NDArray[np.intp]:

@@ -9,17 +9,16 @@ one, exact plans of any number of runs included.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.plan.ascent import IN_TIME
 from doe.problem.candidates import CHUNK, Candidates, chunks
 from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
@@ -27,11 +26,6 @@ REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
 CACHED, FEWEST = 250_000, 1024  # entries of a chunk's Jacobians, which stay in the processor's cache; and postures
 REMEMBERED = 4_000_000  # entries of candidates' Jacobians that are remembered between passes: 32 MB
 LAST = 2.0  # [s] that a pass over the candidates may take after the time has ended, however short the search was
-
-
-def level(gradient: Array, information: Array) -> float:
-    """tr(G M), what the largest sensitivity is compared with."""
-    return float(np.sum(gradient * information))
 
 
 @dataclass(frozen=True)
@@ -62,10 +56,9 @@ def certify(problem: DesignProblem, information: Array, largest: float, gradient
     slope = criterion.gradient(information) if gradient is None else gradient
     bound = criterion.upper_bound(information, largest)
     efficiency = criterion.efficiency(value, bound, problem.parameters)
-    return Certificate(value, largest - level(slope, information), bound, efficiency)
+    return Certificate(value, largest - float(np.sum(slope * information)), bound, efficiency)
 
 
-# -- the largest sensitivity -------------------------------------------------------------------------------------------
 def sensitivity(problem: DesignProblem, information: Array, postures: ArrayLike) -> Array:
     """(m,) tr(G B^T B) of postures (m, n), with G the criterion's gradient at the design's information matrix."""
     gradient = problem.criterion.gradient(information)
@@ -86,29 +79,26 @@ class CandidateJacobians:
             yield from self._remembered
             return
         each = self.problem.model.dimension * self.problem.parameters
-        some = chunks(self.candidates, int(np.clip(CACHED // each, FEWEST, CHUNK)))
-        made = ((postures, self.problem.scaled_jacobians(postures)) for _, postures in some)
+        parts = chunks(self.candidates, int(np.clip(CACHED // each, FEWEST, CHUNK)))
+        made = ((postures, self.problem.scaled_jacobians(postures)) for _, postures in parts)
         if len(self.candidates) * each > REMEMBERED:
             yield from made
             return
         self._remembered.extend(made)
         yield from self._remembered
 
-
-def candidate_sensitivities(
-    jacobians: CandidateJacobians, gradient: Array, prior: PriorInformation
-) -> Iterator[tuple[Array, Array]]:
-    """Per chunk of candidates: postures (k, n) and g (k,) = tr(G F). Never more than one chunk of values in memory."""
-    positive = np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient)
-    root = np.linalg.cholesky(gradient) if positive else None
-    for postures, some in jacobians:
-        across = some.transpose(1, 2, 0)  # (d, p, k) as `vectorize` has it
-        half = (gradient if root is None else root.T) @ across  # tr(L L^T B^T B) = |L^T B^T|^2
-        half *= across if root is None else half
-        yield postures, prior.mixed(half.sum(axis=(0, 1)), gradient)
+    def sensitivities(self, gradient: Array, prior: PriorInformation) -> Iterator[tuple[Array, Array]]:
+        """Per chunk: postures (k, n) and g (k,) = tr(G F). Never more than one chunk of values in memory."""
+        positive = np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient)
+        root = np.linalg.cholesky(gradient) if positive else None
+        for postures, jacobians in self:
+            across = jacobians.transpose(1, 2, 0)  # (d, p, k) as `vectorize` has it
+            half = (gradient if root is None else root.T) @ across  # tr(L L^T B^T B) = |L^T B^T|^2
+            half *= across if root is None else half
+            yield postures, prior.mixed(half.sum(axis=(0, 1)), gradient)
 
 
-def last_pass(stop: Callable[[], bool], began: float) -> Callable[[], bool]:
+def last_pass(stop: Stop, began: float) -> Stop:
     """When to give a pass over the candidates up that begins now: the time has ended, and the pass takes longer than
     the search before it, which `began` at that `perf_counter`, and than `LAST` seconds."""
     now = perf_counter()
@@ -117,18 +107,14 @@ def last_pass(stop: Callable[[], bool], began: float) -> Callable[[], bool]:
 
 
 def largest_sensitivity(
-    problem: DesignProblem,
-    candidates: Candidates,
-    gradient: Array,
-    prior: PriorInformation,
-    give_up: Callable[[], bool] = IN_TIME,
+    problem: DesignProblem, candidates: Candidates, gradient: Array, prior: PriorInformation, give_up: Stop = never
 ) -> float:
     """max over the candidates of g = tr(G F), all of them visited, their Jacobians computed afresh.
 
     prior : per new run;  give_up : asked after every chunk; inf, which is no less than the largest, where it said so
     """
     largest = -np.inf
-    for _, g in candidate_sensitivities(CandidateJacobians(problem, candidates), gradient, prior):
+    for _, g in CandidateJacobians(problem, candidates).sensitivities(gradient, prior):
         largest = max(largest, float(g.max()))
         if give_up():
             return np.inf

@@ -1,37 +1,31 @@
 """`relax`: optimal weights over candidate postures, by column generation or as one convex program.
 
-The value and the bound are recomputed from the weights, whoever found them; a solver's own numbers are not used.
+The value and the bound are recomputed from the weights, whoever computed them; a solver's own numbers are not used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design
-from doe.bounds.column_generation import column_generation
+from doe.bounds.approximate_design import ApproximateDesign
+from doe.bounds.column_generation import column_generation, rough_design
 from doe.bounds.convex_program import solve_program
 from doe.bounds.equivalence import largest_sensitivity
-from doe.bounds.multiplicative import multiplicative
 from doe.bounds.weights import proper_weights
-from doe.plan.ascent import IN_TIME
-from doe.plan.plan import Plan
-from doe.problem.candidates import Candidates, PostureList, chunks, grid, listed_candidates
-from doe.problem.candidates import Grid as CandidateGrid
+from doe.problem.candidates import Candidates, Grid, PostureList, grid, listed_candidates
 from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
-from identification.arrays import Array
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.errors import InputError, JobError, nearest
 from identification.status import Status
 
 # candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
 LARGEST = MappingProxyType({"clarabel": 20_000, "scs": 100_000})
-SOLVERS = (*LARGEST, "column_generation")
-ROUGH = "multiplicative"  # to a gap of a percent only, but for hundreds of parameters
+OWN = MappingProxyType({"column_generation": column_generation, "multiplicative": rough_design})
 CARRIED = 1e-7  # weight below which a posture is left out of the support; interior points give every posture a little
 STATUS = MappingProxyType(
     {
@@ -42,16 +36,13 @@ STATUS = MappingProxyType(
 )
 
 
-SINGULAR = "the candidates' information is singular to rounding; wider joint limits or fewer effects may help"
-
-
 def relax(
     problem: DesignProblem,
     candidates: int | ArrayLike | Candidates,
     solver: str = "column_generation",
     *,
     runs: int | None = None,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> ApproximateDesign:
     """Optimal weights over candidate postures, with a certificate recomputed from the weights.
 
@@ -63,70 +54,49 @@ def relax(
     Raises InputError for an unknown solver, too many candidates for it, no feasible candidate; JobError where the
     solver returns no weights.
     """
-    if solver not in (*SOLVERS, ROUGH):
-        raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, (*SOLVERS, ROUGH))}")
-    chosen = candidate_set(problem, candidates)
-    try:
-        return _relaxed(problem, chosen, solver, runs, stop)
-    except np.linalg.LinAlgError:
-        raise JobError(f"{solver}: {SINGULAR}") from None
-
-
-def _relaxed(
-    problem: DesignProblem, chosen: Candidates, solver: str, runs: int | None, stop: Callable[[], bool]
-) -> ApproximateDesign:
-    if solver == "column_generation":
-        return column_generation(problem, chosen, runs=runs, stop=stop)
-    if solver == ROUGH:
-        return multiplicative(problem, chosen, runs=runs, stop=stop)
-    if len(chosen) > LARGEST[solver]:
-        raise InputError(
-            f"candidates: {len(chosen)} for solver {solver}, allowed: up to {LARGEST[solver]}, where one big program "
-            "still works; solver column_generation works at this size"
-        )
-    return _one_program(problem, chosen, solver, problem.prior.per_new_run(runs))
-
-
-def candidate_set(problem: DesignProblem, candidates: int | ArrayLike | Candidates) -> Candidates:
-    """`Candidates` from the levels of a grid, from a list of postures, or unchanged."""
-    if isinstance(candidates, CandidateGrid | PostureList):
-        return candidates
+    if solver not in (*LARGEST, *OWN):
+        raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, (*LARGEST, *OWN))}")
     if isinstance(candidates, int | np.integer):
-        return grid(problem, int(candidates))
-    return listed_candidates(problem, np.asarray(candidates, dtype=float))
+        chosen: Candidates = grid(problem, int(candidates))
+    elif isinstance(candidates, Grid | PostureList):
+        chosen = candidates
+    else:
+        chosen = listed_candidates(problem, np.asarray(candidates, dtype=float))
+    try:
+        if solver in OWN:
+            return OWN[solver](problem, chosen, runs=runs, stop=stop)
+        return _one_program(problem, chosen, solver, problem.prior.per_new_run(runs))
+    except np.linalg.LinAlgError:
+        singular = "the candidates' information is singular to rounding; wider joint limits or fewer effects may help"
+        raise JobError(f"{solver}: {singular}") from None
 
 
 def _one_program(
     problem: DesignProblem, candidates: Candidates, solver: str, prior: PriorInformation
 ) -> ApproximateDesign:
-    began = perf_counter()
-    answer = solve_program(_rows(problem, candidates, prior), problem.criterion, solver)
-    if answer.weights is None:
+    if len(candidates) > LARGEST[solver]:
+        allowed = f"up to {LARGEST[solver]}, where one big program still works"
+        raise InputError(
+            f"candidates: {len(candidates)} for solver {solver}, allowed: {allowed}; solver column_generation works at "
+            "this size"
+        )
+    began, postures = perf_counter(), candidates.take(np.arange(len(candidates)))
+    jacobians = problem.scaled_jacobians(postures)
+    weights, solver_status, dual = solve_program(prior.posture_information(jacobians), problem.criterion, solver)
+    if weights is None:
         raise JobError(
-            f"{solver}: status {answer.status} on {len(candidates)} candidates, no weights; solver column_generation "
+            f"{solver}: status {solver_status} on {len(candidates)} candidates, no weights; solver column_generation "
             "works at this size"
         )
-    weights = proper_weights(answer.weights)
-    support = np.flatnonzero(weights > CARRIED)
-    support = support[np.argsort(-weights[support], kind="stable")]
-    plan = Plan(candidates.take(support), proper_weights(weights[support]), problem.model.joint_types)
-    found = SparseDesign(problem, prior, plan, answer.gradient)
-    return certified_design(
-        found,
-        largest_sensitivity(problem, candidates, found.gradient, prior),
+    weights = proper_weights(weights)
+    design = ApproximateDesign.heaviest_first(problem, prior, postures, np.where(weights > CARRIED, weights, 0.0), dual)
+    return replace(
+        design,
+        largest=largest_sensitivity(problem, candidates, design.gradient, prior),
         candidates=len(candidates),
         rigorous=True,
-        status=STATUS.get(answer.status, Status.solver_failed),
+        status=STATUS.get(solver_status, Status.solver_failed),
         solver=solver,
-        solver_status=answer.status,
+        solver_status=solver_status,
         seconds=perf_counter() - began,
     )
-
-
-def _rows(problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> Array:
-    """(N, p (p + 1) / 2) upper triangles of every F_i."""
-    upper = np.triu_indices(problem.parameters)
-    rows = np.empty((len(candidates), len(upper[0])))
-    for index, postures in chunks(candidates, 1024):
-        rows[index] = prior.posture_information(problem.scaled_jacobians(postures))[:, upper[0], upper[1]]
-    return rows

@@ -8,12 +8,15 @@ instructions is the proof: anything that leaves the ring of trigonometric polyno
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from doe.bounds.branch_and_bound import TrigonometricPolynomial
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 
@@ -28,25 +31,6 @@ class Angle:
 
     frequency: Frequency
     constant: float
-
-
-@dataclass(frozen=True)
-class TrigonometricPolynomial:
-    """constant + sum_t Re(coefficients_t exp(i frequencies_t . q)); frequencies (T, n) whole, coefficients (T,).
-
-    magnitude, operations : sum of magnitudes that went into the coefficients before anything cancelled, and the number
-        of operations in a row, for a bound on the rounding error; 0: the coefficients are exact
-    """
-
-    constant: float
-    frequencies: NDArray[np.int64]
-    coefficients: NDArray[np.complex128]
-    magnitude: float = 0.0
-    operations: int = 0
-
-    def value(self, q: Array) -> Array:
-        """(...) at postures (..., n)."""
-        return self.constant + (np.exp(1j * (q @ self.frequencies.T)) @ self.coefficients).real
 
 
 @dataclass(frozen=True)
@@ -74,25 +58,29 @@ class TrigonometricJacobian:
         )
 
 
+class NotTrigonometric(Exception):
+    """An instruction leaves the ring of trigonometric polynomials."""
+
+
 def trigonometric_jacobian(problem: DesignProblem) -> TrigonometricJacobian | None:
     """B as trigonometric polynomials, or None where they are not (a gear ratio, a sign of a torque)."""
-    entries = _entries(problem.scaled_jacobian_function)
-    if entries is None:
+    try:
+        entries = polynomials(problem.scaled_jacobian_function)
+    except NotTrigonometric:
         return None
-    d, p, n = problem.model.dimension, problem.parameters, problem.joints
     frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
     if not frequencies or len(frequencies) > MOST_TERMS:
         return None
-    coefficients = np.zeros((len(frequencies), d, p), dtype=complex)
+    coefficients = np.zeros((len(frequencies), problem.model.dimension, problem.parameters), dtype=complex)
     slot = {frequency: k for k, frequency in enumerate(frequencies)}
     for (row, column), polynomial in entries.items():
         for frequency, value in polynomial.items():
             coefficients[slot[frequency], row, column] = value
-    return TrigonometricJacobian(np.array(frequencies).reshape(-1, n), coefficients)
+    return TrigonometricJacobian(np.array(frequencies).reshape(-1, problem.joints), coefficients)
 
 
-def _entries(function: ca.Function) -> dict[tuple[int, int], Polynomial] | None:
-    """(row, column) -> polynomial of the function's one output."""
+def polynomials(function: ca.Function) -> dict[tuple[int, int], Polynomial]:
+    """(row, column) -> polynomial of the function's one output. Raises `NotTrigonometric`."""
     n = function.size1_in(0)
     places = list(zip(*function.sparsity_out(0).get_triplet(), strict=True))
     work: dict[int, Angle | Polynomial] = {}
@@ -105,89 +93,87 @@ def _entries(function: ca.Function) -> dict[tuple[int, int], Polynomial] | None:
         elif operation == ca.OP_INPUT:
             work[targets[0]] = Angle(tuple(int(j == sources[1]) for j in range(n)), 0.0)
         elif operation == ca.OP_OUTPUT:
-            polynomial = _polynomial(work[sources[0]])
-            if polynomial is None:
-                return None
-            entries[places[targets[1]]] = polynomial
+            entries[places[targets[1]]] = _polynomial(work[sources[0]])
+        elif operation in OPERATIONS:
+            work[targets[0]] = OPERATIONS[operation](*(work[s] for s in sources))
         else:
-            result = _apply(operation, [work[s] for s in sources])
-            if result is None:
-                return None
-            work[targets[0]] = result
+            raise NotTrigonometric
     return entries
 
 
-def _polynomial(value: Angle | Polynomial) -> Polynomial | None:
+def _polynomial(value: Angle | Polynomial) -> Polynomial:
     if isinstance(value, dict):
         return value
-    return {value.frequency: complex(value.constant)} if not any(value.frequency) else None
+    return {value.frequency: complex(_constant(value))}
 
 
-def _constant(value: Angle | Polynomial) -> float | None:
-    return value.constant if isinstance(value, Angle) and not any(value.frequency) else None
+def _constant(value: Angle | Polynomial) -> float:
+    if isinstance(value, dict) or any(value.frequency):
+        raise NotTrigonometric
+    return value.constant
 
 
-def _apply(operation: int, x: list[Angle | Polynomial]) -> Angle | Polynomial | None:
-    """One instruction on angles and polynomials; None where the result is neither."""
-    if operation in (ca.OP_SIN, ca.OP_COS):
-        return _wave(x[0], operation)
-    if operation in (ca.OP_ADD, ca.OP_SUB):
-        return _add(x[0], x[1], 1.0 if operation == ca.OP_ADD else -1.0)
-    if operation in (ca.OP_NEG, ca.OP_TWICE):
-        return _scale(x[0], -1.0 if operation == ca.OP_NEG else 2.0)
-    if operation == ca.OP_SQ:
-        return _multiply(x[0], x[0])
-    if operation == ca.OP_MUL:
-        return _multiply(x[0], x[1])
-    if operation == ca.OP_DIV:
-        divisor = _constant(x[1])
-        return None if not divisor else _scale(x[0], 1.0 / divisor)
-    return x[0] if operation == ca.OP_ASSIGN else None
+def _is_constant(value: Angle | Polynomial) -> bool:
+    return isinstance(value, Angle) and not any(value.frequency)
 
 
-def _wave(x: Angle | Polynomial, operation: int) -> Polynomial | None:
+def _wave(x: Angle | Polynomial, quarter: complex = 1.0) -> Polynomial:
+    """cos x, or with a `quarter` of a turn, -i, sin x."""
     if not isinstance(x, Angle):
-        return None
-    turn = np.exp(1j * x.constant)
+        raise NotTrigonometric
+    turn = quarter * np.exp(1j * x.constant)
     if not any(x.frequency):
-        return {x.frequency: complex(turn.imag if operation == ca.OP_SIN else turn.real)}
-    half = turn / 2.0 if operation == ca.OP_COS else turn / 2.0j
-    opposite = tuple(-f for f in x.frequency)
-    return {x.frequency: complex(half), opposite: complex(np.conj(half))}
+        return {x.frequency: complex(turn.real)}
+    return {x.frequency: complex(turn / 2.0), tuple(-f for f in x.frequency): complex(np.conj(turn) / 2.0)}
 
 
-def _scale(x: Angle | Polynomial, factor: float) -> Angle | Polynomial | None:
+def _scale(x: Angle | Polynomial, factor: float) -> Angle | Polynomial:
     if isinstance(x, dict):
         return {frequency: factor * value for frequency, value in x.items()}
     scaled = tuple(factor * f for f in x.frequency)
     if any(f != int(f) for f in scaled):
-        return None  # a fraction of an angle: a gear ratio known to be wrong, not periodic
+        raise NotTrigonometric  # a fraction of an angle: a gear ratio known to be wrong, not periodic
     return Angle(tuple(int(f) for f in scaled), factor * x.constant)
 
 
-def _add(x: Angle | Polynomial, y: Angle | Polynomial, sign: float) -> Angle | Polynomial | None:
+def _add(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
     if isinstance(x, Angle) and isinstance(y, Angle):
-        frequency = tuple(a + int(sign) * b for a, b in zip(x.frequency, y.frequency, strict=True))
-        return Angle(frequency, x.constant + sign * y.constant)
-    left, right = _polynomial(x), _polynomial(y)
-    if left is None or right is None:
-        return None
-    total = dict(left)
-    for frequency, value in right.items():
-        total[frequency] = total.get(frequency, 0.0) + sign * value
+        return Angle(tuple(a + b for a, b in zip(x.frequency, y.frequency, strict=True)), x.constant + y.constant)
+    total = dict(_polynomial(x))
+    for frequency, value in _polynomial(y).items():
+        total[frequency] = total.get(frequency, 0.0) + value
     return total
 
 
-def _multiply(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial | None:
-    for factor, other in ((_constant(x), y), (_constant(y), x)):
-        if factor is not None:
-            return _scale(other, factor)
-    left, right = _polynomial(x), _polynomial(y)
-    if left is None or right is None:
-        return None
+def _multiply(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
+    for factor, other in ((x, y), (y, x)):
+        if _is_constant(factor):
+            return _scale(other, _constant(factor))
     product: Polynomial = {}
-    for f, a in left.items():
-        for g, b in right.items():
+    for f, a in _polynomial(x).items():
+        for g, b in _polynomial(y).items():
             key = tuple(i + j for i, j in zip(f, g, strict=True))
             product[key] = product.get(key, 0.0) + a * b
     return product
+
+
+def _divide(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
+    if _constant(y) == 0.0:
+        raise NotTrigonometric
+    return _scale(x, 1.0 / _constant(y))
+
+
+OPERATIONS: Mapping[int, Callable[..., Angle | Polynomial]] = MappingProxyType(
+    {
+        ca.OP_ASSIGN: lambda x: x,
+        ca.OP_COS: _wave,
+        ca.OP_SIN: lambda x: _wave(x, -1j),
+        ca.OP_ADD: _add,
+        ca.OP_SUB: lambda x, y: _add(x, _scale(y, -1.0)),
+        ca.OP_NEG: lambda x: _scale(x, -1.0),
+        ca.OP_TWICE: lambda x: _scale(x, 2.0),
+        ca.OP_SQ: lambda x: _multiply(x, x),
+        ca.OP_MUL: _multiply,
+        ca.OP_DIV: _divide,
+    }
+)

@@ -1,25 +1,130 @@
-"""Cleaning up solver weights: nonnegative, summing to one, smallest support."""
+"""Optimal weights on few postures: maximise Phi(M(w)), M(w) = sum_i w_i F_i, subject to w >= 0, sum w = 1.
+
+*Interior point*, of second order and accurate to rounding. With g_i = tr(G F_i), G = dPhi/dM, and the slack
+s_i = nu - g_i >= 0, w is optimal if and only if w_i s_i = 0 for all i (the equivalence theorem on these postures).
+Newton's method on w_i s_i = mu, mu -> 0, takes some twenty steps, each one Cholesky factorisation of the size of the
+support, to a gap of 1e-13. Accuracy here saves work elsewhere: at the optimum the sensitivity of the base model is a
+sum of waves of separate joints, whose maximum is proven immediately.
+
+*Multiplicative*, for very many parameters, to a gap of a percent: w_i <- w_i tr(G B_i^T B_i)^power, made to sum to one
+(S. D. Silvey, D. M. Titterington, B. Torsney, 1978); the criterion never falls for D with power 1 and for A and I with
+power 1/2 (Y. Yu, "Monotonic convergence of a general algorithm for computing optimal designs", Annals of Statistics 38,
+2010). A step costs one pass over the postures, whatever the number of those that carry weight.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 
+from doe.criteria import Criterion
+from doe.criteria.criterion import Factored, smooth
+from doe.problem.prior import PriorInformation
+from doe.problem.problem import Stop, never
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.vectorize import PART
 
+ITERATIONS = 100
+FRACTION = 0.99  # of the way to the boundary w = 0, s = 0
+SHRINK = 0.1  # of the complementarity asked for per step
+STALLS = 5  # steps without a smaller gap: rounding is reached
+STEPS = 2000  # of the multiplicative algorithm
+POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
 CLEAR = 1e-8  # smallest eigenvalue of scalar products of unit vectors that are independent without a closer look
 
 
-@dataclass(frozen=True)
-class Weights:
-    """Weights (k,) on k postures, gradient (p, p) G there, gap max_i g_i - tr(G M) on these postures."""
+def interior_point_weights(
+    jacobians: Array, criterion: Criterion, prior: PriorInformation, tolerance: float = 1e-14
+) -> tuple[Array, Array]:
+    """Weights (k,) for scaled Jacobians (k, d, p), to a gap of `tolerance` times tr(G M) where rounding allows; and
+    (p, p) G there."""
+    from scipy.linalg import cho_factor, cho_solve  # 0.1 s to import
 
-    weights: Array
-    gradient: Array
-    gap: float
-    iterations: int
+    def judged(w: Array) -> tuple[Array, Array]:
+        """G and g."""
+        gradient = criterion.gradient(prior.mixture(jacobians, w))
+        return gradient, prior.sensitivities(jacobians, gradient)
+
+    w = np.full(len(jacobians), 1.0 / len(jacobians))
+    gradient, g = judged(w)
+    nu = float(g.max()) + 0.1 * abs(float(w @ g))
+    s = nu - g
+    best, smallest, stalled = (w, gradient), np.inf, 0
+    for _ in range(ITERATIONS):
+        gap = float(g.max() - w @ g)
+        stalled += 1
+        if gap < 0.9 * smallest:
+            best, smallest, stalled = (w, gradient), gap, 0
+        if gap <= tolerance * abs(float(w @ g)) or stalled > STALLS:
+            break
+        curvature, mu, residual = (
+            minus_hessian(jacobians, w, criterion, prior),
+            SHRINK * float(w @ s) / len(w),
+            g + s - nu,
+        )
+        try:
+            factor = cho_factor(curvature + np.diag(s / w), lower=True)
+        except np.linalg.LinAlgError:  # indefinite by rounding, which happens when the gap is down to rounding too
+            break
+        right = cho_solve(factor, np.stack([mu / w - s + residual, np.ones(len(w))], axis=1))
+        dnu = float(right[:, 0].sum() / right[:, 1].sum())
+        dw = right[:, 0] - dnu * right[:, 1]
+        ds = curvature @ dw + dnu - residual
+        step = min(1.0, FRACTION * _to_boundary(w, dw), FRACTION * _to_boundary(s, ds))
+        w, s, nu = w + step * dw, s + step * ds, nu + step * dnu
+        w = w / w.sum()
+        gradient, g = judged(w)
+    return best
+
+
+def _to_boundary(values: Array, change: Array) -> float:
+    falling = change < 0.0
+    return float(np.min(-values[falling] / change[falling], initial=np.inf))
+
+
+def minus_hessian(jacobians: Array, weights: Array, criterion: Criterion, prior: PriorInformation) -> Array:
+    """(k, k) minus the Hessian of Phi with respect to the weights; with factors L and R sum c tr(L F_i R F_j),
+    F = (B^T B + K) / (1 + k), without any F.
+
+    tr(L B_i^T B_i R B_j^T B_j) is the scalar product of B_j L B_i^T and B_j R B_i^T: products of (k d, p) by (p, k d).
+    """
+    information = prior.mixture(jacobians, weights)
+    if not isinstance(criterion, Factored):
+        return -smooth(criterion).curvature(information, prior.posture_information(jacobians))
+    k, d, _ = jacobians.shape
+    total = np.zeros((k, k))
+    for factor, left, right in criterion.curvature_factors(information):
+        halves = [jacobians @ side for side in ([left] if right is left else [left, right])]
+        for one, other in combinations_with_replacement(range(d), 2):
+            products = [half[:, one] @ jacobians[:, other].T for half in halves]
+            pairs = products[0] * products[-1]
+            total += factor * (pairs if one == other else pairs + pairs.T)
+        if not prior.empty:
+            known = left @ prior.total @ right
+            each = np.einsum("kda,ab,kdb->k", jacobians, 0.5 * (known + known.T), jacobians, optimize=True)
+            total += factor * (each[:, None] + each + np.sum(known * prior.total))
+    return np.asarray(total * prior.new_fraction**2)
+
+
+def multiplicative_weights(
+    jacobians: Array, criterion: Criterion, prior: PriorInformation, gap: float, stop: Stop = never
+) -> Array:
+    """(k,) weights for scaled Jacobians (k, d, p) from equal ones, until max tr(G F) is within `gap` of tr(G M)."""
+    k, d, p = jacobians.shape
+    parts = [jacobians[start : start + PART].reshape(-1, p) for start in range(0, k, PART)]
+    weights = np.full(k, 1.0 / k)
+    for _ in range(STEPS):
+        information = prior.mixture(jacobians, weights)
+        gradient = criterion.gradient(information)
+        each = np.concatenate([np.einsum("ia,ia->i", rows @ gradient, rows) for rows in parts])
+        each = each.reshape(k, d).sum(axis=1)
+        if prior.mixed(each, gradient).max() <= (1.0 + gap) * float(np.sum(gradient * information)) or stop():
+            break
+        weights = weights * each ** POWERS[criterion.name]
+        weights /= weights.sum()
+    return weights
 
 
 def proper_weights(weights: Array) -> Array:
@@ -42,8 +147,7 @@ def sparsest(jacobians: Array, weights: Array) -> Array:
     """
     from scipy.linalg import null_space  # 0.1 s to import
 
-    p = jacobians.shape[2]
-    upper = np.triu_indices(p)
+    upper = np.triu_indices(jacobians.shape[2])
     support = np.flatnonzero(weights > 0.0)
     carried = jacobians[support]
     if clearly_independent(carried):

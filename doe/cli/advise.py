@@ -3,49 +3,45 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import click
-from click.core import ParameterSource
-
-from doe.cli.common import Answer, CommonOptions, verb, warn_beside_json, with_collisions
-from doe.cli.options import FILE, Output, Seconds, only_option, output_options
+from doe.cli.common import Answer, CommonOptions, stated, verb, warn_beside_json, with_collisions
+from doe.cli.options import File, Names, Picture, Seconds, written
 from identification.errors import InputError
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png", "How many measurements are needed?")
-@click.argument("arm", type=FILE)
-@click.option("--runs", default="4:40", show_default=True, metavar="A:B", help="Numbers of runs, A to B.")
-@only_option
-@click.option(
-    "--target-mm",
-    type=float,
-    help="Wanted largest std of a link length; in space, or with no length, error of the tip [mm].",
-)
-@click.option(
-    "--seconds",
-    type=Seconds(),
-    default=60.0,
-    show_default=True,
-    help="Time budget of all numbers of runs together [s].",
-)
-@output_options(picture="Write the curve as .png, .svg or .pdf.")
+    from doe.advise import Advice
+
+
+@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
 def command(
     common: CommonOptions,
-    arm: Path,
-    runs: str,
-    only: tuple[str, ...],
-    target_mm: float | None,
-    seconds: float,
-    output: Output,
+    arm: File,
+    *,
+    runs: Annotated[str, "A:B"] = "4:40",
+    only: tuple[Names, ...] = (),
+    target_mm: float | None = None,
+    seconds: Seconds = 60.0,
+    picture: Picture | None = None,
+    force: bool = False,
 ) -> Answer:
-    """Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy.
+    """How many measurements are needed?
 
-    With --only how few postures are enough to find these parameters anew, the others as in ARM, for `identify --only`.
+    Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy. With --only
+    how few postures are enough to find these parameters again, the others as in ARM, for `identify --only`.
+
+    runs : Numbers of runs, A to B.
+    only : Estimate only these, as `identify --only`.
+    target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
+    seconds : Time budget of all numbers of runs together [s].
+    picture : Write the curve as .png, .svg or .pdf.
+    force : Overwrite an existing file.
     """
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
-    from doe.report.advice import advice_figure, advice_tables
+    from doe.report.design import advice_document
     from identification.files.arm import load_arm
     from identification.model import Model
     from identification.validate.reuse import only as only_these
@@ -53,25 +49,27 @@ def command(
 
     (loaded, given_sigma), words = with_scatter(load_arm(arm)), words_of(only)
     problem = DesignProblem.of(only_these(loaded, words) if words else Model(loaded))
-    if words and not given("runs"):
+    if words and not stated("runs"):
         runs = f"{problem.fewest_runs}:40"
-    with common.progress() as progress:
-        numbers = run_range(runs, problem.fewest_runs)
-        advice = advise(problem, numbers, target=target_mm, seed=common.seed, seconds=seconds, progress=progress)
+    numbers = run_range(runs, problem.fewest_runs)
+    advice = advise(problem, numbers, target=target_mm, seed=common.seed, seconds=seconds, progress=common.report)
     said = {"only": words, "fewest_runs": problem.fewest_runs} if words else {}
     fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
     found = f"identifiable from {fewest} or more at well-chosen postures; how accurately, the table says"
     enough = f"{', '.join(words)} alone: {found}"
-    shown = [*([enough] if words else []), *advice_tables(advice), *([given_sigma] if given_sigma else [])]
+    document = advice_document(advice).plus(*([given_sigma] if given_sigma else []))
+    shown = [*([enough] if words else []), document]
     warn_beside_json([given_sigma] if given_sigma else [])
     answer = Answer(advice.to_json() | said, shown)
-    output.draw(lambda: advice_figure(advice))
+    written({picture: lambda: advice_drawing(advice)}, force)
     return with_collisions(answer, loaded)
 
 
-def given(option: str) -> bool:
-    """Whether an option stands on the command line."""
-    return click.get_current_context().get_parameter_source(option) is not ParameterSource.DEFAULT
+def advice_drawing(advice: Advice) -> Figure:
+    """Efficiency and expected accuracy against the number of runs."""
+    from doe.report.figures import advice_figure  # deferred: matplotlib takes longer to load than a small advice
+
+    return advice_figure(advice)
 
 
 def run_range(text: str, fewest: int) -> range:

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import click
-
 from doe.cli.common import Answer, CommonOptions, verb
-from doe.cli.options import FILE
+from doe.cli.options import File
 
 
-@verb("armcal check arm.toml measurements.csv", "Are the measurements what they should be?")
-@click.argument("arm", type=FILE)
-@click.argument("data", type=FILE)
-def command(common: CommonOptions, arm: Path, data: Path) -> Answer:
-    """Look at the measurements DATA of ARM before anything is fitted in earnest.
+@verb("armcal check arm.toml measurements.csv")
+def command(common: CommonOptions, arm: File, data: File) -> Answer:
+    """Are the measurements what they should be?
+
+    Look at the measurements DATA of ARM before anything is fitted in earnest.
 
     Rows, ranges against limits, units, repeats, what the drawing leaves after fitting where the arm stands, joints that
     turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
     """
-    from doe.report.inspection_tables import inspection_tables
+    from doe.report.identification import inspection_document
     from identification.files.arm import load_arm
-    from identification.files.arm_spatial import urdf_masses
+    from identification.files.arm_chain import urdf_masses
     from identification.files.measurement import load_measurements
     from identification.inspection.inspection import inspect
 
@@ -31,4 +27,4 @@ def command(common: CommonOptions, arm: Path, data: Path) -> Answer:
     measurements = load_measurements(data, loaded)
     common.report(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
     found = inspect(loaded, measurements, urdf_masses(arm))
-    return Answer(found.to_json(), inspection_tables(found, str(arm), str(data)))
+    return Answer(found.to_json(), [inspection_document(found, str(arm), str(data))])

@@ -1,23 +1,26 @@
-"""What is common to all verbs: the common options, one-line errors, JSON or tables."""
+"""What is common to all verbs: options from the signature of a function, one-line errors, JSON or tables."""
 
 from __future__ import annotations
 
+import inspect
 import json
 import logging
 import math
 import os
+import re
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
-from functools import wraps
+from contextlib import contextmanager
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
 
 import click
 
-from doe.cli.options import FILE, FOLDER, OUTPUTS, PICTURES
+from doe.cli.options import FOLDER, FilePath
 from doe.cli.progress import shown_progress
 from doe.cli.stopping import stoppable, stopped_by
 from identification.errors import ArmcalError, InputError, JobError, in_one_line
@@ -25,18 +28,20 @@ from identification.files.io import check_writable, provide_temporary_folder
 from identification.progress import Progress
 
 if TYPE_CHECKING:
+    from doe.report.page import Origin
     from identification.arm import Arm
     from identification.measurements import Measurements
 
 SHARED_MEMORY = Path("/dev/shm")  # of Linux; may be written to where nothing else may
 PIPE = 110  # characters of a line where no terminal says how many it has
+WORDS = "armcal.words"  # in the context's `meta`: what was typed after `armcal`
 # the arm file with a table added to it; --force may overwrite the old one
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 
 
 @dataclass
 class Answer:
-    """The result of a verb: `data` for --json, `shown` (rich renderables or strings) for the terminal."""
+    """The result of a verb: `data` for --json, `shown` (parts of a document, or Markdown) for the terminal."""
 
     data: dict[str, Any]
     shown: list[Any] = field(default_factory=list)
@@ -45,17 +50,135 @@ class Answer:
 
 @dataclass(frozen=True)
 class CommonOptions:
-    """The common options of one call."""
+    """The common options of one call; report : a bar or, where standard error is no terminal, a line every ten
+    seconds."""
 
     as_json: bool
     quiet: bool
     seed: int
-
     report: Progress
 
-    def progress(self) -> AbstractContextManager[Progress]:
-        """A bar or, where standard error is no terminal, a line every ten seconds."""
-        return nullcontext(self.report)
+
+# -- from a signature to a command -------------------------------------------------------------------------------------
+def verb(example: str, kind: type[click.Command] = click.Command) -> Callable[[Callable[..., Answer]], click.Command]:
+    """Turn `function(common, argument, .., *, option, ..) -> Answer` into a click command of its module's name.
+
+    Positional parameters are arguments, the others options, those of a dataclass a group of them. Their types are those
+    of Python or `Annotated` with a type of click, words of the option (`--name`) or what it stands for in the help
+    (`NAMES`). The docstring's first line stands in `armcal --help`; lines `name : ..` say what an option is for.
+
+    Adds --json, --seed, --quiet and the example; errors become one line on standard error and an exit code.
+    """
+
+    def decorate(function: Callable[..., Answer]) -> click.Command:
+        name = function.__module__.rpartition(".")[2]
+        text, helps = _documented(function)
+        hints, parameters = get_type_hints(function, include_extras=True), list[click.Parameter]()
+        groups: dict[str, Any] = {}
+        for parameter in list(inspect.signature(function).parameters.values())[1:]:
+            hint, default = hints[parameter.name], parameter.default
+            if is_dataclass(hint):
+                groups[parameter.name] = hint
+                inner, of_group = get_type_hints(hint, include_extras=True), _documented(hint)[1]
+                for each in fields(hint):
+                    value = inspect.Parameter.empty if each.default is MISSING else each.default
+                    parameters.append(_option(each.name, inner[each.name], value, of_group[each.name]))
+            elif parameter.kind is inspect.Parameter.KEYWORD_ONLY:
+                parameters.append(_option(parameter.name, hint, default, helps[parameter.name]))
+            else:
+                parameters.append(_argument(parameter.name, hint, default))
+        parameters += [
+            click.Option(["--json", "as_json"], is_flag=True, help="One JSON object on standard output."),
+            _option("seed", Annotated[int, click.IntRange(min=0)], 0, "Random seed."),
+            _option("quiet", bool, False, "No progress and no warnings on standard error."),
+        ]
+
+        def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
+            for group, type_ in groups.items():
+                values[group] = type_(**{each.name: values.pop(each.name) for each in fields(type_)})
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
+            with _warnings_as_lines(quiet), shown_progress(name, quiet) as report:
+                answer = _guarded(function, CommonOptions(as_json, quiet, seed, report), values)
+            _deliver(answer, as_json)
+            sys.exit(answer.exit_code)
+
+        epilog = f"\b\nExample:\n  {example}"
+        return kind(name, callback=run, params=parameters, help=text, short_help=text.split("\n")[0], epilog=epilog)
+
+    return decorate
+
+
+def _documented(thing: Any) -> tuple[str, dict[str, str]]:
+    """What a docstring says without its lines `name : ..`, and these."""
+    paragraphs, helps = [], dict[str, str]()
+    for paragraph in (inspect.getdoc(thing) or "").split("\n\n"):
+        if not re.match(r"\w+ : ", paragraph):
+            paragraphs.append(paragraph)
+            continue
+        for line in paragraph.split("\n"):
+            if match := re.match(r"(\w+) : (.*)", line):
+                name, helps[match[1]] = match[1], match[2]
+            else:
+                helps[name] += f" {line.strip()}"
+    return "\n\n".join(paragraphs), helps
+
+
+def _unwrapped(hint: Any) -> tuple[Any, list[Any]]:
+    """A type without None and `Annotated`, and what it was annotated with."""
+    if get_origin(hint) is Annotated:
+        inner, extras = _unwrapped(get_args(hint)[0])
+        return inner, [*extras, *get_args(hint)[1:]]
+    if get_origin(hint) in (Union, UnionType):
+        return _unwrapped(next(part for part in get_args(hint) if part is not NoneType))
+    return hint, []
+
+
+def _typed(hint: Any, default: Any) -> tuple[dict[str, Any], list[str], bool]:
+    """Arguments of a click parameter for a type; words of the option; whether there may be several values."""
+    inner, extras = _unwrapped(hint)
+    several = get_origin(inner) is tuple
+    if several:
+        inner, more = _unwrapped(get_args(inner)[0])
+        extras = [*more, *extras]
+    texts = [extra for extra in extras if isinstance(extra, str)]
+    kind = click.Choice(get_args(inner)) if get_origin(inner) is Literal else inner
+    settings: dict[str, Any] = {
+        "type": next((extra for extra in extras if isinstance(extra, click.ParamType)), kind),
+        "metavar": next((text for text in texts if not text.startswith("--")), None),
+        "required": default is inspect.Parameter.empty,
+    }
+    if default is not inspect.Parameter.empty:
+        settings["default"] = None if default == () else default
+    return settings, [text for text in texts if text.startswith("--")], several
+
+
+def _option(name: str, hint: Any, default: Any, help_text: str) -> click.Option:
+    settings, declared, several = _typed(hint, default)
+    words = [*(declared or [f"--{name.replace('_', '-')}"]), name]
+    if settings["type"] is bool:
+        return click.Option(words, is_flag=True, default=default, show_default=bool(default), help=help_text)
+    shown = settings.get("default") is not None
+    return click.Option(words, multiple=several, show_default=shown, help=help_text, **settings)
+
+
+def _argument(name: str, hint: Any, default: Any) -> click.Argument:
+    settings, _, several = _typed(hint, default)
+    return click.Argument([name], nargs=-1 if several else 1, **settings)
+
+
+# -- what verbs share --------------------------------------------------------------------------------------------------
+def origin(seed: int, files: Iterable[Path | None]) -> Origin:
+    """The command line as it was typed and its input files, for a page that the running command makes."""
+    from doe.report.page import Origin
+
+    typed = click.get_current_context().meta.get(WORDS, ())
+    return Origin(shlex.join(("armcal", *typed)), seed, [path for path in files if path is not None])
+
+
+def stated(option: str) -> bool:
+    """Whether an option stands on the command line of the running verb."""
+    source = click.get_current_context().get_parameter_source(option)
+    return source is click.core.ParameterSource.COMMANDLINE
 
 
 def warn_beside_json(sentences: Iterable[str]) -> None:
@@ -94,83 +217,44 @@ def read_sessions(paths: tuple[Path, ...], arm: Arm) -> Measurements:
     from identification.sessions import pooled_sessions
 
     real = [os.path.realpath(path) for path in paths]
-    for path, there in zip(paths, real, strict=True):
-        if real.count(there) > 1:
-            raise InputError(f"{path}: is given {real.count(there)} times, allowed: each session once")
+    for path, target in zip(paths, real, strict=True):
+        if real.count(target) > 1:
+            raise InputError(f"{path}: is given {real.count(target)} times, allowed: each session once")
     stems = [path.stem for path in paths]
     names = [stem if stems.count(stem) == 1 else str(path) for path, stem in zip(paths, stems, strict=True)]
     return pooled_sessions({name: read_measurements(path, arm) for name, path in zip(names, paths, strict=True)})
 
 
-def verb(
-    example: str, summary: str, kind: type[click.Command] = click.Command
-) -> Callable[[Callable[..., Answer]], click.Command]:
-    """Turn `function(common, **options) -> Answer` into a click command of its module's name.
-
-    summary : its line in `armcal --help`;  kind : of command
-
-    Adds --json, --seed, --quiet and the example; errors become one line on standard error and an exit code.
-    """
-
-    def decorate(function: Callable[..., Answer]) -> click.Command:
-        name = function.__module__.rpartition(".")[2]
-
-        @wraps(function)
-        def run(as_json: bool, quiet: bool, seed: int, **options: Any) -> None:
-            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
-            with _warnings_as_lines(quiet), shown_progress(name, quiet) as report:
-                answer = _guarded(function, CommonOptions(as_json, quiet, seed, report), options)
-            _deliver(answer, as_json)
-            sys.exit(answer.exit_code)
-
-        run = click.option("--quiet", is_flag=True, help="No progress and no warnings on standard error.")(run)
-        run = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")(run)
-        run = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")(run)
-        return click.command(name, kind, short_help=summary, epilog=f"\b\nExample:\n  {example}")(run)
-
-    return decorate
-
-
+# -- errors ------------------------------------------------------------------------------------------------------------
 def say(sentence: str) -> None:
     """One line on standard error."""
     click.echo(f"armcal: {in_one_line(sentence)}", err=True)
 
 
-def check_folder() -> None:
-    """Raises `JobError` where the working directory has been deleted."""
-    try:
-        os.getcwd()
-    except FileNotFoundError:
-        raise JobError("the working directory is no longer there; change into another one") from None
-
-
 def check_outputs(context: click.Context) -> None:
     """Raises `InputError`, before any work, for an output file that cannot be written, or that is also an input or
     another output: one would overwrite the other."""
-    outputs = [*_paths(context, written=True)]
-    taken = {os.path.realpath(path): name for name, _, path in _paths(context, written=False)}
+    paths = [
+        (parameter.opts[0] if isinstance(parameter, click.Option) else parameter.human_readable_name, kind, path)
+        for parameter in context.command.params
+        if isinstance(kind := parameter.type, FilePath)
+        for value in [context.params[parameter.name or ""]]
+        for path in (value if isinstance(value, tuple) else (value,))
+        if isinstance(path, Path)
+    ]
+    outputs = [(name, kind, path) for name, kind, path in paths if kind.written]
+    taken = {os.path.realpath(path): name for name, kind, path in paths if not kind.written}
     for name, kind, path in outputs:
         other = taken.setdefault(os.path.realpath(path), name)
         if other != name and (context.command.name, name, other) not in UPDATES:
             raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
-        if kind is FILE:
+        if kind is not FOLDER:
             check_writable(path, context.params["force"])
-    for name in PICTURES:
-        if isinstance(picture := context.params.get(name), Path):
-            from doe.report.page import check_picture
+    for path in (path for _, kind, path in outputs if kind.picture):
+        from doe.report.page import check_picture
 
-            check_picture(picture)
+        check_picture(path)
     provide_temporary_folder(*(path if kind is FOLDER else path.parent for _, kind, path in outputs), SHARED_MEMORY)
-
-
-def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, click.ParamType, Path]]:
-    """Name and type of the option or argument, and path, of the files that a call writes, or of those that it reads."""
-    for parameter in context.command.params:
-        if isinstance(parameter.type, click.Path) and (parameter.name in OUTPUTS) is written:
-            name = parameter.opts[0] if isinstance(parameter, click.Option) else parameter.human_readable_name
-            given = context.params[parameter.name or ""]
-            paths = given if isinstance(given, tuple) else (given,)
-            yield from ((name, parameter.type, path) for path in paths if isinstance(path, Path))
 
 
 def _guarded(function: Callable[..., Answer], common: CommonOptions, options: dict[str, Any]) -> Answer:
@@ -178,7 +262,10 @@ def _guarded(function: Callable[..., Answer], common: CommonOptions, options: di
         with stoppable():
             if sys.stdout is None:
                 raise JobError("standard output is closed; send it to a file or to /dev/null")
-            check_folder()
+            try:
+                os.getcwd()
+            except FileNotFoundError:
+                raise JobError("the working directory is no longer there; change into another one") from None
             check_outputs(click.get_current_context())
             return function(common, **options)
     except ArmcalError as error:
@@ -186,13 +273,11 @@ def _guarded(function: Callable[..., Answer], common: CommonOptions, options: di
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, click.Abort) as error:
         say(f"{stopped_by(error)}, nothing was written")
-        sys.exit(1)
     except MemoryError:
-        say("there is not enough memory for this, allowed: less of it at once, or more memory")
-        sys.exit(1)
+        say("there is not enough memory, allowed: smaller input, or more memory")
     except ImportError as error:  # of a library in C: memory, or an installation that is not whole
         say(f"a library cannot be loaded ({error}), allowed: enough memory, and a whole installation")
-        sys.exit(1)
+    sys.exit(1)
 
 
 @contextmanager
@@ -213,6 +298,7 @@ def _warnings_as_lines(quiet: bool) -> Iterator[None]:
         yield
 
 
+# -- output ------------------------------------------------------------------------------------------------------------
 def _deliver(answer: Answer, as_json: bool) -> None:
     """Print the answer; a full disk is one line. A closed pipe (`| head`) ends quietly, by click."""
     try:
@@ -238,22 +324,21 @@ def _print(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
-    console = Console(width=width_of_output(), highlight=False, markup=False)  # brackets of effects are no markup
-    for part in answer.shown:  # names in files may have control characters, which a terminal would obey
-        console.print(Segments(Segment(shown(s.text), s.style) for s in console.render(part)), end="")
+    from identification.document import rendered
+
+    columns = os.environ.get("COLUMNS", "")
+    width = int(columns) if columns.isdecimal() and int(columns) else None if sys.stdout.isatty() else PIPE
+    console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
+    for part in answer.shown:
+        for one in [part] if hasattr(part, "__rich_console__") else rendered(part, console.width):
+            # names in files may have control characters, which a terminal would obey
+            segments = (Segment(re.sub(r"[^\n]", _visible, s.text), s.style) for s in console.render(one))
+            console.print(Segments(segments), end="")
 
 
-def width_of_output() -> int | None:
-    """Characters of a line: what COLUMNS says; else None, the terminal's own, or those of a pipe or a file."""
-    said = os.environ.get("COLUMNS", "")
-    if said.isdecimal() and int(said):
-        return int(said)
-    return None if sys.stdout.isatty() else PIPE
-
-
-def shown(text: str) -> str:
-    """`text` with every unprintable character except line feeds replaced by a question mark."""
-    return "".join(char if char.isprintable() or char == "\n" else "?" for char in text)
+def _visible(match: re.Match[str]) -> str:
+    """A question mark for a character that is not printable."""
+    return match[0] if match[0].isprintable() else "?"
 
 
 def plain(value: Any) -> Any:

@@ -5,41 +5,43 @@ from __future__ import annotations
 from itertools import chain, count
 from pathlib import Path
 
-import click
-
-from doe.cli.common import Answer, CommonOptions, verb, with_collisions
-from doe.cli.options import FOLDER, force_option
+from doe.cli.common import Answer, CommonOptions, origin, verb, with_collisions
+from doe.cli.options import Folder
 from doe.cli.stopping import stopped_by
-from doe.cli.typed import origin
 from identification.errors import InputError, JobError
 from identification.files.io import write_whole
 
 
-@verb("armcal demo --spatial --out my-demo", "Run the whole loop on a simulated arm.")
-@click.option("--spatial", is_flag=True, help="Six axes and a laser tracker instead of the paper's 4-link arm.")
-@click.option("--out", type=FOLDER, metavar="DIR", help="Directory for the files; left out: the next free armcal-demo.")
-@force_option
-def command(common: CommonOptions, spatial: bool, out: Path | None, force: bool) -> Answer:
-    """The whole loop on the paper's 4-link arm, or on one of six axes: from a plan to the missing effect, commands for
-    the real arm, in space a corrected URDF file, and a report.html."""
-    from doe.demo.planar import planar
+@verb("armcal demo --spatial --out my-demo")
+def command(common: CommonOptions, *, spatial: bool = False, out: Folder | None = None, force: bool = False) -> Answer:
+    """Run the whole loop on a simulated arm.
+
+    The paper's 4-link arm, or one of six axes: from a plan to the missing effect, commands for the real arm, in space a
+    corrected URDF file, and a report.html.
+
+    spatial : Six axes and a laser tracker instead of the paper's 4-link arm.
+    out : Directory for the files; left out: the next free armcal-demo.
+    force : Overwrite existing files.
+    """
     from doe.demo.run import run_demo
-    from doe.demo.spatial import spatial as six_axes
-    from doe.report.demo_overview import overview_figure
-    from doe.report.demo_page import demo_data, demo_page, demo_tables
-    from doe.report.pictures import save
+    from doe.demo.scenarios import planar
+    from doe.demo.scenarios import spatial as six_axes
+    from doe.report.demo import demo_document, overview_figure
+    from doe.report.figures import save
+    from doe.report.page import page
 
     directory = next_free(Path("armcal-demo")) if out is None else out
     make_directory(directory, force)
     try:
-        with common.progress() as progress:
-            demo = run_demo(directory, six_axes() if spatial else planar(), common.seed, progress, force)
-            page = demo_page(demo, origin(common.seed, [directory / name for name in demo.files]))
-            write_whole(directory / "report.html", page, force=True)
-            save(overview_figure(demo), directory / "overview.png", force=True)
+        demo = run_demo(directory, six_axes() if spatial else planar(), common.seed, common.report, force)
+        document = demo_document(demo)
+        text = page(document, origin(common.seed, [directory / name for name in demo.files]))
+        write_whole(directory / "report.html", text, force=True)
+        save(overview_figure(demo), directory / "overview.png", force=True)
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
-    return with_collisions(Answer(demo_data(demo, directory), demo_tables(demo, directory)), demo.arm)
+    look = f"Look at {directory / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
+    return with_collisions(Answer(demo.to_json(directory), [document.plus(look)]), demo.arm)
 
 
 def next_free(path: Path) -> Path:

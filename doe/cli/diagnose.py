@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-import click
-
-from doe.cli.common import Answer, CommonOptions, read_measurements, read_sessions, say, verb, warn_beside_json
-from doe.cli.options import FILE, FileOrShare, Output, output_options
-from doe.cli.typed import origin
+from doe.cli.common import Answer, CommonOptions, origin, read_measurements, read_sessions, say, verb, warn_beside_json
+from doe.cli.options import File, FileOrShare, OutFile
 from identification.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,72 +17,69 @@ if TYPE_CHECKING:
     from identification.gap.result import Diagnosis
     from identification.measurements import Measurements
 
-HOLDOUT = FileOrShare(path_type=Path)
 
-
-@verb(
-    "armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html",
-    "Find and name the effect that the model lacks.",
-)
-@click.argument("arm", type=FILE)
-@click.argument("data", type=FILE, nargs=-1, required=True)
-@click.option(
-    "--holdout",
-    type=HOLDOUT,
-    metavar="FILE|SHARE",
-    help="Measurements used for nothing but the confirmation; or a share of DATA (0.3): random postures are held out.",
-)
-@click.option("--report", type=FILE, metavar="FILE", help="Write an HTML page with pictures.")
-@click.option("--curves", type=FILE, metavar="FILE", help="Write the error curves of joints as a table (CSV).")
-@click.option("--named-only", is_flag=True, help="Write what is named alone, without what is less likely and curves.")
-@output_options(out="Write the arm file of the model that predicts best; --force also where it is not confirmed.")
+@verb("armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html")
 def command(
     common: CommonOptions,
-    arm: Path,
-    data: tuple[Path, ...],
-    holdout: Path | float | None,
-    report: Path | None,
-    curves: Path | None,
-    named_only: bool,
-    output: Output,
+    arm: File,
+    data: tuple[File, ...],
+    *,
+    holdout: Annotated[Path | float | None, FileOrShare("file|share")] = None,
+    report: OutFile | None = None,
+    curves: OutFile | None = None,
+    named_only: bool = False,
+    out: OutFile | None = None,
+    force: bool = False,
 ) -> Answer:
-    """Find where model and measurements disagree, name the missing effect, and show the gap shrink.
+    """Find and name the effect that the model lacks.
 
-    Several files DATA are sessions of one arm, as are the rows that a column session tells apart: each gets a base of
-    its own, and each named effect is compared between them.
+    Find where model and measurements disagree, name the missing effect, and show the gap shrink. Several files DATA
+    are sessions of one arm, as are the rows that a column session tells apart: each gets a base of its own, and
+    each named effect is compared between them.
+
+    holdout : Measurements used for nothing but the confirmation; or a share of DATA (0.3): random postures are held
+        out.
+    report : Write an HTML page with pictures.
+    curves : Write the error curves of joints as a table (CSV).
+    named_only : Write what is named alone, without what is less likely and curves.
+    out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
+    force : Overwrite an existing file.
     """
-    from doe.report.gap_sections import gap_page
-    from doe.report.gap_tables import diagnosis_tables
-    from doe.report.verdict import diagnosis_actions, next_steps
+    from doe.report.gap import diagnosis_document
+    from doe.report.page import page
     from identification.files.arm import load_arm
     from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
+    from identification.measurements import rms_distance
     from identification.servo import with_servo_errors
+    from identification.validate import drawing_residuals
     from identification.validate.judgement import judged
 
     loaded = load_arm(arm)
     check_no_arm_file(data)
     measurements, held_out = parts(data, holdout, loaded, common.seed)
     loaded = with_servo_errors(loaded, measurements)
-    with common.progress() as progress:
-        found = diagnose(loaded, measurements, held_out, common.seed, progress)
-        found = judged(found, loaded, measurements, held_out)
+    found = diagnose(loaded, measurements, held_out, common.seed, common.report)
+    found = judged(found, loaded, measurements, held_out)
     refuted = [f"not confirmed: {found.confirmation}"] if found.confirmed is False else []
     warn_beside_json([*found.warnings, *refuted])
     if curves is not None and loaded.counting is not None:
         said = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
         warnings.warn(f"{curves}: {said}; armcal compensate writes commands as the controller counts", stacklevel=2)
-    answer = Answer(found.to_json(), diagnosis_tables(found))
+    answer = Answer(found.to_json())
+    about = answer.data, found, [*map(str, (arm, *data))], out
+    document, text = diagnosis_document(*about), ""
     try:
-        named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
-        page = gap_page(found, measurements, origin(common.seed, named), output.out, [arm, *data]) if report else ""
-        answer.shown += write_diagnosis(
-            found, arm, output, named_only, {curves: curves_text(found.curves), report: page}
-        )
-        answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), [*map(str, data)], output.out))
+        read = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
+        if report is not None:
+            nominal = rms_distance(drawing_residuals(found.arm, measurements))
+            text = page(diagnosis_document(*about, nominal), origin(common.seed, read))
+        texts = {curves: curves_text(found.curves), report: text}
+        lines = write_diagnosis(found, arm, out, texts, force=force, named_only=named_only)
+        answer.shown = [document.plus(*lines)]
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))
-        answer.exit_code = error.exit_code
+        answer.shown, answer.exit_code = [replace(document, actions=())], error.exit_code
     return answer
 
 
@@ -110,25 +105,25 @@ def parts(
 
 
 def write_diagnosis(
-    found: Diagnosis, arm: Path, output: Output, named_only: bool, more: Mapping[Path | None, str]
+    found: Diagnosis, arm: Path, out: Path | None, texts: Mapping[Path | None, str], *, force: bool, named_only: bool
 ) -> list[str]:
     """Write the requested files, all or none, and return the lines that report them.
 
+    texts : name -> content of the report and the curves; None: not requested
     named_only : what is named, without what is less likely
-    more : name -> content of the report and the curves; None: not requested
     """
     from identification.files.arm_text import urdf_beside, with_calibration, with_effects
     from identification.files.io import PathLike, read_text, write_together
 
     files: dict[PathLike, str | bytes] = {}
-    if output.out is not None and found.confirmed is False and not output.force:
-        warnings.warn(f"{output.out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
-    elif output.out is not None:
+    if out is not None and found.confirmed is False and not force:
+        warnings.warn(f"{out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
+    elif out is not None:
         model = found.extended_arm(found.named if named_only else None)
         extended = with_effects(read_text(arm), model.effects, arm.parent)
         assert model.calibration is not None  # a diagnosis has one
-        files[output.out] = with_calibration(extended, model.calibration, arm.parent)
-        files |= urdf_beside(arm, output.out)
-    files |= {path: text for path, text in more.items() if path is not None}
-    write_together(files, force=output.force)
+        files[out] = with_calibration(extended, model.calibration, arm.parent)
+        files |= urdf_beside(arm, out)
+    files |= {path: text for path, text in texts.items() if path is not None}
+    write_together(files, force=force)
     return [f"written: {path}" for path in files]

@@ -6,10 +6,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-import click
-
 from doe.cli.common import Answer, CommonOptions, read_sessions, verb, with_collisions
-from doe.cli.options import FILE, Output, Seconds, output_options
+from doe.cli.options import Count, File, OutFile, Seconds, written
 from identification.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,38 +15,33 @@ if TYPE_CHECKING:
     from identification.measurements import Measurements
 
 
-@verb(
-    "armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5 --out next.csv",
-    "Next postures for an ambiguous diagnosis.",
-)
-@click.argument("arm", type=FILE)
-@click.argument("data", type=FILE, nargs=-1, required=True)
-@click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of further measurements K.")
-@click.option("--payloads", help="Payloads to choose from [kg], as 0,5,10; left out: the arm's own.")
-@click.option(
-    "--seconds",
-    type=Seconds(),
-    default=30.0,
-    show_default=True,
-    help="Time budget of the choice, after the diagnosis [s].",
-)
-@output_options(out="Write the next postures (CSV).")
+@verb("armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5 --out next.csv")
 def command(
     common: CommonOptions,
-    arm: Path,
-    data: tuple[Path, ...],
-    runs: int,
-    payloads: str | None,
-    seconds: float,
-    output: Output,
+    arm: File,
+    data: tuple[File, ...],
+    *,
+    runs: Count,
+    payloads: str | None = None,
+    seconds: Seconds = 30.0,
+    out: OutFile | None = None,
+    force: bool = False,
 ) -> Answer:
-    """The next RUNS postures, to distinguish the candidates of an ambiguous diagnosis, and their chance of success.
+    """Next postures for an ambiguous diagnosis.
 
-    Several files DATA are sessions of one arm, as for `armcal diagnose`.
+    The next RUNS postures, to distinguish its candidates, and their chance of success. Several files DATA are sessions
+    of one arm, as for `armcal diagnose`.
+
+    runs : Number of further measurements K.
+    payloads : Payloads to choose from [kg], as 0,5,10; left out: the arm's own.
+    seconds : Time budget of the choice, after the diagnosis [s].
+    out : Write the next postures (CSV).
+    force : Overwrite an existing file.
     """
     from doe.discrimination.t_optimal import discriminate
-    from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
+    from doe.report.design import missing_payload, next_document
     from identification.files.arm import load_arm
+    from identification.files.measurement_columns import csv_text
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
@@ -57,8 +50,7 @@ def command(
         raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = read_sessions(data, loaded)
     check_postures(loaded, measurements, data[-1])
-    with common.progress() as progress:
-        diagnosis = diagnose(loaded, measurements, seed=common.seed, progress=progress)
+    diagnosis = diagnose(loaded, measurements, seed=common.seed, progress=common.report)
     if diagnosis.verdict != "ambiguous":
         sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"
         return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
@@ -70,12 +62,14 @@ def command(
         return left < 0.0
 
     found = discriminate(loaded, diagnosis, measurements, runs, common.seed, masses, stop=late)
-    written = [
+    lines = [
         f"{line}; measure them and append the rows to {data[-1]}"
-        for line in output.write(next_text(found), "next postures")
+        for line in written({out: csv_text(found.columns)}, force, "next postures")
     ]
-    shown = [*next_tables(diagnosis, found), *written, *missing_payload(loaded, measurements, found)]
-    return with_collisions(Answer(next_data(diagnosis, found), shown), loaded)
+    shown = [next_document(diagnosis, found), *lines, *missing_payload(loaded, measurements, found)]
+    rivals = [list(candidate.effects) for candidate in diagnosis.candidates]
+    keys = {"verdict": diagnosis.verdict, "candidates": rivals}
+    return with_collisions(Answer(keys | found.to_json(), shown), loaded)
 
 
 def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import click
-
 from doe.cli.common import Answer, CommonOptions, verb
 
 
-@verb("armcal effects joint_compliance", "The physical effects that armcal knows, and the data that each needs.")
-@click.argument("name", required=False)
-def command(common: CommonOptions, name: str | None) -> Answer:
-    """List the effects of the library, or say everything about the effect NAME.
+@verb("armcal effects joint_compliance")
+def command(common: CommonOptions, name: str | None = None) -> Answer:
+    """The physical effects that armcal knows, and the data that each needs.
 
-    Formula, parameters with units and typical sizes, which data or tables it needs and how to give them, and how it
-    stands in an arm file. For gravity: the block of the arm file that
-    some of them need. Effects of installed packages (entry points armcal.effects) are in the list.
+    A list of the library, or everything about the effect NAME: formula, parameters with units and typical sizes,
+    which data or tables it needs and how to give them, and how it stands in an arm file. For gravity: the block of
+    the arm file that some of them need. Effects of installed packages (entry points armcal.effects) are in the
+    list.
     """
-    from doe.report.catalogue_tables import entry_tables, gravity_tables, library_tables
+    from doe.report.library import entry_document, gravity_document, library_document
     from identification.effects.catalogue import GRAVITY, entries, entry
 
     if name == "gravity":
         needed = [found.name for found in entries() if "gravity" in found.needs]
-        return Answer({"name": name, "needed_by": needed, "block": GRAVITY}, gravity_tables(needed))
+        return Answer({"name": name, "needed_by": needed, "block": GRAVITY}, [gravity_document(needed)])
     if name is not None:
         found = entry(name.partition(":")[0])
-        return Answer(found.to_json(), entry_tables(found))
+        return Answer(found.to_json(), [entry_document(found)])
     listed = entries()
-    return Answer({"effects": [found.to_json() for found in listed]}, library_tables(listed))
+    return Answer({"effects": [found.to_json() for found in listed]}, [library_document(listed)])

@@ -13,10 +13,12 @@ OTHER_TOPICS = dict.fromkeys(
 )
 
 
-@verb("armcal help formats", "The help of a verb, or the file formats.")
-@click.argument("topic", default=FORMATS)
-def command(common: CommonOptions, topic: str) -> Answer:
-    """Show the help of the verb TOPIC, or with `formats` all file formats and JSON keys."""
+@verb("armcal help formats")
+def command(common: CommonOptions, topic: str = FORMATS) -> Answer:
+    """The help of a verb, or the file formats.
+
+    Show the help of the verb TOPIC, or with `formats` all file formats and JSON keys.
+    """
     context = click.get_current_context()
     assert context.parent is not None  # a verb is called by its group
     group = context.parent.command

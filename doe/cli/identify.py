@@ -3,91 +3,90 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from doe.cli import calibrated
 from doe.cli.common import Answer, CommonOptions, read_measurements, verb, warn_beside_json
-from doe.cli.options import FILE, LibraryEffects, Output, PriorOrFile, only_option, output_options, prior_options
+from doe.cli.options import File, LibraryEffects, Names, OutFile
 from identification.errors import InputError
+from identification.status import Status
 
 if TYPE_CHECKING:
-    from identification.arm import Arm
-    from identification.arrays import Array
+    from identification.arm import Arm, Calibration
     from identification.estimation import Identification
-    from identification.estimation.prior import Earlier, Prior
     from identification.gap.library.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
-    from identification.servo import FollowingError
 
 
-@verb(
-    "armcal identify arm.toml data.csv --out calibrated.toml",
-    "Estimate the arm's parameters from measurements.",
-    PriorOrFile,
-)
-@click.argument("arm", type=FILE)
-@click.argument("data", type=FILE)
-@click.option("--method", help="linear, gauss_newton or paper_steps; left out: the best for the model.")
-@click.option(
-    "--sigma",
-    type=click.Choice(["given", "estimated"]),
-    help="What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.",
-)
-@prior_options
-@click.option(
-    "--prior-from",
-    type=FILE,
-    metavar="FILE",
-    help="An earlier calibration with its covariance as the prior; --prior FILE is the same.",
-)
-@only_option
-@click.option(
-    "--parameters",
-    type=click.Choice(["minimal", "all"]),
-    help="Of a spatial arm: all errors of its geometry, held by [machining] (left out: this), or as many as are free.",
-)
-@click.option(
-    "--without-outliers", is_flag=True, help="Leave rows out that nothing of the model explains, and say which."
-)
-@click.option(
-    "--full", is_flag=True, help="Print every corrected value of a spatial arm, also those hardly determined."
-)
-@click.option("--urdf", type=FILE, metavar="FILE", help="Write the corrected URDF file of a spatial arm.")
-@output_options(out="Write a calibrated arm file (TOML).")
+class PriorOrFile(click.Command):
+    """A command that reads `--prior FILE` as `--prior-from FILE`, since the flag --prior leaves a word too many."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As in click; if that fails, parse again with --prior-from in the place of --prior."""
+        words = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            places = [k for k, word in enumerate(words) if word.partition("=")[0] == "--prior"]
+            if len(places) != 1:
+                raise
+            words[places[0]] = words[places[0]].replace("--prior", "--prior-from", 1)
+            ctx.params.clear()
+            try:
+                return super().parse_args(ctx, words)
+            except click.UsageError:
+                raise error from None
+
+
+@verb("armcal identify arm.toml data.csv --out calibrated.toml", PriorOrFile)
 def command(
     common: CommonOptions,
-    arm: Path,
-    data: Path,
-    method: str | None,
-    sigma: Literal["given", "estimated"] | None,
+    arm: File,
+    data: File,
+    *,
+    method: str | None = None,
+    sigma: Literal["given", "estimated"] | None = None,
     prior: LibraryEffects,
-    prior_from: Path | None,
-    only: tuple[str, ...],
-    parameters: str | None,
-    without_outliers: bool,
-    full: bool,
-    urdf: Path | None,
-    output: Output,
+    prior_from: File | None = None,
+    only: tuple[Names, ...] = (),
+    parameters: Literal["minimal", "all"] | None = None,
+    without_outliers: bool = False,
+    full: bool = False,
+    urdf: OutFile | None = None,
+    out: OutFile | None = None,
+    force: bool = False,
 ) -> Answer:
-    """Estimate the arm's parameters from measurements, with 95 % intervals.
+    """Estimate the arm's parameters from measurements.
 
-    Where a column session distinguishes sessions, each gets a base of its own; the file has that of the first. With
-    --only all other parameters stay at the values of ARM.
+    With 95 % intervals. Where a column session distinguishes sessions, each gets a base of its own; the file has that
+    of the first. With --only all other parameters stay at the values of ARM.
+
+    method : linear, gauss_newton or paper_steps; left out: the best for the model.
+    sigma : What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.
+    prior_from : An earlier calibration with its covariance as the prior; --prior FILE is the same.
+    only : Estimate only these, with commas: lengths, joint_offsets, base, tool, effects, names such as joint_offset:2.
+    parameters : Of a spatial arm: all errors of its geometry, held by [machining] (left out: this), or as many as are
+        free.
+    without_outliers : Leave rows out that nothing of the model explains, and say which.
+    full : Print every corrected value of a spatial arm, also those hardly determined.
+    urdf : Write the corrected URDF file of a spatial arm.
+    out : Write a calibrated arm file (TOML).
+    force : Overwrite an existing file.
     """
-    from doe.report.verdict import hardly_better
+    from doe.report.identification import hardly_better, identification_actions, identification_document
     from identification.estimation import estimate
+    from identification.estimation import without_outliers as without
     from identification.files.arm import load_arm
     from identification.model import Model
-    from identification.servo import following_errors
+    from identification.servo import following_errors, with_servo_errors
     from identification.sessions import with_sessions
     from identification.validate.judgement import prior_judged
-    from identification.validate.reuse import with_place_doubted, words_of
+    from identification.validate.reuse import at_reference, with_place_doubted, words_of
+    from identification.validate.row_groups import diagnosed
     from identification.validate.set_up import with_mounting_doubted
 
     loaded, words = load_arm(arm), words_of(only)
@@ -95,12 +94,25 @@ def command(
         if value is not None and loaded.chain is None:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
-    loaded, measurements = arm_and_rows(loaded, data, old, words)
+    measurements = read_measurements(data, loaded)
+    loaded = with_servo_errors(loaded, measurements)
+    if old or words or any(effect.values for effect in loaded.effects):
+        # where something is held, temperatures count from those that it was found at
+        measurements = at_reference(measurements, old or loaded)
     prior, asked = as_asked(prior, measurements, method, parameters)
-    wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
+    wanted = Wanted(words, prior, prior_from, old, method, sigma, parameters == "minimal")
     common.report(0, None, f"fitting {len(measurements)} rows")
-    found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
-    fitted = rows_fitted(measurements, said)
+    fits, fitted, said = [wanted.fit(loaded, measurements)] if not without_outliers else [], measurements, {}
+    if without_outliers:
+
+        def fit(rows: Measurements) -> Identification:
+            fits.append(wanted.fit(loaded, rows))
+            return fits[-1][0]
+
+        _, left_out = without(fit, measurements)
+        said = {"left_out": list(left_out)}
+        fitted = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
+    found, library, of_fit = fits[-1]
     if words:
         found = with_place_doubted(found, with_sessions(loaded, fitted), words, fitted)
     before, found = found, with_mounting_doubted(found, fitted, lambda rows: wanted.fit(loaded, rows)[0])
@@ -108,20 +120,37 @@ def command(
     offered = None
     if library is not None and not words and old is None:
         offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, fitted)), fitted), found, fitted)
-    extra, shown = fit_shown(found, (arm, loaded), fitted, words, library, full=full or old is not None)
+    warn_beside_json(found.warnings)
+    hidden = frozenset(library.prior.deviations if library else ())  # parameters of the library's effects
+    answer = Answer(found.to_json() | fit_data(found, arm, loaded, fitted, words) | of_fit | said)
+    if library is not None:
+        answer.data |= {"prior": library.to_json()}
+        answer.data["parameters"] = [row for row in answer.data["parameters"] if row["name"] not in hidden]
+        answer.shown.append(library.sentence)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
-    answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
-    answered.data |= extra | said | ({} if asked is None else {"fit": asked})
-    answered.shown += [*([] if asked is None else [asked_in_words(asked, data)]), *wanted.sentences(said)]
-    if offered is not None:
-        answered.data["offered"] = offered.to_json()
-        if not offered.better:
-            answered.shown.insert(0, hardly_better(answered.data["offered"]))
-            warn_beside_json([hardly_better(answered.data["offered"])])
-    answered = with_commands(answered, following_errors(measurements, loaded.joint_types))
+    if (reason := no_file(found, force)) is not None and (out or urdf):
+        answer.shown += [f"{name} was not written: {reason}" for name in (out, urdf) if name is not None]
+        answer.exit_code = 1
+    elif out or urdf:
+        answer.shown += write_calibrated(found, arm, (out, urdf), force, hidden, kept)
+    else:
+        answer.exit_code = 1 if found.not_identifiable else 0
+    if asked is not None:
+        answer.data["fit"] = asked
+        answer.shown.append(asked_in_words(asked, data))
+    answer.shown += in_words(answer.data)
     better = offered is None or offered.better
+    if offered is not None:
+        answer.data["offered"] = offered.to_json()
+        warn_beside_json([] if better else [hardly_better(answer.data["offered"])])
+    if errors := following_errors(measurements, loaded.joint_types):
+        answer.data["servo_error"] = [error.to_json() for error in errors]
+    every = full or old is not None or found.machining_factor is None  # as where [machining] holds no value
+    document = identification_document(found, answer.data, hidden, full=every)
     told = {"allowed_for": library is not None, "better": better, "mounted_anew": mounted_anew}
-    return with_next(answered, (arm, data), output.out, loaded, **told)
+    actions = identification_actions(str(arm), str(data), out, diagnosed=diagnosed(loaded), **told)
+    answer.shown = [replace(document.plus(*answer.shown), actions=[] if answer.exit_code else actions)]
+    return answer
 
 
 def as_asked(
@@ -136,7 +165,7 @@ def as_asked(
         f"--method {method}": method not in (None, "gauss_newton"),
         "--parameters minimal": parameters == "minimal",
     }
-    against = None if prior.prior else next((option for option, given in refused.items() if given), None)
+    against = None if prior.prior else next((option for option, refuses in refused.items() if refuses), None)
     if prior.prior is None and against is None:
         names = measurements.fit.partition("--missing ")[2]
         prior = LibraryEffects(True, prior.missing or names or None)
@@ -152,181 +181,96 @@ def asked_in_words(asked: dict[str, Any], data: Path) -> str:
     return f"Not fitted with the prior of the library, because of {asked['against']}, although {meant}: {promise}."
 
 
-def arm_and_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) -> tuple[Arm, Measurements]:
-    """The arm, with the servo errors that the data show, and its measurements.
-
-    Where something is held, temperatures count from those that it was found at;  old : that is the prior
-    """
-    from identification.servo import with_servo_errors
-    from identification.validate.reuse import at_reference
-
-    measurements = read_measurements(path, arm)
-    arm = with_servo_errors(arm, measurements)
-    if old or words or any(effect.values for effect in arm.effects):
-        measurements = at_reference(measurements, old or arm)
-    return arm, measurements
-
-
-def rows_fitted(measurements: Measurements, said: dict[str, Any]) -> Measurements:
-    """The measurements but for the outliers left out, so that the error before a fit is that of the rows fitted."""
-    kept = [k for k in range(len(measurements)) if k + 1 not in said.get("left_out", ())]
-    return measurements if len(kept) == len(measurements) else measurements.rows(kept)
+def in_words(data: dict[str, Any]) -> list[str]:
+    """What the JSON keys `only`, `left_out` and `prior_from` say."""
+    sentences = []
+    if words := data.get("only"):
+        sentences.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
+    if "left_out" in data:
+        rows = ", ".join(map(str, data["left_out"]))
+        sentences.append(f"Left out as outliers: {f'rows {rows}' if rows else 'no row'}.")
+    if (prior := data.get("prior_from")) is not None:
+        free = f"; without a prior: {', '.join(prior['anew'])}" if prior["anew"] else ""
+        sentences.append(f"Prior: {len(prior['parameters'])} parameters from {prior['file']}{free}.")
+    return sentences
 
 
-def with_next(answered: Answer, files: Sequence[Path], out: Path | None, arm: Arm, **told: bool) -> Answer:
-    """The answer with the next steps, if there is a calibration; files, told : see `identification_actions`."""
-    from doe.report.verdict import identification_actions, next_steps
-    from identification.validate.row_groups import diagnosed
-
-    if answered.exit_code == 0:
-        told["diagnosed"] = diagnosed(arm)
-        answered.shown += next_steps(identification_actions(str(files[0]), str(files[1]), out, **told))
-    return answered
-
-
-def fit_shown(
-    found: Identification,
-    arm: tuple[Path, Arm],
-    data: Measurements,
-    words: Sequence[str],
-    library: LibraryPrior | None,
-    *,
-    full: bool,
-) -> tuple[dict[str, Any], list[Any]]:
-    """JSON keys beside those of a fit, and its tables;  full : every value, as where [machining] holds none."""
-    from doe.report.identification_tables import identification_tables
+def fit_data(found: Identification, path: Path, arm: Arm, data: Measurements, words: list[str]) -> dict[str, Any]:
+    """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
+    from doe.report.identification import dh_table
+    from identification.estimation.dh_values import Calibrated
     from identification.estimation.left_out import left_out_rms
     from identification.measurements import rms_distance
+    from identification.validate import drawing_residuals
 
-    drawing, left, dh = drawing_left(arm[1], data), left_out_rms(found, data), calibrated.dh_of(found, arm[0])
-    rms, known = None if drawing is None else rms_distance(drawing), arm[1].calibration is not None
-    nominal = rms if known and words and set(words) <= {"base", "tool"} else None
-    before, full = None if known or words else drawing, full or found.machining_factor is None
-    shown = identification_tables(found, calibrated.hidden_by(library), nominal, left, drawing=before, full=full, dh=dh)
-    extra = {"cross_validated_mm": left, "rms_drawing_mm": rms} | ({} if nominal is None else {"rms_nominal_mm": rms})
-    return extra | ({"dh_table": [row.to_json() for row in dh[0]], "dh_places": dh[1]} if dh[0] else {}), shown
+    try:
+        drawing = rms_distance(drawing_residuals(arm, data))
+    except InputError:  # too few rows
+        drawing = None
+    extra = {"cross_validated_mm": left_out_rms(found, data), "rms_drawing_mm": drawing}
+    if arm.calibration is not None and words and set(words) <= {"base", "tool"} and drawing is not None:
+        extra["rms_nominal_mm"] = drawing
+    if found.geometry is None or found.not_identifiable:
+        return extra
+    rows, places = dh_table(Calibrated.of(found), found.corrected_values, path)
+    return extra | ({"dh_table": [row.to_json() for row in rows], "dh_places": places} if rows else {})
 
 
 @dataclass(frozen=True)
 class Wanted:
     """What to estimate, and with which prior.
 
-    words : of --only, empty: everything;  minimal : a minimal set of a spatial arm's parameters
+    words : of --only, empty: everything;  old : the arm that `prior_from` names
+    minimal : a minimal set of a spatial arm's parameters
     """
 
     words: list[str]
     prior: LibraryEffects
     prior_from: Path | None
+    old: Arm | None
     method: str | None
     sigma: Literal["given", "estimated"] | None
     minimal: bool
 
     def fit(self, arm: Arm, data: Measurements) -> tuple[Identification, LibraryPrior | None, dict[str, Any]]:
-        """The fit, the library's effects in it, and what more is said in JSON."""
+        """The fit, the library's effects in it, and the JSON keys `only` and `prior_from`."""
         from identification.estimation import estimate, estimate_with_prior
         from identification.estimation.prior import Prior
         from identification.gap.library.library_prior import given_by, library_prior
         from identification.gap.noise import with_repeats_doubted
+        from identification.model import Model
         from identification.sessions import with_sessions
+        from identification.validate.reuse import earlier, only
 
         wide = with_sessions(arm, data)
         library = library_prior(wide, given_by(data), self.prior.names) if self.prior.held else None
-        model = self.model(wide if library is None else library.arm, data, library)
-        if library is None and self.prior_from is None:
+        wide = wide if library is None else library.arm
+        free = [] if library is None else list(library.prior.deviations)  # the library's effects always are
+        model = only(wide, [*self.words, *free], data) if self.words else Model(wide)
+        said: dict[str, Any] = {"only": self.words} if self.words else {}
+        if library is None and self.old is None:
             model = minimal_model(model, data) if self.minimal else model
             found = estimate(model, data, method=self.method, sigma=self.sigma)
-            return with_repeats_doubted(found, data), None, self.said(model)
-        check_with_prior(self.minimal, self.method)
-        prior = replace(Prior({}) if library is None else library.prior, earlier=self.earlier(model, data))
-        found, said = estimate_with_prior(model, data, prior, sigma=self.sigma), self.said(model, prior)
+            return with_repeats_doubted(found, data), None, said
+        if self.minimal:
+            raise InputError("--parameters: minimal with --prior, allowed: all")
+        if self.method not in (None, "gauss_newton"):
+            raise InputError(f"--method: {self.method} with --prior, allowed: gauss_newton")
+        prior = Prior({}) if library is None else library.prior
+        if self.old is not None:
+            try:
+                prior = replace(prior, earlier=earlier(self.old, model, data))
+            except InputError as error:
+                raise InputError(f"{self.prior_from}: {error}") from None
+        found = estimate_with_prior(model, data, prior, sigma=self.sigma)
         if prior.earlier is not None:
-            said["prior_from"]["contradicted"] = [one.to_json() for one in found.contradictions]
-        library = replace(library, together=found.prior.together) if library and found.prior else library
+            said["prior_from"] = {
+                "file": str(self.prior_from),
+                "parameters": list(prior.earlier.names),
+                "anew": [name for name in model.names if name not in prior.names and name not in model.prior],
+                "contradicted": [one.to_json() for one in found.contradictions],
+            }
         return with_repeats_doubted(found, data), library, said
-
-    def without_outliers(
-        self, arm: Arm, data: Measurements
-    ) -> tuple[Identification, LibraryPrior | None, dict[str, Any]]:
-        """The fit to the rows that are no outliers of it; key `left_out`: the others, from 1."""
-        from identification.estimation import without_outliers
-
-        fits = []
-
-        def fit(rows: Measurements) -> Identification:
-            fits.append(self.fit(arm, rows))
-            return fits[-1][0]
-
-        found, left_out = without_outliers(fit, data)
-        return found, fits[-1][1], {**fits[-1][2], "left_out": list(left_out)}
-
-    def model(self, arm: Arm, data: Measurements, library: LibraryPrior | None) -> Model:
-        """The model of all parameters, or of those that --only names; the library's effects are always estimated."""
-        from identification.model import Model
-        from identification.validate.reuse import only
-
-        added = [] if library is None else list(library.prior.deviations)
-        return only(arm, [*self.words, *added], data) if self.words else Model(arm)
-
-    def earlier(self, model: Model, data: Measurements) -> Earlier | None:
-        """The prior of the model's parameters from the calibration that --prior-from names."""
-        from identification.files.arm import load_arm
-        from identification.validate.reuse import earlier
-
-        if self.prior_from is None:
-            return None
-        before = load_arm(self.prior_from)
-        try:
-            return earlier(before, model, data)
-        except InputError as error:
-            raise InputError(f"{self.prior_from}: {error}") from None
-
-    def said(self, model: Model, prior: Prior | None = None) -> dict[str, Any]:
-        """The JSON keys `only` and `prior_from`, if these options were given."""
-        found: dict[str, Any] = {"only": self.words} if self.words else {}
-        if prior is not None and prior.earlier is not None:
-            names = list(prior.earlier.names)
-            anew = [name for name in model.names if name not in prior.names and name not in model.prior]
-            found["prior_from"] = {"file": str(self.prior_from), "parameters": names, "anew": anew}
-        return found
-
-    def sentences(self, said: dict[str, Any]) -> list[str]:
-        """The same for people."""
-        found = [f"Estimated: {', '.join(self.words)}; the others stay as in the arm file."] if self.words else []
-        if "left_out" in said:
-            rows = ", ".join(map(str, said["left_out"]))
-            found.append(f"Left out as outliers: {f'rows {rows}' if rows else 'no row'}.")
-        if (prior := said.get("prior_from")) is not None:
-            anew = f"; without a prior: {', '.join(prior['anew'])}" if prior["anew"] else ""
-            found.append(f"Prior: {len(prior['parameters'])} parameters from {prior['file']}{anew}.")
-        return found
-
-
-def drawing_left(arm: Arm, measurements: Measurements) -> Array | None:
-    """(m, d) residuals [mm] of the drawing, where it stands fitted; None with too few rows."""
-    from identification.validate import drawing_residuals
-
-    try:
-        return drawing_residuals(arm, measurements)
-    except InputError:
-        return None
-
-
-def check_with_prior(minimal: bool, method: str | None) -> None:
-    """Raise `InputError` for options that a fit with a prior does not have."""
-    if minimal:
-        raise InputError("--parameters: minimal with --prior, allowed: all")
-    if method not in (None, "gauss_newton"):
-        raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
-
-
-def with_commands(said: Answer, errors: tuple[FollowingError, ...]) -> Answer:
-    """The answer with the servo errors (readings less commands) added, if the data have both."""
-    from doe.report.identification_tables import servo_table
-
-    if errors:
-        said.data["servo_error"] = [error.to_json() for error in errors]
-        said.shown.append(servo_table(errors))
-    return said
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
@@ -343,3 +287,57 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
         left = f"{', '.join(hardly)} would move no coordinate by {PRACTICAL:g} mm RMS"
         warnings.warn(f"left as drawn, {len(kept.names)} parameters stay: {left}", UserWarning, stacklevel=2)
     return kept
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+def no_file(found: Identification, force: bool) -> str | None:
+    """The reason why a fit is not written into an arm file, or None if it is."""
+    if found.not_identifiable:
+        return "not every parameter is estimable from the data"
+    if found.status is not Status.implausible:
+        return None
+    lengths = [] if found.geometry else (found.model.arm.lengths + found.length_errors).tolist()
+    if lengths and min(lengths) <= 0.0:
+        return f"link {lengths.index(min(lengths)) + 1} would have no positive length"
+    return None if force else "the fit is implausible; --force writes it all the same"
+
+
+def write_calibrated(
+    found: Identification,
+    path: Path,
+    names: tuple[Path | None, Path | None],
+    force: bool,
+    hidden: frozenset[str],
+    kept: tuple[Calibration | None, Calibration | None],
+) -> list[str]:
+    """Write the calibrated arm and the corrected URDF file (`names`), all or none; the lines that report them.
+
+    path : of the arm file, which gets the calibration, and the effects of the fit that it lacks
+    hidden : parameters whose covariance is left out
+    kept : the calibration before, of which parameters that were not estimated keep covariance and data, and the one
+        that was the prior
+    """
+    from identification.files.arm_chain import corrected_urdf
+    from identification.files.arm_text import urdf_beside, with_calibration, with_effects
+    from identification.files.io import PathLike, read_text, write_together
+    from identification.sessions import SESSIONS, without_sessions
+    from identification.validate.reuse import with_data_of, with_held
+
+    out, urdf = names
+    files: dict[PathLike, str | bytes] = {}
+    if out is not None:
+        kinds = found.model.arm.joint_types
+        calibration = with_held(found.calibration().about(set(found.names) - hidden), kept[0], kinds)
+        calibration = without_sessions(with_data_of(calibration, kept[1], kinds))
+        effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
+        files[out] = with_calibration(with_effects(read_text(path), effects, path.parent), calibration, path.parent)
+    if found.geometry is not None:
+        files |= urdf_beside(path, out)
+        files |= {} if urdf is None else {urdf: corrected_urdf(path, found.geometry.real)}
+    write_together(files, force=force)
+    what = {out: "calibrated arm", urdf: "corrected URDF file"}
+    lines = [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
+    if urdf is not None and found.model.effects:
+        left_out = ", ".join(effect.label for effect in found.model.effects)
+        lines.append(f"a URDF file has no effects: {left_out} left out")
+    return lines

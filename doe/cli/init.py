@@ -3,46 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated, Literal
 
 import click
 
 from doe.cli.common import Answer, CommonOptions, verb
-from doe.cli.options import FILE, FOLDER
+from doe.cli.options import FilePath, Folder
 from identification.errors import InputError
 from identification.files.io import PathLike, write_together
 
 
-@verb("armcal init --urdf robot.urdf --out calibration", "Write the first files: arm, measurements, what to do.")
-@click.option(
-    "--links",
-    metavar="N|LENGTHS",
-    help="A planar arm: how many links (a whole number, 1 to 12), or their lengths [mm]: 612,572.3 or, of one, 612.0",
-)
-@click.option("--urdf", "robot", type=FILE, metavar="FILE", help="A spatial arm from a URDF file.")
-@click.option("--dh", metavar="N", type=click.IntRange(1, 12), help="A spatial arm from N Denavit-Hartenberg rows.")
-@click.option("--base-link", help="Of the URDF file; left out: its root.")
-@click.option("--tip-link", help="Of the URDF file; left out: tool0, tcp .. or the end with the most joints.")
-@click.option(
-    "--instrument",
-    type=click.Choice(["distance", "sphere", "plane"]),
-    help="Of a spatial arm measured by a ball bar or draw wire, or by touching balls or planes.",
-)
-@click.option("--out", type=FOLDER, default=".", show_default="here", metavar="DIR", help="Folder; made if missing.")
-@click.option("--force", is_flag=True, help="Overwrite existing files.")
+@verb("armcal init --urdf robot.urdf --out calibration")
 def command(
     common: CommonOptions,
-    links: str | None,
-    robot: Path | None,
-    dh: int | None,
-    base_link: str | None,
-    tip_link: str | None,
-    instrument: str | None,
-    out: Path,
-    force: bool,
+    *,
+    links: Annotated[str, "N|LENGTHS"] | None = None,
+    robot: Annotated[Path, FilePath(), "--urdf"] | None = None,
+    dh: Annotated[int, click.IntRange(1, 12), "N"] | None = None,
+    base_link: str | None = None,
+    tip_link: str | None = None,
+    instrument: Literal["distance", "sphere", "plane"] | None = None,
+    out: Folder = Path("."),
+    force: bool = False,
 ) -> Answer:
-    """Write an arm file with comments, the columns of a measurement file, and the steps of a calibration.
+    """Write the first files: arm, measurements, what to do.
 
-    One of --links, --urdf and --dh says which arm; a planar one of three links without any of them.
+    An arm file with comments, the columns of a measurement file, and the steps of a calibration. One of --links, --urdf
+    and --dh says which arm; a planar one of three links without any of them.
+
+    links : A planar arm: how many links (a whole number, 1 to 12), or their lengths [mm]: 612,572.3 or, of one, 612.0
+    robot : A spatial arm from a URDF file.
+    dh : A spatial arm from N Denavit-Hartenberg rows.
+    base_link : Of the URDF file; left out: its root.
+    tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
+    instrument : Of a spatial arm measured by a ball bar or draw wire, or by touching balls or planes.
+    out : Folder; made if missing.
+    force : Overwrite existing files.
     """
     from doe.report.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
 
@@ -58,7 +54,15 @@ def command(
         files = urdf_files(robot, base_link, tip_link, instrument or "")
     else:
         files = planar_files(links or "3") if dh is None else dh_files(dh, instrument or "")
-    written = _write(files, out, robot, force)
+    new: dict[PathLike, str | bytes] = {out / name: text for name, text in files.items()}
+    if robot is not None and (copy := out / robot.name).exists() and copy.samefile(robot):  # it stands there already
+        del new[copy]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out: {out} cannot be made ({error.strerror}), allowed: a folder") from None
+    write_together(new, force)
+    written = list(map(str, new))
     first = ("armcal design", "armcal check")  # of touches there is no plan
     step = next(line for word in first for line in files[STEPS].splitlines() if line.startswith(word))
     made_up = ["replace what is marked EXAMPLE in " + str(out / ARM)] if "EXAMPLE" in files[ARM] else []
@@ -66,22 +70,3 @@ def command(
     made_up += [upright] if "\n[gravity]" in files[ARM] else []
     steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {step.partition('  #')[0].rstrip()}"]
     return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
-
-
-def _write(files: dict[str, str], folder: Path, source: Path | None, force: bool) -> list[str]:
-    """Write all of the files or none, except a URDF file that exists already, and return their paths."""
-    kept = {} if source is None else {source.name: source}
-    paths = {folder / name: text for name, text in files.items()}
-    new: dict[PathLike, str | bytes] = {
-        path: text for path, text in paths.items() if not _same(path, kept.get(path.name))
-    }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out: {folder} cannot be made ({error.strerror}), allowed: a folder") from None
-    write_together(new, force)
-    return list(map(str, new))
-
-
-def _same(path: Path, other: Path | None) -> bool:
-    return other is not None and path.exists() and path.samefile(other)

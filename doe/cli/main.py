@@ -5,36 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from errno import ENOSPC
+from importlib import import_module
 from typing import Any
 
 import click
 
-from doe.cli import (
-    advise,
-    check,
-    compare,
-    compensate,
-    demo,
-    design,
-    diagnose,
-    discriminate,
-    effects,
-    help,
-    identify,
-    init,
-    relax,
-    report,
-    score,
-    simulate,
-    study,
-    validate,
-)
-from doe.cli.common import no_output
-from doe.cli.jobs import one_thread_each
-from doe.cli.typed import WORDS
+from doe.cli.common import WORDS, no_output
+from doe.cli.options import one_thread_each
 from identification.errors import in_one_line, nearest, suggestion
 from identification.spelling import close_names
 
+VERBS = (  # in the order of the work; each has a module of its own
+    *("demo", "init", "design", "score", "advise", "compare", "relax", "study", "simulate", "check", "identify"),
+    *("diagnose", "discriminate", "validate", "compensate", "report", "effects", "help"),
+)
 OTHER_VERBS = {  # words for the same -> verb
     **dict.fromkeys(("calibrate", "fit", "estimate", "regress"), "identify"),
     **dict.fromkeys(("plan", "optimize", "optimise"), "design"),
@@ -142,25 +126,5 @@ def main() -> None:
     one_thread_each()
 
 
-VERBS = (
-    demo,
-    init,
-    design,
-    score,
-    advise,
-    compare,
-    relax,
-    study,
-    simulate,
-    check,
-    identify,
-    diagnose,
-    discriminate,
-    validate,
-    compensate,
-    report,
-    effects,
-    help,
-)
-for module in VERBS:
-    main.add_command(module.command)
+for name in VERBS:
+    main.add_command(import_module(f"doe.cli.{name}").command)

@@ -1,47 +1,43 @@
-"""Options that several verbs share, and groups of options that a verb gets as one object."""
+"""Types of options that several verbs share, groups of options that a verb gets as one object, and what writes files.
+
+A verb's parameter of one of these types is an option of it (`common.verb`); a dataclass is a group, whose fields are.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from functools import wraps
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from identification.errors import InputError
+from doe.cli.stopping import stopped_by
+from identification.errors import InputError, JobError
 from identification.files.io import PathLike, write_together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from doe.jobs.workers import Workers as Pool
     from identification.arm import Arm
     from identification.arrays import Array
 
-Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
-FILE, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path)  # `check_outputs` looks at files only
-# options that write a file; every other one is read
-OUTPUTS = frozenset({"out", "picture", "aliases", "report", "curves", "urdf"})
-PICTURES = frozenset({"picture", "aliases"})  # of them
+Content = str | bytes | Callable[[], "Figure"]
 
 
-class Seconds(click.FloatRange):
-    """A time budget [s] above zero; `nan` would be one that never ends."""
+class FilePath(click.Path):
+    """The name of a file that is read or written, of a picture, or of a folder, which is the verb's own to check."""
 
-    def __init__(self) -> None:
-        super().__init__(min=0, min_open=True)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """As in click, without `nan`."""
-        number = float(super().convert(value, param, ctx))
-        if math.isnan(number):
-            self.fail("nan is not in the range x>0.", param, ctx)
-        return number
+    def __init__(self, name: str = "file", *, written: bool = False, picture: bool = False) -> None:
+        super().__init__(path_type=Path)
+        self.name, self.written, self.picture = name, written, picture
 
 
-class FileOrShare(click.Path):
+class FileOrShare(FilePath):
     """The name of a file, or a number between 0 and 1."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -55,90 +51,79 @@ class FileOrShare(click.Path):
         return share
 
 
-class PriorOrFile(click.Command):
-    """A command that reads `--prior FILE` as `--prior-from FILE`, since the flag --prior leaves a word too many."""
+class SecondsRange(click.FloatRange):
+    """A time budget [s] above zero; `nan` would be one that never ends."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As in click; if that fails, parse again with --prior-from in the place of --prior."""
-        words = list(args)
-        try:
-            return super().parse_args(ctx, args)
-        except click.UsageError as error:
-            places = [k for k, word in enumerate(words) if word.partition("=")[0] == "--prior"]
-            if len(places) != 1:
-                raise
-            words[places[0]] = words[places[0]].replace("--prior", "--prior-from", 1)
-            ctx.params.clear()
-            try:
-                return super().parse_args(ctx, words)
-            except click.UsageError:
-                raise error from None
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """As in click, without `nan`."""
+        number = float(super().convert(value, param, ctx))
+        if math.isnan(number):
+            self.fail("nan is not in the range x>0.", param, ctx)
+        return number
 
 
-def grouped(kind: type, name: str, *options: Decorator) -> Decorator:
-    """A decorator that adds click options and passes their values as one object, the argument `name`.
+class WholeNumbersType(click.ParamType):
+    """`10,20` as [10, 20]; every number at least 1."""
 
-    kind : a dataclass with a field for each option; fields of options that are not there keep their defaults
+    name = "m,.."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[int]:
+        """The numbers."""
+        numbers = [int(part) if part.strip().isdecimal() else 0 for part in str(value).split(",")]
+        if min(numbers) < 1:
+            self.fail(f"found {value!r}, allowed: whole numbers >= 1, as in 10,20", param, ctx)
+        return numbers
+
+
+FOLDER = FilePath("dir", written=True)
+File = Annotated[Path, FilePath()]
+OutFile = Annotated[Path, FilePath(written=True)]
+Picture = Annotated[Path, FilePath(written=True, picture=True)]
+Folder = Annotated[Path, FOLDER]
+Seconds = Annotated[float, SecondsRange(min=0, min_open=True)]
+Workers = Annotated[int, click.IntRange(1, 4096)]  # each is a process of about 100 MB
+Count = Annotated[int, click.IntRange(min=1)]
+WholeNumbers = Annotated[list[int], WholeNumbersType()]
+Names = Annotated[str, "NAMES"]
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+def written(contents: Mapping[Path | None, Content], force: bool, what: str = "") -> list[str]:
+    """Write the files that were asked for, all or none, pictures among them; the lines that report the texts.
+
+    contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
     """
+    wanted = {path: content for path, content in contents.items() if path is not None}
+    files: dict[PathLike, str | bytes] = {}
+    for path, content in wanted.items():
+        if isinstance(content, str | bytes):
+            files[path] = content
+        else:
+            from doe.report.figures import picture_bytes
 
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        @wraps(function)
-        def run(*arguments: Any, **values: Any) -> Any:
-            group = {field.name: values.pop(field.name) for field in fields(kind) if field.name in values}
-            return function(*arguments, **values, **{name: kind(**group)})
-
-        decorated: Callable[..., Any] = run
-        for option in reversed(options):
-            decorated = option(decorated)
-        return decorated
-
-    return decorate
-
-
-@dataclass(frozen=True)
-class Output:
-    """The files that a verb writes. An existing file is replaced with `force` only."""
-
-    out: Path | None = None
-    picture: Path | None = None
-    force: bool = False
-
-    def write(self, text: str, what: str) -> list[str]:
-        """Write `out` if requested, and return the lines that report it."""
-        return self.write_all(text, what, {})
-
-    def draw(self, figure: Callable[[], Figure]) -> None:
-        """Save the figure if a picture was requested."""
-        self.write_all("", "", {self.picture: figure})
-
-    def write_all(self, text: str, what: str, figures: Mapping[Path | None, Callable[[], Figure]]) -> list[str]:
-        """Write `out` and the pictures (file -> figure) if requested, all or none, and return the lines on them.
-
-        what : describes the content of `out`; empty: `out` is not written by this call
-        """
-        files: dict[PathLike, str | bytes] = {self.out: text} if what and self.out is not None else {}
-        for path, figure in figures.items():
-            if path is not None:
-                from doe.report.pictures import picture_bytes
-
-                files[path] = picture_bytes(figure(), path)
-        write_together(files, force=self.force)
-        return [f"{what} written to {self.out}"] if what and self.out is not None else []
+            files[path] = picture_bytes(content(), path)
+    write_together(files, force=force)
+    return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
 
 def plan_drawing(arm: Arm, postures: Array) -> Figure:
     """An arm at the postures (m, n) [rad]."""
-    from doe.report.pictures import plan_figure  # deferred: matplotlib takes longer to load than a small design
+    from doe.report.figures import plan_figure  # deferred: matplotlib takes longer to load than a small design
 
     return plan_figure(arm, postures)
 
 
+# -- the library of effects --------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class LibraryEffects:
-    """Whether the model of a fit includes effects of the library, with priors of their typical sizes, and which."""
+    """Whether the model of a fit includes effects of the library, with priors of their typical sizes, and which.
 
-    prior: bool | None = None  # None: neither asked for nor refused
-    missing: str | None = None
+    prior : Fit the library's effects too, each held by a prior of its typical size, or not.
+    missing : Only these effects, for --library-prior: backlash,gear_ratio
+    """
+
+    prior: Annotated[bool | None, "--prior/--no-prior", "--library-prior/--no-library-prior"] = None  # None: not asked
+    missing: Names | None = None
 
     @property
     def held(self) -> bool:
@@ -150,32 +135,55 @@ class LibraryEffects:
     @property
     def names(self) -> list[str] | None:
         """Names of the effects; None: all that this arm and these rows can show."""
-        return None if self.missing is None else [word.strip() for word in self.missing.split(",")]
+        return None if self.missing is None else words(self.missing)
 
 
-prior_options = grouped(
-    LibraryEffects,
-    "prior",
-    click.option(
-        "--prior/--no-prior",
-        "--library-prior/--no-library-prior",
-        "prior",
-        default=None,
-        help="Fit the library's effects too, each held by a prior of its typical size, or not.",
-    ),
-    click.option("--missing", metavar="NAMES", help="Only these effects, for --library-prior: backlash,gear_ratio"),
-)
-only_option = click.option(
-    "--only",
-    multiple=True,
-    metavar="NAMES",
-    help="Estimate only these, with commas: lengths, joint_offsets, base, tool, effects, names such as joint_offset:2.",
-)
-force_option = click.option("--force", is_flag=True, help="Overwrite an existing file.")
+def words(text: str) -> list[str]:
+    """`a, b` as ["a", "b"]."""
+    return [word.strip() for word in text.split(",")]
 
 
-def output_options(*, picture: str | None = None, out: str | None = None) -> Decorator:
-    """--picture and --out, each where its help is given, and --force, as the argument `output`."""
-    options = [click.option("--picture", type=FILE, metavar="FILE", help=picture)] if picture else []
-    options += [click.option("--out", type=FILE, metavar="FILE", help=out)] if out else []
-    return grouped(Output, "output", *options, force_option)
+# -- long work ---------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class JobOptions:
+    """Where tasks run, where their rows go, and whether earlier rows are kept or replaced.
+
+    workers : Tasks at the same time; left out: on all cores.
+    cluster : Scheduler of a dask cluster, tcp://host:port.
+    out : Folder; left out: STUDY.results
+    resume : Go on with an interrupted or extended run.
+    force : Overwrite an existing file.
+    """
+
+    workers: Workers | None = None
+    cluster: Annotated[str, "ADDRESS"] | None = None
+    out: Folder | None = None
+    resume: bool = False
+    force: bool = False
+
+    def where(self) -> Pool:
+        """The workers asked for. Raises `InputError` if the cluster does not answer."""
+        from doe.jobs.workers import chosen_workers
+
+        return chosen_workers(self.workers, self.cluster)
+
+
+def one_thread_each() -> None:
+    """Limit BLAS to one thread per process, unless the user has set a number. Call it before numpy is imported.
+
+    The matrices are small: more threads made it five times slower (measured), and the tasks use all cores already.
+    """
+    from doe.jobs.isolated import SINGLE_THREAD
+
+    for name, number in SINGLE_THREAD.items():
+        os.environ.setdefault(name, number)
+
+
+@contextmanager
+def interruptible(out: Path | None) -> Iterator[None]:
+    """Report Ctrl-C or SIGTERM in one sentence: what was kept, and how to resume."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        kept = f"finished rows are kept in {out}, go on with --resume" if out else "without --out nothing is kept"
+        raise JobError(f"{stopped_by(error)}; {kept}") from None

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from doe.cli.common import Answer, CommonOptions, verb, with_collisions
-from doe.cli.options import FILE, Output, Seconds, grouped, output_options
-from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem
+from doe.cli.options import Count, File, OutFile, Seconds, written
+from doe.cli.problems import CriterionOptions, PostureOptions, design_problem
 from identification.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,14 +23,22 @@ SECONDS = 40.0  # unless the user says otherwise: a million candidates take a th
 
 @dataclass(frozen=True)
 class RelaxationOptions:
-    """The candidate postures and the solver."""
+    """The candidate postures and the solver.
 
-    grid: int | None
-    candidates: Path | None
-    solver: str | None
-    check: bool
-    runs: int | None
-    seconds: float | None
+    grid : Levels per joint; left out: about 10,000 in all.
+    candidates : CSV of allowed postures instead of a grid.
+    solver : clarabel, scs, multiplicative or column_generation; left out: the latter, with --robust multiplicative.
+    check : Cross-check by independent methods.
+    runs : Number of measurements m, for --robust and spatial arms.
+    seconds : Time budget [s]; left out: 40.
+    """
+
+    grid: Annotated[int, click.IntRange(min=2)] | None = None
+    candidates: File | None = None
+    solver: str | None = None
+    check: Annotated[bool, "--check/--no-check"] = True
+    runs: Count | None = None
+    seconds: Seconds | None = None
 
     def limits(self, solver: str) -> tuple[Callable[[], bool], float]:
         """What ends the weights, at half the time where they are checked, and the end of it all."""
@@ -45,36 +52,28 @@ class RelaxationOptions:
         return (lambda: perf_counter() > weighted), began + seconds
 
 
-relaxation_options = grouped(
-    RelaxationOptions,
-    "chosen",
-    click.option("--grid", type=click.IntRange(min=2), help="Levels per joint; left out: about 10,000 in all."),
-    click.option("--candidates", type=FILE, metavar="FILE", help="CSV of allowed postures instead of a grid."),
-    click.option(
-        "--solver",
-        show_default="column_generation; with --robust multiplicative",
-        help="clarabel, scs, multiplicative or column_generation.",
-    ),
-    click.option("--check/--no-check", default=True, show_default=True, help="Cross-check by independent methods."),
-    click.option("--runs", type=click.IntRange(min=1), help="Number of measurements m, for --robust and spatial arms."),
-    click.option("--seconds", type=Seconds(), help=f"Time budget [s]; left out: {SECONDS:.0f}."),
-)
-
-
-@verb("armcal relax arm.toml --grid 9 --solver clarabel", "Optimal weights over candidate postures.")
-@click.argument("arm", type=FILE)
-@relaxation_options
-@criterion_options("D, A, E, I, Ds or Dstar.")
-@output_options(out="Write the plan with weights (CSV).")
+@verb("armcal relax arm.toml --grid 9 --solver clarabel")
 def command(
-    common: CommonOptions, arm: Path, chosen: RelaxationOptions, criterion: CriterionOptions, output: Output
+    common: CommonOptions,
+    arm: File,
+    *,
+    chosen: RelaxationOptions,
+    criterion: CriterionOptions,
+    out: OutFile | None = None,
+    force: bool = False,
 ) -> Answer:
-    """Optimal weights over candidate postures, with a certificate recomputed from the weights and a cross-check."""
+    """Optimal weights over candidate postures.
+
+    With a certificate that is recomputed from the weights, and a cross-check.
+
+    out : Write the plan with weights (CSV).
+    force : Overwrite an existing file.
+    """
     from doe.bounds.relaxation import relax
     from doe.cross_check import cross_check
     from doe.plan.file import plan_text
     from doe.problem.robust import with_choices
-    from doe.report.approximate import cross_check_table, relax_tables
+    from doe.report.design import cross_check_table, relax_document
     from identification.files.arm import load_arm
 
     loaded = load_arm(arm)
@@ -83,22 +82,21 @@ def command(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )
     problem = with_choices(problem) if criterion.robust and chosen.grid is None else problem
-    with common.progress() as progress:
-        progress(0, 2, "weights")
-        solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
-        new = chosen.runs or (problem.parameters if problem.deviations else None)
-        stop, end = chosen.limits(solver)
-        found = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
-        data, shown = found.to_json(), relax_tables(found)
-        if chosen.check:
-            progress(1, 2, "cross-check")
-            runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
-            checked = with_choices(problem) if criterion.robust else problem
-            compared = cross_check(checked, found, runs, seed=common.seed, seconds=end - perf_counter())
-            data["cross_check"] = compared.rows()
-            shown.append(cross_check_table(compared))
-    written = plan_text(replace(found.plan, fit=problem.fit), loaded.joint_types)
-    return with_collisions(Answer(data, [*shown, *output.write(written, "plan with weights")]), loaded)
+    common.report(0, 2, "weights")
+    solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
+    new = chosen.runs or (problem.parameters if problem.deviations else None)
+    stop, end = chosen.limits(solver)
+    found = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
+    data, shown = found.to_json(), list[Any]([relax_document(found)])
+    if chosen.check:
+        common.report(1, 2, "cross-check")
+        runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
+        checked = with_choices(problem) if criterion.robust else problem
+        compared = cross_check(checked, found, runs, seed=common.seed, seconds=end - perf_counter())
+        data["cross_check"] = compared.rows()
+        shown.append(cross_check_table(compared))
+    text = plan_text(replace(found.plan, fit=problem.fit), loaded.joint_types)
+    return with_collisions(Answer(data, [*shown, *written({out: text}, force, "plan with weights")]), loaded)
 
 
 def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, held: bool) -> None:

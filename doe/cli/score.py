@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from doe.cli.common import Answer, CommonOptions, verb, with_collisions
-from doe.cli.options import FILE, Output, Seconds, output_options, plan_drawing
-from doe.cli.problems import CriterionOptions, design_problem, robust_options
+from doe.cli.options import Content, File, Names, Picture, Seconds, plan_drawing, written
+from doe.cli.problems import CriterionOptions, design_problem
 from identification.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,42 +24,44 @@ if TYPE_CHECKING:
 ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
 
 
-@verb(
-    "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png",
-    "Judge a plan of your own against the bound.",
-)
-@click.argument("arm", type=FILE)
-@click.argument("plan", type=FILE)
-@click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects this plan can hardly distinguish.")
-@click.option(
-    "--seconds", type=Seconds(), default=20.0, show_default=True, help="Time budget of the bound [s], which may be cut."
-)
-@robust_options
-@output_options(picture="Draw the postures (.png, .svg, .pdf).")
+@verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 def command(
     common: CommonOptions,
-    arm: Path,
-    plan: Path,
-    aliases: Path | None,
-    seconds: float,
-    criterion: CriterionOptions,
-    output: Output,
+    arm: File,
+    plan: File,
+    *,
+    aliases: Picture | None = None,
+    seconds: Seconds = 20.0,
+    robust: bool = False,
+    missing: Names | None = None,
+    picture: Picture | None = None,
+    force: bool = False,
 ) -> Answer:
-    """Score a PLAN of your own: efficiency against the bound, expected standard deviations, effects it could show."""
+    """Judge a plan of your own against the bound.
+
+    Efficiency against the bound, expected standard deviations, effects that the PLAN could show.
+
+    aliases : Draw which effects this plan can hardly distinguish.
+    seconds : Time budget of the bound [s], which may be cut.
+    robust : The arm may have effects of the library that its file does not name.
+    missing : Only these effects, for --robust: backlash,gear_ratio
+    picture : Draw the postures (.png, .svg, .pdf).
+    force : Overwrite an existing file.
+    """
     from doe.plan.expected_accuracy import error_at_poses
     from doe.plan.file import load_plan
     from doe.plan.observability import criterion_values, observability
     from doe.problem.problem import DesignProblem
     from doe.problem.robust import average_error
-    from doe.report.design_tables import criteria_line, design_tables, observability_line
+    from doe.report.design import criteria_lines, design_document
     from identification.files.arm import load_arm
     from identification.model import Model
 
-    loaded = load_arm(arm)
+    loaded, criterion = load_arm(arm), CriterionOptions(robust=robust, missing=missing)
     given = load_plan(plan, loaded.joint_types)
     design = _scored(loaded, given, plan, criterion, seconds)
     sees, tables = _preflight(loaded, given, plan, aliases)
-    pictures: dict[Path | None, Callable[[], Figure]] = {output.picture: lambda: plan_drawing(loaded, given.postures)}
+    pictures: dict[Path | None, Content] = {picture: lambda: plan_drawing(loaded, given.postures)}
     problem = DesignProblem.of(Model(loaded))
     indices, values = observability(problem, given.postures), criterion_values(problem, given.postures)
     tip = replace(problem, criterion=average_error(problem))
@@ -75,13 +74,13 @@ def command(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
-    output.write_all("", "", pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)})
-    shown = [*design_tables(design), *lines, criteria_line(values, error), observability_line(indices), *tables]
-    return with_collisions(Answer(data, shown), loaded)
+    written(pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)}, force)
+    document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
+    return with_collisions(Answer(data, [document]), loaded)
 
 
 def _alias_drawing(sees: Detectability) -> Figure:
-    from doe.report.gap_figures import alias_figure  # deferred: matplotlib takes longer to load than a score
+    from doe.report.figures import alias_figure  # deferred: matplotlib takes longer to load than a score
 
     return alias_figure(sees)
 
@@ -107,7 +106,7 @@ def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions, seco
 def _preflight(arm: Arm, given: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
     """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
     from doe.problem.spatial import without_prior
-    from doe.report.detectability_tables import preflight_tables
+    from doe.report.design import preflight_parts
     from identification.gap.detectability import detectability
 
     try:
@@ -116,4 +115,4 @@ def _preflight(arm: Arm, given: Plan, path: Path, aliases: Path | None) -> tuple
         if aliases is not None:
             raise InputError(f"--aliases: {path}: {error}") from error
         return None, [f"missing effects: {error}"]
-    return sees, preflight_tables(sees)
+    return sees, preflight_parts(sees)

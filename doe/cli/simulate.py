@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from doe.cli.common import Answer, CommonOptions, verb
-from doe.cli.options import FILE, force_option
+from doe.cli.options import File, OutFile
 from identification.errors import InputError
 from identification.files.io import write_whole
 
@@ -18,16 +15,16 @@ if TYPE_CHECKING:
     from identification.arm import Arm
 
 
-@verb("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv", "Simulate the measurements of a plan.")
-@click.argument("arm", type=FILE)
-@click.argument("plan", type=FILE)
-@click.option("--truth", type=FILE, required=True, help="Arm file with [calibration] and [[effects]] values.")
-@click.option("--out", type=FILE, required=True, metavar="FILE", help="Measurements CSV to write.")
-@force_option
-def command(common: CommonOptions, arm: Path, plan: Path, truth: Path, out: Path, force: bool) -> Answer:
-    """Measure the TRUTH at the postures of a PLAN, with the arm's noise (sigma_mm).
+@verb("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")
+def command(common: CommonOptions, arm: File, plan: File, *, truth: File, out: OutFile, force: bool = False) -> Answer:
+    """Simulate the measurements of a plan.
 
-    The plan may give payload_kg, temperature_C and direction1.. of every row.
+    Measure the TRUTH at the postures of a PLAN, with the arm's noise (sigma_mm). The plan may give payload_kg,
+    temperature_C and direction1.. of every row.
+
+    truth : Arm file with [calibration] and [[effects]] values.
+    out : Measurements CSV to write.
+    force : Overwrite an existing file.
     """
     import numpy as np
 

@@ -6,12 +6,10 @@ import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import click
+from typing import TYPE_CHECKING, Annotated, Any
 
 from doe.cli.common import Answer, CommonOptions, verb
-from doe.cli.jobs import JobOptions, interruptible, job_options
+from doe.cli.options import Count, JobOptions, interruptible
 from identification.errors import InputError, JobError, nearest
 
 if TYPE_CHECKING:
@@ -54,23 +52,25 @@ where study.toml has, for instance (names of files are beside it):
     effects = []"""
 
 
-@verb(EXAMPLE, "Run a simulation study, or one that comes with armcal.")
-@click.argument("study", metavar="STUDY.toml|NAME")
-@click.option("--replications", type=click.IntRange(min=1), help="Simulated data sets per cell, instead of the file's.")
-@click.option(
-    "--cell", "cells", multiple=True, metavar="NAME", help="Of blind or blind-spatial: only this; repeatable."
-)
-@job_options(workers=None, out="Folder; left out: STUDY.results")
+@verb(EXAMPLE)
 def command(
-    common: CommonOptions, study: str, replications: int | None, cells: tuple[str, ...], job: JobOptions
+    common: CommonOptions,
+    study: Annotated[str, "STUDY.toml|NAME"],
+    *,
+    replications: Count | None = None,
+    cells: Annotated[tuple[str, ...], "--cell", "NAME"] = (),
+    job: JobOptions,
 ) -> Answer:
-    """Simulate, identify and count: what plans, models and noise do to the accuracy.
+    """Run a simulation study, or one that comes with armcal.
 
-    STUDY is a file, or the name of a study that comes with armcal: paper (every table, figure and number of the paper,
-    with errata), blind (diagnoses of data with hidden effects, compared with the truth afterwards), blind-spatial (the
-    same for six-axis arms). The folder gets
-    cells.parquet (one row per cell and parameter: errors, deviations, coverage), blocks.parquet and plans.parquet;
-    notebooks read them with polars.
+    Simulate, identify and count: what plans, models and noise do to the accuracy. STUDY is a file, or the name of a
+    study that comes with armcal: paper (every table, figure and number of the paper, with errata), blind (diagnoses
+    of data with hidden effects, compared with the truth afterwards), blind-spatial (the same for six-axis arms).
+    The folder gets cells.parquet (one row per cell and parameter: errors, deviations, coverage), blocks.parquet and
+    plans.parquet; notebooks read them with polars.
+
+    replications : Simulated data sets per cell, instead of the file's.
+    cells : Of blind or blind-spatial: only this; repeatable.
     """
     if study not in BUILT_IN and not study.endswith(".toml"):
         raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")
@@ -78,8 +78,8 @@ def command(
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder = job.out or Path(study).with_suffix(".results")
     where = job.where()
-    with interruptible(folder), common.progress() as progress:
-        options = {"seed": common.seed, "resume": job.resume, "force": job.force, "progress": progress}
+    with interruptible(folder):
+        options = {"seed": common.seed, "resume": job.resume, "force": job.force, "progress": common.report}
         if study in BUILT_IN:
             return BUILT_IN[study](replications, folder, where, options, **({"cells": cells} if cells else {}))
         return _from_file(Path(study), replications, folder, where, options)
@@ -89,7 +89,7 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
     """A Monte Carlo study that a file describes."""
     from dataclasses import replace
 
-    from doe.report.monte_carlo import study_tables
+    from doe.report.studies import monte_carlo_parts
     from doe.studies.monte_carlo import load_study, run_study
     from doe.studies.monte_carlo.study import CELLS, discard, require_some
 
@@ -106,17 +106,17 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
         raise
     failed = result.cells.filter(result.cells["status"] != "done")
     data = {"out": folder, "cells": result.cells.to_dicts(), "failed": len(failed)}
-    return Answer(data, [*study_tables(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
+    return Answer(data, [*monte_carlo_parts(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
 
 
 def _paper(replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
     """The paper reproduced."""
-    from doe.report.paper import paper_tables, write_pictures
+    from doe.report.studies import paper_parts, paper_pictures
     from doe.studies.paper.study import paper_study
 
     found = paper_study(replications, folder, workers, **options)
-    write_pictures(folder, found)
-    return _tables_answer(found, folder, paper_tables(found))
+    paper_pictures(folder, found)
+    return _tables_answer(found, folder, paper_parts(found))
 
 
 def _blind(
@@ -128,14 +128,12 @@ def _blind(
     space: bool = False,
 ) -> Answer:
     """Diagnoses of data with hidden effects, of planar arms or of arms in space; of all cells or of those named."""
-    from doe.report.blind import blind_tables, write_pictures
-    from doe.studies.blind.spatial_cells import CELLS
-    from doe.studies.blind.study import blind_study
+    from doe.report.studies import blind_parts, blind_pictures
+    from doe.studies.blind.study import blind_study, reported_cells
 
-    reported = [name for name, spec in CELLS.items() if spec.reported] if space else None
-    found = blind_study(cells or reported, replications, folder, workers, **options)
-    write_pictures(folder, found)
-    return _tables_answer(found, folder, blind_tables(found))
+    found = blind_study(cells or reported_cells(space), replications, folder, workers, **options)
+    blind_pictures(folder, found)
+    return _tables_answer(found, folder, blind_parts(found))
 
 
 def _tables_answer(found: BlindStudy | PaperStudy, folder: Path, shown: list[Any]) -> Answer:

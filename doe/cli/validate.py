@@ -2,47 +2,56 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import click
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
 from doe.cli.common import Answer, CommonOptions, read_measurements, verb, warn_beside_json
-from doe.cli.options import FILE, Output, output_options
+from doe.cli.options import File, Picture, written
 
-REFITS = ("base", "offsets", "none")
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from identification.validate import Validation
 
 
-@verb(
-    "armcal validate calibrated.toml other_session.csv --picture transfer.png",
-    "How well a calibrated model predicts other measurements.",
-)
-@click.argument("model", type=FILE)
-@click.argument("data", type=FILE)
-@click.option(
-    "--refit",
-    type=click.Choice(REFITS),
-    default="base",
-    show_default=True,
-    help="What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.",
-)
-@output_options(picture="Draw residuals against time and over the workspace (PNG, SVG, PDF).")
-def command(common: CommonOptions, model: Path, data: Path, refit: str, output: Output) -> Answer:
-    """Compare the calibrated MODEL (an arm file with [calibration]) with other measurements DATA.
+@verb("armcal validate calibrated.toml other_session.csv --picture transfer.png")
+def command(
+    common: CommonOptions,
+    model: File,
+    data: File,
+    *,
+    refit: Literal["base", "offsets", "none"] = "base",
+    picture: Picture | None = None,
+    force: bool = False,
+) -> Answer:
+    """How well a calibrated model predicts other measurements.
 
-    All that was identified stays as it is; the drawing, refitted in the same way, stands beside it. A session column
-    in DATA has the base refitted in each session.
+    Compare the calibrated MODEL (an arm file with [calibration]) with other measurements DATA. All that was identified
+    stays as it is; the drawing, refitted in the same way, stands beside it. A session column in DATA has the base
+    refitted in each session.
+
+    refit : What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.
+    picture : Draw residuals against time and over the workspace (PNG, SVG, PDF).
+    force : Overwrite an existing file.
     """
-    from doe.report.validation import better, validation_figure, validation_tables
-    from doe.report.verdict import next_steps, validation_actions
+    from doe.report.identification import validation_actions
     from identification.files.arm import load_arm
-    from identification.validate import validate
+    from identification.validate import is_better, validate
     from identification.validate.row_groups import mostly_outside
 
     arm = load_arm(model)
     found = validate(arm, read_measurements(data, arm), refit)
     beyond = arm.chain is not None and mostly_outside(arm, found.measurements.postures)
-    actions = validation_actions(better(found), refit, str(model), str(data), beyond=beyond)
-    answer = Answer(found.to_json(), [*validation_tables(found), *next_steps(actions)])
-    output.draw(lambda: validation_figure(found))
+    data_of = found.to_json()
+    actions = validation_actions(is_better(data_of), refit, str(model), str(data), beyond=beyond)
+    answer = Answer(data_of, [replace(found.document(), actions=actions)])
+    written({picture: lambda: validation_drawing(found)}, force)
     warn_beside_json(f"{data}: {note}" for note in found.notes)
     return answer
+
+
+def validation_drawing(found: Validation) -> Figure:
+    """Residuals against time and over the workspace."""
+    from doe.report.figures import validation_figure  # deferred: matplotlib takes longer to load than a validation
+
+    return validation_figure(found)

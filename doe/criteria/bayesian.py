@@ -49,11 +49,11 @@ class SoftWorst:
 
     def value(self, information: Array) -> Array:
         """(...) soft minimum of log det M_k, -inf where one of them is singular."""
-        return self._soft_minimum(log_dets(information, self.count))
+        return self._soft_minimum(D().value(diagonal_blocks(information, self.count)))
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) soft minimum of log det (M_k + B_k^T B_k); a singular M_k counts as nearly so."""
-        before = D().value(ridged(np.stack(diagonal_blocks(information, self.count))))
+        before = D().value(ridged(diagonal_blocks(information, self.count)))
         return self._soft_minimum(before[..., None] + gains(information, jacobians, self.count))
 
     def _soft_minimum(self, each: Array) -> Array:
@@ -66,24 +66,23 @@ class SoftWorst:
 
     def block_weights(self, information: Array) -> Array:
         """(K,) weights of the blocks in the gradient: the worse, the more."""
-        each = log_dets(information, self.count)
+        each = D().value(diagonal_blocks(information, self.count))
         raised = np.exp(-self.sharpness * (each - each.min()))
         return np.asarray(raised / raised.sum())
 
     def gradient(self, information: Array) -> Array:
         """(p, p) block diagonal of s_k M_k^-1, s the weights of the blocks."""
-        inverses = np.linalg.inv(np.stack(diagonal_blocks(information, self.count)))
-        total = np.zeros_like(information)
-        for weight, inverse, place in zip(
-            self.block_weights(information), inverses, diagonal_blocks(total, self.count), strict=True
-        ):
-            place[...] = weight * inverse  # a part of `total`
+        size, total = len(information) // self.count, np.zeros_like(information)
+        inverses = np.linalg.inv(diagonal_blocks(information, self.count))
+        for k, weight in enumerate(self.block_weights(information)):
+            place = slice(k * size, (k + 1) * size)
+            total[place, place] = weight * inverses[k]
         return total
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """sum_k s_k phi_k'' - t (sum_k s_k phi_k' phi_k'^T - (sum_k s_k phi_k') (sum_k s_k phi_k')^T)."""
-        weights, parts = self.block_weights(information), diagonal_blocks(information, self.count)
-        moves = diagonal_blocks(directions, self.count)
+        weights = self.block_weights(information)
+        parts, moves = diagonal_blocks(information, self.count), diagonal_blocks(directions, self.count)
         slopes = np.array([np.tensordot(x, D().gradient(m), axes=2) for x, m in zip(moves, parts, strict=True)])
         bends = sum(s * D().curvature(m, x) for s, m, x in zip(weights, parts, moves, strict=True))
         mean = weights @ slopes
@@ -91,7 +90,7 @@ class SoftWorst:
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """Tangent of sum_k s_k log det M_k, which no design's smallest log det exceeds: its value + largest - p / K."""
-        mean = self.block_weights(information) @ log_dets(information, self.count)
+        mean = self.block_weights(information) @ D().value(diagonal_blocks(information, self.count))
         return float(mean + largest - len(information) / self.count)
 
     def efficiency(self, value: float, bound: float, parameters: int) -> float:
@@ -111,31 +110,22 @@ class Worst(SoftWorst):
         """What gradient methods climb."""
         return SoftWorst(self.count)
 
-    @property
-    def surrogate(self) -> SoftWorst:
-        """What exchange compares by."""
-        return SoftWorst(self.count)
+    surrogate = smooth
 
     def value(self, information: Array) -> Array:
         """(...) min_k log det M_k."""
-        return np.min(log_dets(information, self.count), axis=0)
-
-
-def log_dets(information: Array, count: int) -> Array:
-    """(K, ...) log det of the blocks."""
-    return D().value(np.stack(diagonal_blocks(information, count)))
+        return np.min(D().value(diagonal_blocks(information, self.count)), axis=0)
 
 
 def gains(information: Array, jacobians: Array, count: int) -> Array:
     """(K, s, c) log det(A_k + B_k^T B_k) - log det A_k of plans (s, p, p) and candidates (s, c, K d, p)."""
     d, p = jacobians.shape[-2] // count, jacobians.shape[-1] // count
-    own = [jacobians[..., k * d : (k + 1) * d, k * p : (k + 1) * p] for k in range(count)]
-    return np.stack(
-        [D().values_after_adding(m, b) for m, b in zip(diagonal_blocks(information, count), own, strict=True)]
-    )
+    each = [jacobians[..., k * d : (k + 1) * d, k * p : (k + 1) * p] for k in range(count)]
+    pairs = zip(diagonal_blocks(information, count), each, strict=True)
+    return np.stack([D().values_after_adding(m, b) for m, b in pairs])
 
 
-def diagonal_blocks(information: Array, count: int) -> list[Array]:
-    """The K diagonal blocks (..., p/K, p/K)."""
+def diagonal_blocks(information: Array, count: int) -> Array:
+    """(K, ..., p/K, p/K) the diagonal blocks."""
     size = information.shape[-1] // count
-    return [information[..., k * size : (k + 1) * size, k * size : (k + 1) * size] for k in range(count)]
+    return np.stack([information[..., k : k + size, k : k + size] for k in range(0, count * size, size)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Protocol
 
 import numpy as np
@@ -9,12 +10,15 @@ import numpy as np
 from identification.arrays import Array
 
 RIDGE = 1e-9  # a plan that lacks one run may be singular; this part of the mean eigenvalue keeps the ranking right
+Factors = list[tuple[float, Array, Array]]  # number c, and symmetric (p, p) L and R
 
 
 class Criterion(Protocol):
     """A concave function Phi of the (p, p) scaled information matrix per run, M = sum_i w_i B_i^T B_i, sum w = 1.
 
-    A singular M has the value -inf, not an error; `identification.information.log_determinants` says which are.
+    A singular M has the value -inf, not an error; `identification.information.log_determinants` says which are. What
+    gradient methods climb instead of a criterion that is not smooth is its attribute `smooth`, what many postures are
+    compared by instead of one that is slow to compute its `surrogate`.
     """
 
     @property
@@ -30,10 +34,6 @@ class Criterion(Protocol):
         """(p, p) G = dPhi/dM. Equivalence theorem: w is optimal iff max_q tr(G B(q)^T B(q)) = tr(G M)."""
         ...
 
-    def curvature(self, information: Array, directions: Array) -> Array:
-        """(k, k) second derivative D^2 Phi(M)[X_a, X_b] for symmetric directions X (k, p, p); never positive."""
-        ...
-
     def upper_bound(self, information: Array, largest: float) -> float:
         """No design has a greater value than this, given `largest` >= max_q tr(G B(q)^T B(q)) over the design space."""
         ...
@@ -43,13 +43,37 @@ class Criterion(Protocol):
         ...
 
 
-def smooth(criterion: Criterion) -> Criterion:
-    """What gradient methods climb instead of a criterion that is not smooth; the criterion itself if it is."""
-    return getattr(criterion, "smooth", criterion)
+class SmoothCriterion(Criterion, Protocol):
+    """One with second derivatives."""
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """(k, k) second derivative D^2 Phi(M)[X_a, X_b] for symmetric directions X (k, p, p); never positive."""
+        ...
+
+
+class Factored(ABC):
+    """Criteria with D^2 Phi(M)[X, Y] = -sum c tr(L X R Y)."""
+
+    @abstractmethod
+    def curvature_factors(self, information: Array) -> Factors:
+        """c, L and R."""
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """(k, k) D^2 Phi(M)[X_a, X_b]."""
+        k, total = len(directions), np.zeros((len(directions),) * 2)
+        for factor, left, right in self.curvature_factors(information):
+            one, other = left @ directions, right @ directions
+            total -= factor * (one.reshape(k, -1) @ np.swapaxes(other, 1, 2).reshape(k, -1).T)
+        return np.asarray(0.5 * (total + total.T))
+
+
+def smooth(criterion: Criterion) -> SmoothCriterion:
+    """What gradient methods climb."""
+    return getattr(criterion, "smooth", criterion)  # type: ignore[arg-type]
 
 
 def surrogate(criterion: Criterion) -> Criterion:
-    """What many postures are compared by instead of a criterion that is slow to compute; itself if it is not."""
+    """What many postures are compared by."""
     return getattr(criterion, "surrogate", criterion)
 
 
@@ -59,16 +83,10 @@ def values_after_adding(criterion: Criterion, information: Array, jacobians: Arr
     information : (s, p, p) matrices A of plans that lack one run;  jacobians : (s, c, d, p) candidates for it
     A criterion may have a faster `values_after_adding` of its own (D: the determinant lemma).
     """
-    own = getattr(criterion, "values_after_adding", None)
-    if own is not None:
-        return own(information, jacobians)
+    faster = getattr(criterion, "values_after_adding", None)
+    if faster is not None:
+        return faster(information, jacobians)
     return np.asarray(criterion.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians))
-
-
-def curvature_factors(criterion: Criterion, information: Array) -> tuple[Array, Array] | None:
-    """(p, p) symmetric L and R with D^2 Phi(M)[X, Y] = -tr(L X R Y), of criteria that have `curvature_factors`."""
-    own = getattr(criterion, "curvature_factors", None)
-    return None if own is None else own(information)
 
 
 def ridged(information: Array) -> Array:
@@ -76,3 +94,14 @@ def ridged(information: Array) -> Array:
     p = information.shape[-1]
     ridge = RIDGE * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
     return np.asarray(information + ridge[..., None, None] * np.eye(p))
+
+
+def woodbury(information: Array, jacobians: Array) -> tuple[Array, Array, Array]:
+    """(s, p, p) A^-1, (s, c, d, p) B A^-1 and (s, c, d, d) I + B A^-1 B^T of candidates B (s, c, d, p).
+
+    (A + B^T B)^-1 = A^-1 - A^-1 B^T (I + B A^-1 B^T)^-1 B A^-1.
+    """
+    s, c, d, p = jacobians.shape
+    inverse = np.asarray(np.linalg.inv(ridged(information)), dtype=np.float64)
+    seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)
+    return inverse, seen, np.asarray(np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2))

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.inverse_trace import woodbury
+from doe.criteria.criterion import woodbury
 from identification.arrays import Array
 from identification.information import inverses
-
-APART = 1e-13  # share of the largest eigenvalue by which the smallest two differ at least, in second derivatives
 
 
 class DegreeOne:
@@ -115,12 +113,6 @@ class E(DegreeOne):
         """(p, p) v v^T of the eigenvector v of the smallest eigenvalue (one of its supergradients if multiple)."""
         vector = np.linalg.eigh(information)[1][:, 0]
         return np.outer(vector, vector)
-
-    def curvature(self, information: Array, directions: Array) -> Array:
-        """2 sum_k (v_0^T X v_k)(v_0^T Y v_k) / (lambda_0 - lambda_k), where the smallest eigenvalue is simple."""
-        values, vectors = np.linalg.eigh(information)
-        rows = (vectors[:, 0] @ directions @ vectors)[:, 1:]
-        return 2.0 * (rows / np.minimum(values[0] - values[1:], -APART * values[-1])) @ rows.T
 
 
 def variances_of(information: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -11,13 +11,13 @@ from functools import cached_property
 
 import numpy as np
 
-from doe.criteria.criterion import ridged
+from doe.criteria.criterion import Factored, Factors, woodbury
 from identification.arrays import Array, readonly
 from identification.information import information_matrix, inverses
 
 
 @dataclass(frozen=True)
-class InverseTrace:
+class InverseTrace(Factored):
     """The criteria of this kind differ in the weight matrix W (p, p), positive semidefinite."""
 
     def weight(self, parameters: int) -> Array:
@@ -28,28 +28,17 @@ class InverseTrace:
         """(...) -tr(W M^-1), -inf where M is singular."""
         inverse = inverses(information)
         none = np.isinf(inverse[..., 0, 0])
-        total = np.sum(
-            np.where(none[..., None, None], 0.0, inverse) * self.weight(information.shape[-1]), axis=(-2, -1)
-        )
-        return np.where(none, -np.inf, -total)
+        finite = np.where(none[..., None, None], 0.0, inverse)
+        return np.where(none, -np.inf, -np.sum(finite * self.weight(information.shape[-1]), axis=(-2, -1)))
 
     def gradient(self, information: Array) -> Array:
         """(p, p) M^-1 W M^-1."""
         inverse = np.linalg.inv(information)
         return inverse @ self.weight(len(information)) @ inverse
 
-    def curvature(self, information: Array, directions: Array) -> Array:
-        """-2 tr(W M^-1 X_a M^-1 X_b M^-1), as a Gram matrix of W^1/2 M^-1 X L^-T with M = L L^T."""
-        inverse = np.linalg.inv(information)
-        root = np.linalg.inv(np.linalg.cholesky(information))
-        left = symmetric_root(self.weight(len(information))) @ inverse
-        flat = (left @ directions @ root.T).reshape(len(directions), -1)
-        return -2.0 * (flat @ flat.T)
-
-    def curvature_factors(self, information: Array) -> tuple[Array, Array]:
-        """2 M^-1 W M^-1 and M^-1."""
-        inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        return np.asarray(2.0 * inverse @ self.weight(len(information)) @ inverse), inverse
+    def curvature_factors(self, information: Array) -> Factors:
+        """-2 tr(M^-1 W M^-1 X M^-1 Y)."""
+        return [(2.0, self.gradient(information), np.asarray(np.linalg.inv(information), dtype=np.float64))]
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) tr(W A^-1) - tr(W (A + B^T B)^-1), by Woodbury's identity: d x d inverses only."""
@@ -104,20 +93,3 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
     def weight(self, parameters: int) -> Array:
         """(p, p) mean of B_0^T B_0."""
         return self._weight
-
-
-def woodbury(information: Array, jacobians: Array) -> tuple[Array, Array, Array]:
-    """(s, p, p) A^-1, (s, c, d, p) B A^-1 and (s, c, d, d) I + B A^-1 B^T of candidates B (s, c, d, p).
-
-    (A + B^T B)^-1 = A^-1 - A^-1 B^T (I + B A^-1 B^T)^-1 B A^-1.
-    """
-    s, c, d, p = jacobians.shape
-    inverse = np.asarray(np.linalg.inv(ridged(information)), dtype=np.float64)
-    seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)
-    return inverse, seen, np.asarray(np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2))
-
-
-def symmetric_root(matrix: Array) -> Array:
-    """(p, p) symmetric square root of a positive semidefinite matrix."""
-    values, vectors = np.linalg.eigh(matrix)
-    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

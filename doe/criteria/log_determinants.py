@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.criterion import ridged
+from doe.criteria.criterion import Factored, Factors, ridged
 from identification.arrays import Array
 from identification.information import log_determinants
 
 Term = tuple[float, NDArray[np.intp]]  # sign, rows
 
 
-class LogDeterminants:
+class LogDeterminants(Factored):
     """Phi(M) = sum_t sign_t log det M[rows_t, rows_t]; the criteria of this kind differ in their terms.
 
     Each of them has Phi(c M) = Phi(M) + s log c, s = sum_t sign_t |rows_t|; with Phi concave that gives the bound
     Phi(N) <= Phi(M) + s log( tr(G N) / s )  (tangent at c M, c chosen best).
     """
 
+    @abstractmethod
     def terms(self, parameters: int) -> list[Term]:
         """Signs and rows (from 0) of the submatrices of a (p, p) matrix."""
-        raise NotImplementedError
 
     def degree(self, parameters: int) -> float:
         """s, the degree of homogeneity."""
@@ -33,38 +34,35 @@ class LogDeterminants:
     def value(self, information: Array) -> Array:
         """(...) Phi(M), -inf where a submatrix is singular."""
         total, regular = np.zeros(information.shape[:-2]), np.ones(information.shape[:-2], dtype=bool)
-        for factor, rows in self.terms(information.shape[-1]):
-            log_det = log_determinants(principal_submatrix(information, rows))
+        for sign, rows in self.terms(information.shape[-1]):
+            log_det = log_determinants(information[..., rows[:, None], rows])
             regular &= np.isfinite(log_det)
-            total = total + factor * np.where(regular, log_det, 0.0)
+            total = total + sign * np.where(regular, log_det, 0.0)
         return np.where(regular, total, -np.inf)
 
     def gradient(self, information: Array) -> Array:
         """(p, p) sum_t sign_t inverse of the submatrix, in its place."""
-        total = np.zeros_like(information)
-        for factor, rows in self.terms(len(information)):
-            total[np.ix_(rows, rows)] += factor * np.linalg.inv(principal_submatrix(information, rows))
-        return total
+        return np.asarray(sum(sign * inverse for sign, inverse, _ in self.curvature_factors(information)))
 
-    def curvature(self, information: Array, directions: Array) -> Array:
-        """(k, k) -sum_t sign_t tr(M_t^-1 X_t M_t^-1 Y_t): Gram matrices of L_t^-1 X_t L_t^-T."""
-        total = np.zeros((len(directions), len(directions)))
-        for factor, rows in self.terms(len(information)):
-            root = np.linalg.inv(np.linalg.cholesky(principal_submatrix(information, rows)))
-            whitened = (root @ principal_submatrix(directions, rows) @ root.T).reshape(len(directions), -1)
-            total -= factor * (whitened @ whitened.T)
-        return total
+    def curvature_factors(self, information: Array) -> Factors:
+        """-sum_t sign_t tr(M_t^-1 X_t M_t^-1 Y_t)."""
+        factors: Factors = []
+        for sign, rows in self.terms(len(information)):
+            inverse, place = np.zeros_like(information), np.ix_(rows, rows)
+            inverse[place] = np.linalg.inv(information[place])
+            factors.append((sign, inverse, inverse))
+        return factors
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) Phi(A_s + B_sc^T B_sc) - Phi(A_s), by the determinant lemma: log det(I_d + B_t A_t^-1 B_t^T)."""
         s, c, d, columns = jacobians.shape
         total = np.zeros((s, c))
-        for factor, rows in self.terms(columns):
+        for sign, rows in self.terms(columns):
             p = len(rows)
-            root = np.linalg.inv(np.linalg.cholesky(ridged(principal_submatrix(information, rows))))
+            root = np.linalg.inv(np.linalg.cholesky(ridged(information[..., rows[:, None], rows])))
             parts = jacobians if p == columns else jacobians[..., rows]
             whitened = (parts.reshape(s, c * d, p) @ np.swapaxes(root, -1, -2)).reshape(s, c, d, p)
-            total += factor * log_det_small(np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2))
+            total += sign * log_det_small(np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2))
         return total
 
     def upper_bound(self, information: Array, largest: float) -> float:
@@ -89,11 +87,6 @@ class D(LogDeterminants):
     def terms(self, parameters: int) -> list[Term]:
         """All of M."""
         return [(1.0, np.arange(parameters))]
-
-    def curvature_factors(self, information: Array) -> tuple[Array, Array]:
-        """M^-1 twice."""
-        inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        return inverse, inverse
 
 
 @dataclass(frozen=True)
@@ -142,11 +135,6 @@ class DStar(LogDeterminants):
     def value(self, information: Array) -> Array:
         """(...) Phi(M), -inf where M is singular, even if no group's submatrix is."""
         return np.where(np.isneginf(log_determinants(information)), -np.inf, super().value(information))
-
-
-def principal_submatrix(matrices: Array, rows: NDArray[np.intp]) -> Array:
-    """(..., r, r) principal submatrix of (..., p, p)."""
-    return matrices[..., rows[:, None], rows]
 
 
 def log_det_small(matrices: Array) -> Array:

@@ -21,6 +21,7 @@ from identification.compensate import compensate
 from identification.compensate.compensation import Compensation
 from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm
+from identification.files.arm_chain import corrected_urdf
 from identification.files.arm_text import with_calibration, with_effects
 from identification.files.io import write_whole
 from identification.files.measurement import load_measurements, measurement_text
@@ -92,9 +93,9 @@ class Demo:
         """RMS distance [mm] between the drawing, where it stands fitted, and the measurements."""
         return rms_distance(drawing_residuals(self.arm, self.data))
 
-    def gap(self, found: Identification) -> float:
+    def gap(self, fitted: Identification) -> float:
         """RMS distance [mm] between a fitted model and the fresh measurements."""
-        return rms_distance(self.predicted(found) - self.fresh.positions)
+        return rms_distance(self.predicted(fitted) - self.fresh.positions)
 
     @property
     def model_error(self) -> float:
@@ -104,8 +105,8 @@ class Demo:
     @property
     def target_errors(self) -> tuple[float, float]:
         """RMS distance [mm] by which the hidden arm misses its targets, sent there as drawn and with the commands."""
-        found, near = self.compensation, self.compensation.reached
-        misses = (self.scenario.real(q[near]) - found.targets[near] for q in (found.nominal, found.commands))
+        sent, near = self.compensation, self.compensation.reached
+        misses = (self.scenario.real(q[near]) - sent.targets[near] for q in (sent.nominal, sent.commands))
         drawn, corrected = map(rms_distance, misses)
         return drawn, corrected
 
@@ -120,89 +121,88 @@ class Demo:
             if self.scenario.every_parameter or any(row["name"].startswith(label) for label in effects)
         ]
 
-    def predicted(self, found: Identification) -> Array:
+    def predicted(self, fitted: Identification) -> Array:
         """(m, d) positions [mm] of a fitted model at the fresh postures."""
-        return found.model.position(self.fresh.postures, found.parameters, self.fresh.conditions)
+        return fitted.model.position(self.fresh.postures, fitted.parameters, self.fresh.conditions)
+
+    def to_json(self, directory: Path) -> dict[str, Any]:
+        """The JSON object of `armcal demo`."""
+        return {
+            "directory": directory,
+            "design": self.design.to_json(),
+            "identify": self.base.to_json() | {"rms_drawing_mm": self.drawing_left},
+            "diagnose": self.diagnosis.to_json(),
+            "fresh_gap_mm": {
+                "drawing": self.drawing_gap,
+                "identified": self.gap(self.base),
+                "extended": self.gap(self.extended),
+                "noise": self.noise,
+            },
+            "hidden": {
+                "parameters": self.checked,
+                "model_error_mm": self.model_error,
+                "targets_reached": int(self.compensation.reached.sum()),
+                "targets_as_drawn_mm": self.target_errors[0],
+                "targets_corrected_mm": self.target_errors[1],
+            },
+            "files": list(self.files),
+        }
+
+
+STEPS = ("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "commands", "page")
 
 
 def run_demo(
     directory: Path, scenario: Scenario, seed: int = 0, progress: Progress = silent, force: bool = True
 ) -> Demo:
     """Make the files and results of the demo in a directory that exists; files there are replaced with `force`."""
-    return Run(directory, scenario, seed, progress, force).demo()
+    files: list[str] = []
+    steps = iter(enumerate(STEPS))
 
+    def begin() -> None:
+        number, name = next(steps)
+        progress(number, len(STEPS), name)
 
-STEPS = ("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "commands", "page")
+    def write(name: str, text: str) -> None:
+        write_whole(directory / name, text, force=force)
+        files.append(name)
 
-
-@dataclass
-class Run:
-    """One run of the demo, and the files that it wrote."""
-
-    directory: Path
-    scenario: Scenario
-    seed: int
-    progress: Progress
-    force: bool
-    files: list[str] = field(default_factory=list)
-
-    def demo(self) -> Demo:
-        """Run every step and collect the results."""
-        self.step("arm files")
-        for name, text in self.scenario.files.items():
-            self.write(name, text)
-        arm = load_arm(self.directory / "arm.toml")
-        self.step("plan")
-        problem = DesignProblem.of(Model(arm))
-        design = solve(problem, self.scenario.runs, seed=self.seed, **self.scenario.effort)
-        self.write("plan.csv", plan_text(design.plan))
-        self.step("measurements")
-        generator = np.random.default_rng(self.seed)
-        data = self.measured("data.csv", arm, design.plan.postures, generator)
-        fresh = self.measured("fresh.csv", arm, random_postures(problem, FRESH, generator), generator)
-        self.step("identification")
-        base = estimate(Model(arm), data)
-        self.step("diagnosis")
-        diagnosis = judged(diagnose(arm, data, holdout=fresh, seed=self.seed), arm, data, fresh)
-        self.step("identification again")
-        extended = estimate(Model(arm.with_effects(*arm.effects, *diagnosis.named.specs)), data)  # from the drawing
-        self.arm_files(base, diagnosis, extended)
-        self.step("commands")
-        compensation = self.commands(extended, random_postures(problem, TARGETS, generator))
-        self.step("page")
-        found = base, diagnosis, extended, compensation
-        return Demo(self.scenario, arm, problem, design, data, fresh, *found, tuple(self.files))
-
-    def step(self, name: str) -> None:
-        """Report progress: the step that begins."""
-        self.progress(STEPS.index(name), len(STEPS), name)
-
-    def write(self, name: str, text: str) -> None:
-        """Write a file of the demo."""
-        write_whole(self.directory / name, text, force=self.force)
-        self.files.append(name)
-
-    def measured(self, name: str, arm: Arm, postures: Array, generator: np.random.Generator) -> Measurements:
+    def measured(name: str, postures: Array) -> Measurements:
         """Simulated measurements as the commands read them from the file, rounding included."""
-        exact = self.scenario.real(postures)
+        exact = scenario.real(postures)
         noise = (arm.sigma or 0.0) * generator.standard_normal(exact.shape)
-        self.write(name, measurement_text(Measurements(postures, exact + noise)))
-        return load_measurements(self.directory / name, arm)
+        write(name, measurement_text(Measurements(postures, exact + noise)))
+        return load_measurements(directory / name, arm)
 
-    def arm_files(self, base: Identification, diagnosis: Diagnosis, extended: Identification) -> None:
-        """Write both calibrated arm files and, for an arm from a URDF file, the corrected URDF (without effects)."""
-        from identification.files.arm_spatial import corrected_urdf
-
-        text = self.scenario.files["arm.toml"]
-        self.write("calibrated.toml", with_calibration(text, base.calibration(), self.directory))
-        with_effect = with_effects(text, diagnosis.named.specs, self.directory)
-        self.write("extended.toml", with_calibration(with_effect, extended.calibration(), self.directory))
-        if base.geometry is not None:
-            self.write("corrected.urdf", corrected_urdf(self.directory / "arm.toml", base.geometry.real))
-
-    def commands(self, extended: Identification, postures: Array) -> Compensation:
-        """Commands that take the real arm to the positions where the nominal arm would be at these postures."""
-        found = compensate(extended.calibrated_arm(), postures=postures)
-        self.write("targets.csv", plan_text(Plan(postures)))
-        self.write("commands.csv", commands_text(found.safe_commands, found.targets, found.errors))
-        return found
+    begin()
+    for name, text in scenario.files.items():
+        write(name, text)
+    arm = load_arm(directory / "arm.toml")
+    begin()
+    problem = DesignProblem.of(Model(arm))
+    design = solve(problem, scenario.runs, seed=seed, **scenario.effort)
+    write("plan.csv", plan_text(design.plan))
+    begin()
+    generator = np.random.default_rng(seed)
+    data = measured("data.csv", design.plan.postures)
+    fresh = measured("fresh.csv", random_postures(problem, FRESH, generator))
+    begin()
+    base = estimate(Model(arm), data)
+    begin()
+    diagnosis = judged(diagnose(arm, data, holdout=fresh, seed=seed), arm, data, fresh)
+    begin()
+    extended = estimate(Model(arm.with_effects(*arm.effects, *diagnosis.named.specs)), data)  # from the drawing
+    text = scenario.files["arm.toml"]
+    write("calibrated.toml", with_calibration(text, base.calibration(), directory))
+    with_effect = with_effects(text, diagnosis.named.specs, directory)
+    write("extended.toml", with_calibration(with_effect, extended.calibration(), directory))
+    if base.geometry is not None:  # of an arm from a URDF file: corrected, without effects
+        write("corrected.urdf", corrected_urdf(directory / "arm.toml", base.geometry.real))
+    begin()
+    targets = random_postures(problem, TARGETS, generator)  # where the nominal arm would be there the real one is to go
+    compensation = compensate(extended.calibrated_arm(), postures=targets)
+    write("targets.csv", plan_text(Plan(targets)))
+    write("commands.csv", commands_text(compensation.safe_commands, compensation.targets, compensation.errors))
+    begin()
+    results = base, diagnosis, extended, compensation
+    return Demo(scenario, arm, problem, design, data, fresh, *results, tuple(files))

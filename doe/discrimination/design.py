@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain, takewhile
+from itertools import chain, islice, takewhile
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,10 @@ from doe.criteria import D
 from doe.design import Design
 from doe.discrimination.effect_library import EffectLibrary, effect_library
 from doe.discrimination.swaps import ExtendedProblem, extended_problem, has_repeats, improving_swaps, pool_of
-from doe.plan.replicate_spacing import spread_free_joints
+from doe.plan.replicate_spacing import allowed_value, spread_free_joints
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, solve
-from doe.solvers.driver import feasible_value
-from doe.solvers.planar_theory import Analytic
+from doe.solvers.planar_theory import optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
 from identification.arm import Arm
 from identification.arrays import Array
@@ -71,6 +71,24 @@ class DiscriminationDesign:
         criterion, p = self.design.problem.criterion, self.design.problem.parameters
         return criterion.efficiency(self.design.value, self.best.value, p)
 
+    def to_json(self) -> dict[str, Any]:
+        """The keys that `--discriminating` adds to those of a design.
+
+        `not_visible`: effects of which less than a hundredth of a column's norm is left for the tests to see.
+        """
+        invisible = [
+            [] if sees is None else [n for n, left in zip(sees.names, sees.norm_fractions, strict=True) if left < 0.01]
+            for sees in (self.sees, self.best_sees)
+        ]
+        wrong = {"plan": self.wrong, "best_plan": self.best_wrong, "random_postures": self.random_wrong}
+        return {
+            "relative_efficiency": self.relative_efficiency,
+            "wrong_name_at_most": wrong,
+            "preflight": None if self.sees is None else self.sees.to_json(),
+            "not_visible": invisible[0],
+            "not_visible_in_best_plan": invisible[1],
+        }
+
 
 def discrimination_design(
     problem: DesignProblem,
@@ -93,7 +111,10 @@ def discrimination_design(
     Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 residual degrees of
     freedom are needed). Ctrl-C returns the plan so far, status `interrupted`.
     """
-    check_loss_and_criterion(problem, loss)
+    if not 0.0 <= loss < 1.0:
+        raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")
+    if not isinstance(problem.criterion, D):
+        raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
     began = perf_counter()
     library = effects if isinstance(effects, EffectLibrary) else effect_library(effects)
     if runs > LONG_PLAN and starts is None and seconds is None:
@@ -105,20 +126,12 @@ def discrimination_design(
     generator = np.random.default_rng(seed)
     extended = extended_problem(problem, library)
     chosen, status = search(extended, best, loss, generator, budget, progress)
-    ordered = replace(budget, deadline=budget.deadline and max(budget.deadline, perf_counter() + ORDERING))
-    plan = replace(best.plan, postures=best_order(library, chosen, generator, ordered))
+    ordering = replace(budget, deadline=budget.deadline and max(budget.deadline, perf_counter() + ORDERING))
+    plan = replace(best.plan, postures=best_order(library, chosen, generator, ordering))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
     bounds = extended.wrong(chosen), extended.wrong(best.plan.postures), extended.at_random(runs)
     sees = seen(problem, library, plan.postures)
     return DiscriminationDesign(design, best, sees, best_sees, *(min(1.0, bound) for bound in bounds))
-
-
-def check_loss_and_criterion(problem: DesignProblem, loss: float) -> None:
-    """Raises `InputError` for a loss outside 0..1 and a criterion other than D."""
-    if not 0.0 <= loss < 1.0:
-        raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")
-    if not isinstance(problem.criterion, D):
-        raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
 
 
 def search(
@@ -147,6 +160,12 @@ def search(
     return chosen, status
 
 
+def seen(problem: DesignProblem, library: EffectLibrary, postures: Array) -> Detectability | None:
+    """Detectability of missing effects by these postures and those measured already; None of more than `MOST_SEEN`."""
+    every = np.vstack([problem.kept, postures])
+    return None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
+
+
 def initial_plans(
     extended: ExtendedProblem, best: Design, allowed: float, generator: np.random.Generator, budget: Budget
 ) -> Iterator[tuple[Array, Budget]]:
@@ -156,61 +175,38 @@ def initial_plans(
     second beginning with as many random postures as three quarters of the loss allow.
     """
     problem = extended.base
-    part = budget.remaining / 2.0 if narrow(problem) else budget.remaining
-    stop = budget.deadline if budget.deadline is None else budget.deadline - budget.remaining + part
-    yield start(extended, best, best.value - allowed / 2.0, generator, budget), Budget(1, stop)
-    if narrow(problem) and not budget.out_of_time:
-        corners = start(extended, best, best.value - allowed / 8.0, generator, budget)
-        yield partly_random(problem, corners, best.value - 0.75 * allowed, generator), budget
-
-
-def partly_random(problem: DesignProblem, postures: Array, least: float, generator: np.random.Generator) -> Array:
-    """The postures with random ones in the place of as many of them as the value `least` allows."""
-    plan = np.array(postures)
-    for row, drawn in zip(generator.permutation(len(plan)), pool_of(problem, len(plan), generator), strict=True):
-        trial = np.array(plan)
-        trial[row] = drawn
-        if feasible_value(problem, trial) >= least:
-            plan = trial
-    return plan
-
-
-def seen(problem: DesignProblem, library: EffectLibrary, postures: Array) -> Detectability | None:
-    """Detectability of missing effects by these postures and those measured already; None of more than `MOST_SEEN`."""
-    every = np.vstack([problem.kept, postures])
-    return None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
+    if not narrow(problem):
+        yield start(extended, best, best.value - allowed / 2.0, generator, budget), budget
+        return
+    first = budget.part(0.5)
+    yield start(extended, best, best.value - allowed / 2.0, generator, budget), first
+    if not budget.out_of_time:
+        plan = start(extended, best, best.value - allowed / 8.0, generator, budget)
+        rows = generator.permutation(len(plan))
+        for row, drawn in zip(rows, pool_of(problem, len(plan), generator), strict=True):
+            trial = np.array(plan)
+            trial[row] = drawn
+            plan = trial if allowed_value(problem, trial) >= best.value - 0.75 * allowed else plan
+        yield plan, budget
 
 
 def start(
     extended: ExtendedProblem, best: Design, least: float, generator: np.random.Generator, budget: Budget
 ) -> Array:
     """(m, n) the best plan or one from theory, whichever distinguishes effects best, off the limits down to `least`;
-    as many from theory as there is time for."""
+    as many from theory as there is time for, off the grid, with joints that play no part at random angles."""
     problem, runs = extended.base, len(best.plan.postures)
+    free = [joint for joint in range(problem.joints) if joint not in problem.active_joints]
     plans = [np.array(best.plan.postures)]
-    offered = takewhile(lambda _: not budget.out_of_time, theory_plans(problem, runs, generator))
-    plans += [plan for plan in offered if feasible_value(problem, plan) >= least]
+    theory = optimal_plans(problem, runs, generator) if problem.choices is None else iter(())
+    for plan in takewhile(lambda _: not budget.out_of_time, islice(theory, THEORY_PLANS)):
+        postures = problem.clip(off_the_grid(problem, plan, TURN / runs, generator))
+        postures[:, free] = generator.uniform(problem.lower[free], problem.upper[free], (runs, len(free)))
+        if allowed_value(problem, postures) >= least:
+            plans.append(postures)
     chosen = min(plans, key=extended.wrong)
     moved = off_the_limits(problem, chosen, least, generator) if narrow(problem) else chosen
-    if has_repeats(problem, moved):
-        return spread_free_joints(problem, moved, generator)
-    return moved
-
-
-def theory_plans(problem: DesignProblem, runs: int, generator: np.random.Generator) -> Iterator[Array]:
-    """Random plans that attain the bound up to `off_the_grid`; joints that play no part stand at random angles.
-
-    None for a list of postures.
-    """
-    if problem.choices is not None:
-        return
-    offers = Analytic().offers(problem, runs, generator, Budget(1))
-    free = [joint for joint in range(problem.joints) if joint not in problem.active_joints]
-    for offer, _ in zip(offers, range(THEORY_PLANS), strict=False):
-        postures = problem.clip(off_the_grid(problem, offer.postures, TURN / runs, generator))
-        for joint in free:
-            postures[:, joint] = generator.uniform(problem.lower[joint], problem.upper[joint], runs)
-        yield postures
+    return spread_free_joints(problem, moved, generator) if has_repeats(problem, moved) else moved
 
 
 def turning(problem: DesignProblem) -> NDArray[np.bool_]:
@@ -232,14 +228,13 @@ def off_the_limits(problem: DesignProblem, postures: Array, least: float, genera
     """
     joints = np.flatnonzero(~turning(problem))
     low, high = problem.lower[joints], problem.upper[joints]
-    for size in MOVES:
-        for _ in range(TRIES):
-            step = size * problem.joint_units[joints]
-            angle = postures[:, joints] + generator.uniform(-step, step, (len(postures), len(joints)))
-            moved = np.array(postures)
-            moved[:, joints] = np.clip(high - np.abs(high - (low + np.abs(angle - low))), low, high)
-            if feasible_value(problem, moved) >= least:
-                return moved
+    for size in np.repeat(MOVES, TRIES):
+        step = size * problem.joint_units[joints]
+        angle = postures[:, joints] + generator.uniform(-step, step, (len(postures), len(joints)))
+        moved = np.array(postures)
+        moved[:, joints] = np.clip(high - np.abs(high - (low + np.abs(angle - low))), low, high)
+        if allowed_value(problem, moved) >= least:
+            return moved
     return postures
 
 
@@ -248,29 +243,25 @@ def off_the_grid(problem: DesignProblem, postures: Array, step: float, generator
 
     On N equal steps of a turn, k and N - k periods are the same: with N = 50 a gear ripple of order 49 would be an
     eccentric encoder. D-optimality asks for sums over all postures (doe/README.md, "Information matrix"), which
-    hardly change. A list of postures is left as it is.
+    hardly change.
     """
-    moved = np.array(postures)
-    if problem.choices is not None:
-        return moved
-    for joint in np.flatnonzero(turning(problem)):
-        angle = moved[:, joint] + step * generator.uniform(-0.5, 0.5, len(moved))
-        moved[:, joint] = problem.lower[joint] + np.mod(angle - problem.lower[joint], TURN)
+    moved, joints = np.array(postures), np.flatnonzero(turning(problem))
+    angles = moved[:, joints] + step * generator.uniform(-0.5, 0.5, (len(moved), len(joints)))
+    moved[:, joints] = problem.lower[joints] + np.mod(angles - problem.lower[joints], TURN)
     return moved
 
 
 def best_order(library: EffectLibrary, postures: Array, generator: np.random.Generator, budget: Budget) -> Array:
-    """The postures in the order, of many shuffles, that shows backlash and drift best beside the model's parameters."""
+    """The postures in the order, of many shuffles, that shows backlash and drift best beside the model's parameters: by
+    log det of what the data tell of the order's effects, beyond what the others explain."""
     shuffles = [generator.permutation(len(postures)) for _ in range(SHUFFLES)]
     if library.jacobian_by_order is None:
         return np.asarray(postures[shuffles[0]])
-    in_time = chain(shuffles[:1], takewhile(lambda _: not budget.out_of_time, shuffles[1:]))
-    scores = [order_score(library.jacobian_by_order(postures[order]), library.own) for order in in_time]
+    scores, own = [], library.own
+    for order in chain(shuffles[:1], takewhile(lambda _: not budget.out_of_time, shuffles[1:])):
+        jacobian = library.jacobian_by_order(postures[order])
+        information = information_matrix(jacobian)
+        cross = information[:own, own:]
+        explained = cross.T @ covariance(jacobian[..., :own], np.ones(own)) @ cross
+        scores.append(float(log_determinants(information[own:, own:] - explained)))
     return np.asarray(postures[shuffles[int(np.argmax(scores))]])
-
-
-def order_score(jacobian: Array, own: int) -> float:
-    """log det of what the data tell of the order's effects, beyond what the first `own` parameters explain."""
-    information = information_matrix(jacobian)
-    cross, rest = information[:own, own:], information[own:, own:]
-    return float(log_determinants(rest - cross.T @ covariance(jacobian[..., :own], np.ones(own)) @ cross))

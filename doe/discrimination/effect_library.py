@@ -47,7 +47,7 @@ def effect_library(arm: Arm) -> EffectLibrary:
     """
     arm = without_prior(arm)
     known = hypotheses(arm, frozenset())
-    common = [h for h in known.members if not h.scanned and h.effect.prior == 1.0 and known.acts(h)]
+    common = [h for h in known.unscanned if h.effect.prior == 1.0]
     shown = [h for h in common if not h.effect.needs & BY_ORDER]
     model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown)))
     own = len(Model(arm).parameters)

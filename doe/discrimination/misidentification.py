@@ -99,12 +99,11 @@ class MisidentificationBound:
         whole = np.diag(self.reference)[self.own :]
         rows, owners, probabilities = [], [], []
         for number, basis in enumerate(self.bases):
-            mixed = (basis @ mix for mix in mixes(basis.shape[1]))
-            lengths = ((v, float(v @ schur @ v)) for v in mixed)
-            found = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > UNSEEN * float(v**2 @ whole)]
-            rows += found
-            owners += [number] * len(found)
-            probabilities += [float(self.weights[number]) / len(found) for _ in found]
+            lengths = ((v, float(v @ schur @ v)) for v in (basis @ mix for mix in mixes(basis.shape[1])))
+            shown = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > UNSEEN * float(v**2 @ whole)]
+            rows += shown
+            owners += [number] * len(shown)
+            probabilities += [float(self.weights[number]) / len(shown) for _ in shown]
         weights = np.array(probabilities)
         return np.array(rows), np.array(owners, dtype=np.intp), weights / weights.sum()
 

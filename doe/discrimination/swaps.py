@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from doe.discrimination.effect_library import EffectLibrary
 from doe.discrimination.misidentification import MisidentificationBound
-from doe.plan.replicate_spacing import ROUNDING, beside_earlier, gaps
+from doe.plan.replicate_spacing import ROUNDING, allowed_value, neighbor_counts
 from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.solvers.driver import feasible_value
 from doe.solvers.solver import Budget
 from identification.arrays import Array
 from identification.information import information_matrix
@@ -79,30 +78,19 @@ def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) 
     return generator.permutation(listed_ones)[:count]
 
 
-def repeats(problem: DesignProblem, posture: Array, others: Array) -> bool:
-    """True if a posture (n,) is within the minimum distance of one of the others (k, n) or of those kept.
+def has_repeats(problem: DesignProblem, plan: Array, run: int | slice = slice(None)) -> bool:
+    """True if a run, or any of a plan (m, n), is within the minimum distance of another, or of one of those kept.
 
-    Unlike `feasible_value`, which leaves it to joints that play no part in the base model to set such postures apart:
+    Unlike `allowed_value`, which leaves it to joints that play no part in the base model to set such postures apart:
     here these joints are chosen too. Out of a list only one and the same posture of the plan is a repeat.
     """
     if problem.minimum_distance == 0.0:
         return False
     if problem.choices is not None:
-        return bool(np.any(np.all(others == posture, axis=1)))
-    near = gaps(problem.comparable(posture[None]), problem.comparable(np.vstack([others, problem.kept])))
-    return bool(np.any(near < problem.minimum_distance / ROUNDING))
-
-
-def has_repeats(problem: DesignProblem, plan: Array) -> bool:
-    """True if one of the postures (m, n) `repeats` another, or one of those kept."""
-    if problem.minimum_distance == 0.0:
-        return False
-    if problem.choices is not None:
-        return len(np.unique(plan, axis=0)) < len(plan)
-    kept = len(problem.kept)
-    return bool(
-        np.any(beside_earlier(problem.comparable(np.vstack([problem.kept, plan])), problem.minimum_distance) >= kept)
-    )
+        _, place, counts = np.unique(plan, axis=0, return_inverse=True, return_counts=True)
+        return bool(np.any(counts[place.ravel()][run] > 1))
+    points = problem.comparable(np.vstack([plan, problem.kept]))
+    return bool(np.any(neighbor_counts(points, problem.minimum_distance / ROUNDING)[: len(plan)][run]))
 
 
 def improving_swaps(
@@ -146,7 +134,7 @@ class Swaps:
         self.total = len(self.postures) + self.problem.prior.runs
         self.information = self.extended.problem.information(self.postures)
         self.value = float(self.misidentification.value(self.information))
-        self.slack = feasible_value(self.problem, self.postures) - self.least
+        self.slack = allowed_value(self.problem, self.postures) - self.least
 
     def draw(self, generator: np.random.Generator) -> None:
         """Draw a new pool of postures."""
@@ -163,24 +151,18 @@ class Swaps:
 
     def swap(self) -> bool:
         """The best of the most promising swaps, else of more of them; False if none gains enough."""
-        gradients = list(self._gradients())
-        few = self._best(gradients, OUTS, INS)
-        return few or self._best(gradients, MORE_OUTS, INS)
-
-    def _gradients(self) -> Iterator[Array]:
-        ascent = self.misidentification.gradient(self.information)
-        yield ascent
+        gradients = [self.misidentification.gradient(self.information)]
         if self.slack < TIGHT:
             p = self.misidentification.own
-            inverse = np.linalg.inv(self.information[:p, :p])
             for multiplier in MULTIPLIERS:
-                mixed = np.array(ascent)
-                mixed[:p, :p] += multiplier * inverse
-                yield mixed
+                mixed = np.array(gradients[0])
+                mixed[:p, :p] += multiplier * np.linalg.inv(self.information[:p, :p])
+                gradients.append(mixed)
+        return self._best(gradients, OUTS) or self._best(gradients, MORE_OUTS)
 
-    def _best(self, gradients: list[Array], outs: int, ins: int) -> bool:
-        """Makes the best swap of the `outs` runs and `ins` postures that look best by any of the gradients."""
-        pairs = np.unique(np.concatenate([self._promising(g, outs, ins) for g in gradients]), axis=0)
+    def _best(self, gradients: list[Array], outs: int) -> bool:
+        """Makes the best swap of the `outs` runs and `INS` postures that look best by any of the gradients."""
+        pairs = np.unique(np.concatenate([self._promising(gradient, outs) for gradient in gradients]), axis=0)
         gains = np.concatenate([self._gains(part) for part in np.array_split(pairs, len(pairs) // CLOUD + 1)])
         for k in np.argsort(-gains, kind="stable"):
             if not gains[k] > LEAST_GAIN:
@@ -189,11 +171,11 @@ class Swaps:
                 return True
         return False
 
-    def _promising(self, gradient: Array, outs: int, ins: int) -> NDArray[np.intp]:
+    def _promising(self, gradient: Array, outs: int) -> NDArray[np.intp]:
         """(c, 2) runs and postures of the pool."""
         losses = np.sum((self.jacobians @ gradient) * self.jacobians, axis=(1, 2))
         gains = np.where(self.open, np.sum((self.offered @ gradient) * self.offered, axis=(1, 2)), -np.inf)
-        ins = min(ins, int(self.open.sum()))
+        ins = min(INS, int(self.open.sum()))
         runs, places = np.argsort(losses, kind="stable")[:outs], np.argsort(-gains, kind="stable")[:ins]
         return np.stack(np.meshgrid(runs, places, indexing="ij"), axis=-1).reshape(-1, 2)
 
@@ -215,12 +197,9 @@ class Swaps:
     def _make(self, run: int, place: int) -> bool:
         """Makes a swap, if the plan keeps its least value and its distances; else the posture is not offered again."""
         self.open[place] = False
-        if repeats(self.problem, self.pool[place], np.delete(self.postures, run, axis=0)):
-            return False
         trial = np.array(self.postures)
         trial[run] = self.pool[place]
-        value = feasible_value(self.problem, trial)
-        if value < self.least:
+        if has_repeats(self.problem, trial, run) or (value := allowed_value(self.problem, trial)) < self.least:
             return False
         self.postures, self.slack = trial, value - self.least
         self.jacobians[run] = self.offered[place]

@@ -15,20 +15,21 @@ candidates may be wrong: the bound is multiplied by their probability together.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
 
-from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.feasible import random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from doe.problem.spatial import refuse_contacts
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
+from identification.files.measurement_columns import posture_columns
 from identification.gap.result import Candidate, Diagnosis
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -65,13 +66,26 @@ class NextPostures:
         chance = f"at most {100.0 * self.chance:.0f} %"
         return f"{len(self.plan)} postures{cut}; probability of resolving the ambiguity: {chance}"
 
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns of the plan file: run, angles, and payload and directions where they matter."""
+        columns: dict[str, Any] = {"run": np.arange(1, len(self.plan) + 1)}
+        columns |= posture_columns(self.plan.postures, self.joint_types or None)
+        columns |= {} if self.payload is None else {"payload_kg": self.payload}
+        sides = () if self.directions is None else self.directions.T
+        return columns | {f"direction{j}": column for j, column in enumerate(sides, start=1)}
 
-@dataclass(frozen=True)
-class _Options:
-    """The pool: postures with the conditions under which they could be measured."""
-
-    postures: Array  # (N, n)
-    conditions: Conditions
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `armcal discriminate` beside those of the diagnosis."""
+        angles = posture_columns(self.plan.postures, self.joint_types or None)
+        return {
+            "postures_deg": np.column_stack([*angles.values()]),
+            "payload_kg": self.payload,
+            "directions": self.directions,
+            "chance": self.chance,
+            "status": self.status.name,
+            "pairs": [{"candidate": a, "rival": b, "lambda": size} for (a, b), size in self.pairs.items()],
+        }
 
 
 @dataclass(frozen=True)
@@ -90,6 +104,50 @@ class RivalPredictions:
     jacobians: list[Array]
     right: float = 1.0
 
+    @classmethod
+    def of(cls, diagnosis: Diagnosis, postures: Array, conditions: Conditions) -> RivalPredictions:
+        """Of every candidate, fitted to the data at hand, at postures (N, n) under conditions."""
+        positions, jacobians = [], []
+        for candidate in diagnosis.candidates:
+            model = Model(diagnosis.extended_arm(candidate))
+            position, jacobian = model.linearize(postures, None, conditions)
+            positions.append(position / diagnosis.sigma)
+            jacobians.append(jacobian @ _root(candidate, model) / diagnosis.sigma)
+        delta = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
+        weights = np.array([candidate.probability or 0.0 for candidate in diagnosis.candidates])
+        right = float(weights.sum()) or 1.0
+        weights = np.exp(-0.5 * delta) if weights.sum() == 0.0 else weights
+        return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians, right)
+
+    def noncentrality(self, chosen: list[int]) -> tuple[Array, Array]:
+        """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""
+        squares, gains = [], []
+        for position, jacobian in zip(self.positions, self.jacobians, strict=True):  # of rival j
+            measured = jacobian[chosen].reshape(-1, jacobian.shape[2])  # (d k, p), prior covariance of parameters is I
+            posterior = np.linalg.inv(np.eye(jacobian.shape[2]) + measured.T @ measured)
+            spread = np.einsum("nap,pq,nbq->nab", jacobian, posterior, jacobian, optimize=True)
+            spread += np.eye(jacobian.shape[1])
+            delta = self.positions - position
+            seen = delta[:, chosen].reshape(len(delta), -1)
+            moved = seen @ measured @ posterior  # (K, p) what j's parameters give way
+            left = delta - np.einsum("nap,kp->kna", jacobian, moved)
+            squares.append(np.sum((seen - moved @ measured.T) ** 2, axis=1) + np.sum(moved**2, axis=1))
+            gains.append(np.einsum("kna,nab,knb->kn", left, np.linalg.inv(spread), left, optimize=True))
+        return np.stack(squares, axis=1), np.stack(gains, axis=1)
+
+    def pair_chance(self, squares: Array) -> Array:
+        """(K, K, N) probability that -2 log odds of rival j to truth i exceed the window, of lambda^2."""
+        length = np.sqrt(np.maximum(squares, 1e-12))
+        return np.asarray(ndtr((squares + self.bic_lead[:, :, None] - WINDOW) / (2.0 * length)))
+
+    def best_beside(self, chosen: list[int]) -> int:
+        """Row of the pool of the greatest merit: the weighted sum over pairs of the chance to distinguish them, and a
+        little of the logarithm of lambda^2."""
+        known, gain = self.noncentrality(chosen)
+        squares = known[:, :, None] + gain
+        merit = self.pair_chance(squares) + NUDGE * np.log1p(squares)
+        return int(np.argmax(np.einsum("i,ij,ijn->n", self.weights, 1.0 - np.eye(len(self.weights)), merit)))
+
 
 def discriminate(
     arm: Arm,
@@ -99,7 +157,7 @@ def discriminate(
     seed: int = 0,
     payloads: tuple[float, ...] | None = None,
     pool: Array | None = None,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Stop = never,
 ) -> NextPostures:
     """The `runs` measurements most likely to resolve an ambiguous diagnosis.
 
@@ -118,57 +176,55 @@ def discriminate(
     if pool is None:
         refuse_contacts(arm.chain)
         pool = random_postures(DesignProblem.of(Model(arm)), POOL, generator)
-    options = _pool(arm, pool, generator, payloads)
-    rivals = _rivals(diagnosis, measurements, options)
-    found = _result(diagnosis, rivals, options, t_optimal(rivals, runs, stop), payloads)
-    return replace(found, status=Status.time_limit) if stop() else found
+    conditions = possible_conditions(arm, len(pool), generator, payloads)
+    rivals = RivalPredictions.of(diagnosis, pool, conditions)
+    chosen = t_optimal(rivals, runs, stop)
+    squares, _ = rivals.noncentrality(chosen)
+    chance = rivals.pair_chance(squares[:, :, None])[:, :, 0]
+    np.fill_diagonal(chance, 1.0)
+    names = [" + ".join(candidate.effects) for candidate in diagnosis.candidates]
+    pairs = {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)}
+    needs = frozenset().union(*(Model(diagnosis.extended_arm(c)).needs for c in diagnosis.candidates))
+    picked = conditions.rows(chosen)
+    return NextPostures(
+        Plan(pool[chosen]),
+        readonly(picked.payload) if payloads and picked.payload is not None else None,
+        readonly(picked.directions) if "directions" in needs and picked.directions is not None else None,
+        rivals.right * float(rivals.weights @ chance.min(axis=1)),
+        pairs,
+        diagnosis.arm.joint_types,
+        Status.time_limit if stop() else Status.local_optimum,
+    )
 
 
-def t_optimal(rivals: RivalPredictions, runs: int, stop: Callable[[], bool] = IN_TIME) -> list[int]:
+def t_optimal(rivals: RivalPredictions, runs: int, stop: Stop = never) -> list[int]:
     """Rows of the pool, added one at a time and then exchanged, that distinguish the rivals best.
 
     Where `stop` comes before the last is added, those that are there are taken again, in turn.
     """
-    chosen = [_best(rivals, [])]
+    chosen = [rivals.best_beside([])]
     while len(chosen) < runs and not stop():
-        chosen.append(_best(rivals, chosen))
+        chosen.append(rivals.best_beside(chosen))
     chosen = [chosen[k % len(chosen)] for k in range(runs)]
     for _ in range(SWEEPS):
         before = list(chosen)
         for k in range(runs):
             if stop():
                 return chosen
-            chosen[k] = _best(rivals, chosen[:k] + chosen[k + 1 :])
+            chosen[k] = rivals.best_beside(chosen[:k] + chosen[k + 1 :])
         if chosen == before:
             break
     return chosen
 
 
-def _pool(arm: Arm, postures: Array, generator: np.random.Generator, payloads: tuple[float, ...] | None) -> _Options:
-    """Postures, each with a payload and directions of approach."""
-    count = len(postures)
+def possible_conditions(
+    arm: Arm, count: int, generator: np.random.Generator, payloads: tuple[float, ...] | None
+) -> Conditions:
+    """A payload and directions of approach for each of `count` postures, at random."""
     own = 0.0 if arm.gravity is None else arm.gravity.payload
     payload = generator.choice(np.array(payloads or (own,)), count)
     directions = generator.choice(np.array([-1.0, 1.0]), (count, arm.links))
-    return _Options(postures, Conditions(payload, None, np.full(count, 0.5), directions))
-
-
-def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options) -> RivalPredictions:
-    """Predictions of every candidate, fitted to the data at hand, over the pool."""
-    sigma = diagnosis.sigma
-    positions, jacobians = [], []
-    for candidate in diagnosis.candidates:
-        model = Model(diagnosis.extended_arm(candidate))
-        position, jacobian = model.linearize(options.postures, None, options.conditions)
-        positions.append(position / sigma)
-        jacobians.append(jacobian @ _root(candidate, model) / sigma)
-    delta = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
-    weights = np.array([candidate.probability or 0.0 for candidate in diagnosis.candidates])
-    right = float(weights.sum()) or 1.0
-    weights = np.exp(-0.5 * delta) if weights.sum() == 0.0 else weights
-    return RivalPredictions(
-        weights / weights.sum(), delta[None, :] - delta[:, None], np.array(positions), jacobians, right
-    )
+    return Conditions(payload, None, np.full(count, 0.5), directions)
 
 
 def _root(candidate: Candidate, model: Model) -> Array:
@@ -177,75 +233,5 @@ def _root(candidate: Candidate, model: Model) -> Array:
     if candidate.calibration.covariance is None:
         raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
     covariance = candidate.calibration.covariance[np.ix_(order, order)]
-    scaled = covariance * np.outer(model.scales, model.scales)
-    values, vectors = np.linalg.eigh(scaled)
+    values, vectors = np.linalg.eigh(covariance * np.outer(model.scales, model.scales))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / model.scales[:, None])
-
-
-def _noncentrality(rivals: RivalPredictions, chosen: list[int]) -> tuple[Array, Array]:
-    """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""
-    each = [_beside(rivals.positions, j, jacobian, chosen) for j, jacobian in enumerate(rivals.jacobians)]
-    return np.stack([known for known, _ in each], axis=1), np.stack([gain for _, gain in each], axis=1)
-
-
-def _beside(positions: Array, j: int, jacobian: Array, chosen: list[int]) -> tuple[Array, Array]:
-    """(K,) lambda^2 of every rival beside rival j, whose Jacobian is (N, d, p), and (K, N) what a posture would add."""
-    given = jacobian[chosen].reshape(-1, jacobian.shape[2])  # (d k, p), prior covariance of the parameters is I
-    posterior = np.linalg.inv(np.eye(jacobian.shape[2]) + given.T @ given)
-    spread = np.eye(jacobian.shape[1]) + np.einsum("nap,pq,nbq->nab", jacobian, posterior, jacobian, optimize=True)
-    delta = positions - positions[j]
-    known = delta[:, chosen].reshape(len(delta), -1)
-    moved = known @ given @ posterior  # (K, p) what j's parameters give way
-    left = delta - np.einsum("nap,kp->kna", jacobian, moved)
-    gain = np.einsum("kna,nab,knb->kn", left, np.linalg.inv(spread), left, optimize=True)
-    rest = known - moved @ given.T
-    return np.sum(rest**2, axis=1) + np.sum(moved**2, axis=1), gain
-
-
-def _best(rivals: RivalPredictions, chosen: list[int]) -> int:
-    noncentrality, gain = _noncentrality(rivals, chosen)
-    return int(np.argmax(_merit(rivals, noncentrality[:, :, None] + gain)))
-
-
-def _merit(rivals: RivalPredictions, squares: Array) -> Array:
-    """(N,) weighted sum over pairs of the chance to distinguish them, and a little of the logarithm of lambda^2."""
-    chance = _pair_chance(rivals, squares)
-    count = len(rivals.weights)
-    off = 1.0 - np.eye(count)
-    value = chance + NUDGE * np.log1p(squares)
-    return np.asarray(np.einsum("i,ij,ijn->n", rivals.weights, off, value))
-
-
-def _pair_chance(rivals: RivalPredictions, squares: Array) -> Array:
-    """(K, K, N) probability that -2 log odds of rival j to truth i exceed the window."""
-    length = np.sqrt(np.maximum(squares, 1e-12))
-    return np.asarray(ndtr((squares + rivals.bic_lead[:, :, None] - WINDOW) / (2.0 * length)))
-
-
-def _result(
-    diagnosis: Diagnosis,
-    rivals: RivalPredictions,
-    options: _Options,
-    chosen: list[int],
-    payloads: tuple[float, ...] | None,
-) -> NextPostures:
-    noncentrality, _ = _noncentrality(rivals, chosen)
-    chance = _pair_chance(rivals, noncentrality[:, :, None])[:, :, 0]
-    np.fill_diagonal(chance, 1.0)
-    names = [" + ".join(c.effects) for c in diagnosis.candidates]
-    pairs = {
-        (names[i], names[j]): float(np.sqrt(noncentrality[i, j]))
-        for i in range(len(names))
-        for j in range(len(names))
-        if i != j
-    }
-    needs = frozenset().union(*(Model(diagnosis.extended_arm(c)).needs for c in diagnosis.candidates))
-    conditions = options.conditions.rows(chosen)
-    return NextPostures(
-        Plan(options.postures[chosen]),
-        readonly(conditions.payload) if payloads and conditions.payload is not None else None,
-        readonly(conditions.directions) if "directions" in needs and conditions.directions is not None else None,
-        rivals.right * float(rivals.weights @ chance.min(axis=1)),
-        pairs,
-        diagnosis.arm.joint_types,
-    )

@@ -1,28 +1,29 @@
-"""One call in a separate process, with a time limit: a call that hangs or crashes stops nothing else.
+"""Processes of our own, by loky (joblib): what hangs or crashes in one stops nothing else.
 
-The process is an ordinary Python started for this call, so it works from anywhere (a notebook, a pool, or a dask
-worker, which as a daemon may not start a pool of `multiprocessing` or pebble), inherits no locks or threads, and
-builds its own CasADi functions. The limit is enforced by the watchdog of `faulthandler`: a thread in C, which ends the
-process even while compiled code holds the interpreter.
+loky starts an ordinary Python, so it works from anywhere (a notebook, a pool, a dask worker); the process inherits no
+locks or threads, and builds its own CasADi functions.
 """
 
 from __future__ import annotations
 
-import faulthandler
+import multiprocessing
 import os
-import pickle
-import subprocess
-import sys
+import re
+import signal
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 SINGLE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-GRACE = 60.0  # [s] for the interpreter to start, import and answer; not part of the limit on the call itself
-COMMAND = "from doe.jobs.isolated import serve; serve()"
+QUIET = {
+    "PYTHONSAFEPATH": "1",
+    "PYTHONFAULTHANDLER": "",
+}  # nothing is imported from the folder it starts in, no traceback
+GRACE = 60.0  # [s] for the interpreter to start and import; not part of the limit on the call itself
 
 
 @dataclass(frozen=True)
@@ -43,66 +44,75 @@ class Outcome:
     peak_memory_mb: float | None
 
 
+class OneProcess:
+    """A process of this machine with one thread of linear algebra, started at the first call."""
+
+    def __init__(self) -> None:
+        from joblib.externals.loky import ProcessPoolExecutor
+
+        # of loky's tracker, which would print what a killed process leaves behind and it removes
+        os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
+        self._executor: Executor = ProcessPoolExecutor(
+            1, env={**SINGLE_THREAD, **QUIET}, initializer=_end_with, initargs=(os.getpid(),)
+        )
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """The call, one after another. Its future raises `BrokenExecutor` if the process dies."""
+        # a dask worker is a daemon, which may have no children since they would outlive it: ours do not
+        multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C is for the one that asked
+        try:
+            return self._executor.submit(function, *arguments)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def kill(self) -> None:
+        """Ends the process, whatever it does."""
+        self._executor.shutdown(kill_workers=True)  # type: ignore[call-arg]
+
+
 def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outcome:
     """`function(*arguments)` in a new process, killed `seconds` [s] after it was called.
 
     function : importable by name there;  arguments : picklable
     """
-    task = pickle.dumps((os.getpid(), seconds, sys.path, pickle.dumps((function, arguments))))
-    started = time.monotonic()
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-c", COMMAND],  # -P: nothing is imported from the folder it starts in
-        env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
+    process, started = OneProcess(), time.monotonic()
     try:
-        result, errors = process.communicate(task, timeout=seconds + GRACE)
-    except subprocess.TimeoutExpired:
+        process.submit(id, function).result(GRACE)  # its module is imported by now
+        started = time.monotonic()
+        return process.submit(_measured, function, arguments).result(seconds)
+    except TimeoutError:
         return Outcome(None, "timeout", f"killed after {seconds:g} s", seconds, None)
+    except BrokenExecutor as error:
+        code = re.search(r"\((-?\d+)\)\}", str(error))
+        number = int(code[1]) if code else 1
+        reason = f"signal {-number}" if number < 0 else f"exit code {number}"
+        return Outcome(None, "crashed", reason, time.monotonic() - started, None)
     finally:
         process.kill()
-        process.communicate()
-    return _outcome(process.returncode, result, errors, seconds, time.monotonic() - started)
 
 
-def _outcome(code: int, result: bytes, errors: bytes, limit: float, wall: float) -> Outcome:
-    if code == 0 and result:
-        return Outcome(*pickle.loads(result))
-    if b"Timeout (" in errors:  # the watchdog's first word
-        return Outcome(None, "timeout", f"killed after {limit:g} s", limit, None)
-    lines = errors.decode(errors="replace").strip().splitlines()
-    reason = f"signal {-code}" if code < 0 else f"exit code {code}"
-    return Outcome(None, "crashed", f"{reason}: {lines[-1] if lines else 'no message'}", wall, None)
-
-
-def serve() -> None:
-    """What runs in the new process: the task from standard input, the outcome to what was standard output."""
-    channel = os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # solvers print banners there
-    parent, limit, search, task = pickle.load(sys.stdin.buffer)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    sys.path[:] = search
+def _measured(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome:
+    """The call, in the new process; what it prints goes nowhere: solvers print banners."""
+    for stream in (1, 2):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+    started = time.perf_counter()
     try:
-        function, arguments = pickle.loads(task)
-        faulthandler.dump_traceback_later(limit, exit=True)
-        started = time.perf_counter()
         value, status, error = function(*arguments), "done", None
-        seconds = time.perf_counter() - started
     except Exception as raised:  # noqa: BLE001 - every failure becomes the outcome
         value, status, error = None, "failed", one_line(raised)
-        seconds = time.perf_counter() - started if "started" in locals() else 0.0
-    faulthandler.cancel_dump_traceback_later()
-    with channel:
-        channel.write(pickle.dumps((value, status, error, seconds, peak_memory_mb())))
+    return Outcome(value, status, error, time.perf_counter() - started, peak_memory_mb())
 
 
 def _end_with(parent: int) -> None:
     """Ends this process when the one that asked is gone: killed, it could not say so."""
-    while os.getppid() == parent:
-        time.sleep(0.2)
-    os._exit(1)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.2)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def one_line(error: BaseException) -> str:
@@ -111,22 +121,9 @@ def one_line(error: BaseException) -> str:
 
 
 def peak_memory_mb() -> float | None:
-    """Largest resident memory of this process so far [MB].
+    """Largest resident memory of this process so far [MB]; None where the system does not give it.
 
-    Linux's own figure of the address space: `getrusage` would count what the parent had before this process began.
+    Of the address space: `getrusage` would count what the parent had before this process began.
     """
-    try:
-        status = Path("/proc/self/status").read_text()
-        return int(status.split("VmHWM:")[1].split()[0]) / 1024.0
-    except (OSError, IndexError):
-        return _peak_of_usage()
-
-
-def _peak_of_usage() -> float | None:
-    """As `peak_memory_mb` where there is no /proc; None where there is no `getrusage` either."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+    status = Path("/proc/self/status")
+    return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0 if status.exists() else None

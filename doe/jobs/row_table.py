@@ -13,7 +13,7 @@ import json
 import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from io import FileIO
 from pathlib import Path
@@ -61,7 +61,13 @@ class RowTable:
         if path is None:
             yield cls(Path())
             return
-        target = _target(path)
+        target = Path(path).resolve()
+        if not target.parent.is_dir():
+            raise InputError(
+                f"{path}: there is no folder {str(target.parent)!r}, allowed: a file in an existing folder"
+            )
+        if target.is_dir():
+            raise InputError(f"{path}: is a directory, allowed: a file name")
         with _locked(journal_of(target)) as journal:
             table = cls(target, _first_rows(target, journal, resume, force), journal)
             try:
@@ -72,16 +78,6 @@ class RowTable:
                 except KeyboardInterrupt:  # once more, for the signal to find the table whole and no journal
                     table._finish()
                     raise
-
-    @classmethod
-    @contextmanager
-    def within(
-        cls, folder: PathLike | None, name: str, *, resume: bool = False, force: bool = False
-    ) -> Iterator[RowTable]:
-        """The table NAME in a folder, which is made; None keeps the rows in memory. As `open` otherwise."""
-        path = None if folder is None else made(folder) / name
-        with cls.open(path, resume=resume, force=force) as table:
-            yield table
 
     def add(self, key: Key, rows: Sequence[Row]) -> None:
         """The rows of one key, in the journal before this returns. Raises `JobError` if that cannot be written."""
@@ -101,11 +97,6 @@ class RowTable:
         if time.monotonic() > self._synced + SYNC:
             os.fsync(journal.fileno())
             self._synced = time.monotonic()
-
-    def forget(self, keys: Iterable[str]) -> None:
-        """Drops the rows of these keys (canonical text), to do them again."""
-        for key in keys:
-            self.rows.pop(key, None)
 
     def arrange(self, keys: Iterable[Key]) -> None:
         """Sort the rows of these keys to the front in the order of the keys, whichever finished first."""
@@ -131,11 +122,7 @@ def frame_of(rows: Sequence[Row]) -> polars.DataFrame:
     """Rows as a polars frame with the union of their columns; what a row does not have is null."""
     import polars
 
-    if not rows:
-        return polars.DataFrame()
-    names = dict.fromkeys(name for row in rows for name in row)
-    columns = {name: [row.get(name) for row in rows] for name in names}
-    return polars.DataFrame({name: polars.Series(name, values, strict=False) for name, values in columns.items()})
+    return polars.DataFrame(rows, infer_schema_length=None, strict=False) if rows else polars.DataFrame()
 
 
 def parquet(frame: polars.DataFrame) -> bytes:
@@ -149,10 +136,8 @@ def with_columns(frame: polars.DataFrame, types: Mapping[str, Any]) -> polars.Da
     """The frame with columns of these names and types; one that no row has is there, empty."""
     import polars as pl
 
-    def column(name: str, kind: Any) -> pl.Expr:
-        return pl.col(name).cast(kind) if name in frame.columns else pl.lit(None, kind)
-
-    return frame.with_columns(column(name, kind).alias(name) for name, kind in types.items())
+    empty = [pl.lit(None).alias(name) for name in types if name not in frame.columns]
+    return frame.with_columns(empty).cast(types)  # type: ignore[arg-type]
 
 
 def read_rows(path: PathLike) -> polars.DataFrame:
@@ -164,7 +149,7 @@ def read_rows(path: PathLike) -> polars.DataFrame:
     if journal.exists():
         with open(journal, "rb") as stream:
             rows |= _parse(stream.read())[0]
-    return frame_of([row for found in rows.values() for row in found])
+    return frame_of([row for of_key in rows.values() for row in of_key])
 
 
 def made(folder: PathLike) -> Path:
@@ -186,15 +171,6 @@ def journal_of(path: Path) -> Path:
     return path.with_name(path.name + ".journal")
 
 
-def _target(path: PathLike) -> Path:
-    target = Path(path).resolve()
-    if not target.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {str(target.parent)!r}, allowed: a file in an existing folder")
-    if target.is_dir():
-        raise InputError(f"{path}: is a directory, allowed: a file name")
-    return target
-
-
 @contextmanager
 def _locked(path: Path) -> Iterator[FileIO]:
     """The journal, opened and locked for this process. An empty journal is deleted on exit."""
@@ -211,9 +187,9 @@ def _locked(path: Path) -> Iterator[FileIO]:
 
 
 def _opened(path: Path) -> FileIO:
-    provide_temporary_folder(path.parent)
     import portalocker
 
+    provide_temporary_folder(path.parent)
     try:
         stream = FileIO(path, "a+b")
         portalocker.lock(stream, portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING)
@@ -236,11 +212,14 @@ def _first_rows(target: Path, journal: FileIO, resume: bool, force: bool) -> dic
     Raises `InputError` if there is something, and neither `resume` nor `force` is given.
     """
     if resume:
-        return {**_from_parquet(target), **_from_journal(journal)}
+        journal.seek(0)
+        rows, size = _parse(journal.read())
+        journal.truncate(size)  # the torn end of a crashed run
+        return {**_from_parquet(target), **rows}
     if not force:
-        for there, found in ((target, target.exists()), (journal_of(target), journal.seek(0, io.SEEK_END) > 0)):
-            if found:
-                raise InputError(f"{there}: exists, allowed: a new name, --resume to go on, or --force to replace it")
+        for path, exists in ((target, target.exists()), (journal_of(target), journal.seek(0, io.SEEK_END) > 0)):
+            if exists:
+                raise InputError(f"{path}: exists, allowed: a new name, --resume to go on, or --force to replace it")
     target.unlink(missing_ok=True)
     journal.truncate(0)
     return {}
@@ -259,26 +238,16 @@ def _from_parquet(path: Path) -> dict[str, list[Row]]:
         ) from None
     if KEY not in frame.columns:
         raise InputError(f"{path}: has no column {KEY!r}, allowed: a table written by armcal")
-    return dict(frame.rows_by_key(KEY, named=True, include_key=True))
-
-
-def _from_journal(stream: FileIO) -> dict[str, list[Row]]:
-    """The journal's rows; the torn end of a crashed run is cut off."""
-    stream.seek(0)
-    rows, size = _parse(stream.read())
-    stream.truncate(size)
-    return rows
+    return frame.rows_by_key(KEY, named=True, include_key=True)
 
 
 def _parse(content: bytes) -> tuple[dict[str, list[Row]], int]:
+    """The rows of a journal, and how many of its bytes are whole lines."""
     rows, size = {}, 0
-    for line in content.splitlines(keepends=True):
-        try:
-            text, found = json.loads(line)
-        except (ValueError, TypeError):
-            break
-        if not line.endswith(b"\n"):
-            break
-        rows[text] = [{KEY: text, **row} for row in found]
-        size += len(line)
+    with suppress(ValueError, TypeError):  # the torn end of a crashed run
+        for line in content.splitlines(keepends=True):
+            text, of_key = json.loads(line)
+            if line.endswith(b"\n"):
+                rows[text] = [{KEY: text, **row} for row in of_key]
+                size += len(line)
     return rows, size

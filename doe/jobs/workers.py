@@ -3,48 +3,32 @@
 from __future__ import annotations
 
 import logging
-import multiprocessing
-import multiprocessing.connection
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, InvalidStateError, ProcessPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from queue import SimpleQueue
 from typing import Any
 
-from doe.jobs.isolated import SINGLE_THREAD, one_line
+from doe.jobs.isolated import OneProcess, one_line
 from identification.errors import InputError, JobError
 
 LOUD = ("distributed", "tornado", "asyncio")  # loggers of dask
-WATCH = 0.2  # [s] between two looks at whether a cluster's scheduler is still there
+TRIES = 3  # a task whose worker dies so often is at fault
 
 
 @dataclass(frozen=True)
 class Workers:
     """Where tasks run.
 
-    open : gives an executor with `submit` and futures like those of `concurrent.futures`; called again if it broke.
+    open : gives an executor with `submit` and futures like those of `concurrent.futures`.
         For an existing executor, which stays open: `Workers(lambda: nullcontext(executor), 8)`
-    count : number of tasks that run at once;  reopens : whether a broken executor can be opened anew
+    count : number of tasks that run at once
     """
 
     open: Callable[[], AbstractContextManager[Executor]]
     count: int = 1
-    reopens: bool = False
-
-
-class _Serial(Executor):
-    """An executor that runs each task in this process when it is submitted."""
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(function(*arguments, **named))
-        except Exception as error:  # noqa: BLE001 - as every executor: the future has it
-            future.set_exception(error)
-        return future
 
 
 def serial() -> Workers:
@@ -55,7 +39,7 @@ def serial() -> Workers:
 def processes(number: int | None = None) -> Workers:
     """`number` processes of this machine (default: its cores), each with one thread of linear algebra."""
     number = number or os.cpu_count() or 1
-    return Workers(lambda: _process_pool(number), number, reopens=True)
+    return Workers(lambda: _Processes(number), number)
 
 
 def cluster(address: str, patience: float = 10.0) -> Workers:
@@ -85,7 +69,7 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
         raise InputError(
             f"--cluster {address}: no scheduler answers ({one_line(error)}), allowed: one that runs"
         ) from None
-    return Workers(lambda: _cluster_executor(address, patience), max(threads, 1))
+    return Workers(lambda: _cluster(address, patience), max(threads, 1))
 
 
 def chosen_workers(workers: int | None = None, address: str | None = None) -> Workers:
@@ -96,79 +80,92 @@ def chosen_workers(workers: int | None = None, address: str | None = None) -> Wo
     return serial() if number == 1 else processes(number)
 
 
-@contextmanager
-def _process_pool(number: int) -> Iterator[Executor]:
-    settings = {**SINGLE_THREAD, "PYTHONSAFEPATH": "1"}  # no module of the working directory comes first
-    before = {name: os.environ.get(name) for name in settings}
-    os.environ.update(settings)  # read when the workers start
-    try:
-        pool = _Pool(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
-    except OSError as error:  # no semaphores: a /dev/shm that is read-only
-        raise JobError(f"no processes can share work here ({error.strerror}), allowed: --workers 1") from None
-    others = multiprocessing.active_children()
-    try:
-        yield pool
-    except BaseException:  # Ctrl-C, a full disk: nobody waits for what is not finished
-        for process in multiprocessing.active_children():
-            if process not in others:
-                process.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-class _Pool(ProcessPoolExecutor):
-    """A pool whose processes start with SIGINT blocked: one that arrived during start-up would show a traceback."""
+class _Serial(Executor):
+    """Runs each task in this process when it is submitted."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
-        with _ctrl_c_waits():
-            return super().submit(function, *arguments, **named)
-
-
-@contextmanager
-def _ctrl_c_waits() -> Iterator[None]:
-    """Block SIGINT in this block; processes started meanwhile inherit that until they unblock it."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _end_with_the_parent() -> None:
-    """In a new worker: Ctrl-C ends it at once, and so does the death of the process that started it (kill -9 too)."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-    sentinel = parent.sentinel
-
-    def watch() -> None:
-        multiprocessing.connection.wait([sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-@contextmanager
-def _cluster_executor(address: str, patience: float) -> Iterator[Executor]:
-    """Raises `JobError` if the scheduler does not answer any more."""
-    with ExitStack() as stack:
+        future: Future[Any] = Future()
         try:
-            client = stack.enter_context(_client(address, patience))
-        except OSError as error:
-            raise JobError(f"--cluster {address}: the scheduler is gone ({one_line(error)})") from None
-        yield stack.enter_context(_ClusterExecutor(client))
+            future.set_result(function(*arguments, **named))
+        except Exception as error:  # noqa: BLE001 - as every executor: the future has it
+            future.set_exception(error)
+        return future
+
+
+class _Processes(Executor):
+    """Every process has one task at a time: if it dies, no other is lost, and it is done again in a new process."""
+
+    def __init__(self, number: int) -> None:
+        try:
+            self._processes = [OneProcess() for _ in range(number)]
+        except OSError as error:  # no semaphores: a /dev/shm that is read-only
+            raise JobError(f"no processes can share work here ({error.strerror}), allowed: --workers 1") from None
+        self._threads, self._stopped = ThreadPoolExecutor(number), False
+        self._idle: SimpleQueue[int] = SimpleQueue()
+        for place in range(number):
+            self._idle.put(place)
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **_: Any) -> Future[Any]:
+        return self._threads.submit(self._run, function, arguments)
+
+    def _run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        place = self._idle.get()
+        try:
+            for _ in range(TRIES):
+                try:
+                    return self._processes[place].submit(function, *arguments).result()
+                except BrokenExecutor:
+                    if self._stopped:
+                        raise
+                    self._processes[place].kill()
+                    self._processes[place] = OneProcess()
+            raise RuntimeError("the worker process died each time it ran this task")
+        finally:
+            self._idle.put(place)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """At once: after Ctrl-C or a full disk nobody waits for what is not finished."""
+        self._stopped = True
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        for process in self._processes:
+            process.kill()
+
+
+class Cluster(Executor):
+    """Tasks on a dask cluster. When the scheduler is lost some futures never end: what fails while a result is fetched
+    is logged and dropped."""
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._inner = client, client.get_executor(pure=False)
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        """Raises `BrokenExecutor` if the scheduler is lost."""
+        try:
+            return self._inner.submit(function, *arguments, **named)
+        except Exception:
+            if self.lost:
+                raise BrokenExecutor from None
+            raise
+
+    @property
+    def lost(self) -> bool:
+        """Whether the client has lost its scheduler, and with it every task: it does so once and for all."""
+        return bool(self._client.status != "running")
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """As every executor; without waiting for a lost scheduler."""
+        if not self.lost:
+            self._inner.shutdown(wait)
+
+
+@contextmanager
+def _cluster(address: str, patience: float) -> Iterator[Executor]:
+    """Raises `JobError` if the scheduler does not answer any more."""
+    try:
+        with _client(address, patience) as client, Cluster(client) as executor:
+            yield executor
+    except OSError as error:
+        raise JobError(f"--cluster {address}: the scheduler is gone ({one_line(error)})") from None
 
 
 @contextmanager
@@ -193,61 +190,3 @@ def _client(address: str, patience: float) -> Iterator[Any]:
     finally:
         for logger, handlers, propagate in before:
             logger.handlers, logger.propagate = handlers, propagate
-
-
-class _ClusterExecutor(Executor):
-    """Tasks on a dask cluster, whose futures end when the scheduler is lost: of dask's own some never do, since what
-    fails while a result is fetched is logged and dropped."""
-
-    def __init__(self, client: Any) -> None:
-        self._client, self._inner = client, client.get_executor(pure=False)
-        self._pending: set[Future[Any]] = set()
-        self._ended = threading.Event()
-        threading.Thread(target=self._watch, daemon=True).start()
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
-        """Raises `BrokenExecutor` if the scheduler is lost."""
-        future: Future[Any] = Future()
-        self._pending.add(future)
-        future.add_done_callback(self._pending.discard)
-        try:
-            if self.lost:
-                raise BrokenExecutor
-            inner = self._inner.submit(function, *arguments, **named)
-        except Exception as error:
-            self._pending.discard(future)
-            if self.lost:
-                raise BrokenExecutor("the scheduler is lost") from None
-            raise error
-        inner.add_done_callback(lambda done: _pass_on(done, future))
-        future.add_done_callback(lambda done: inner.cancel() if done.cancelled() and not self.lost else None)
-        return future
-
-    @property
-    def lost(self) -> bool:
-        """Whether the client has lost its scheduler, and with it every task: it does so once and for all."""
-        return bool(self._client.status != "running")
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """As every executor; without waiting for a lost scheduler."""
-        self._ended.set()
-        if not self.lost:
-            self._inner.shutdown(wait)
-
-    def _watch(self) -> None:
-        while not self._ended.wait(WATCH):
-            for future in list(self._pending) if self.lost else ():
-                if future.cancel():
-                    future.set_running_or_notify_cancel()
-
-
-def _pass_on(done: Future[Any], future: Future[Any]) -> None:
-    """The outcome of one future to another that may have been cancelled meanwhile."""
-    with suppress(InvalidStateError):
-        if done.cancelled():
-            if future.cancel():
-                future.set_running_or_notify_cancel()
-        elif (error := done.exception()) is not None:
-            future.set_exception(error)
-        else:
-            future.set_result(done.result())

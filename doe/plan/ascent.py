@@ -1,175 +1,130 @@
-"""Batched ascent of plans to local optima of the criterion within the joint limits: L-BFGS on exact gradients.
+"""Ascent of a plan to a local optimum of the criterion within limits and constraints: L-BFGS-B on exact gradients.
 
     df/dq_ia = (2 r / (k N)) tr(G B_i^T dB_i/dq_a),   M = ((r / k) sum_i B_i^T B_i + K) / N,   N = r + runs of K
 
-of a plan of k postures that stand for r runs (an exact plan: r = k), with G = dPhi/dM. Each joint is put as
-q = middle + half the range * sin t, which leaves t free; D. C. Liu, J. Nocedal, "On the limited memory BFGS method",
-Mathematical Programming 45 (1989), with a backtracking search. All plans share each pass over numpy arrays, so that
-ten cost little more than one. Constraints: `doe.plan.constrained_ascent`.
+of a plan of k postures that stand for r runs (an exact plan: r = k), with G = dPhi/dM. Under constraints a penalty is
+climbed with,
+
+    f(q) - s / 2 * sum over runs and constraints max(0, -c(q))^2,
+
+for three values of s, each from where the last one ended. A constraint is one of single postures; c is it over its mean
+slope, so that it is about an angle [rad], and s is in units of the mean slope of f. What is outside at the end, by
+about a thousandth of a radian, is put inside by Newton's method.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-
 import numpy as np
-from numpy.typing import NDArray
 
 from doe.criteria.criterion import smooth
-from doe.problem.derivatives import JacobianDerivatives
-from doe.problem.problem import DesignProblem
+from doe.problem.derivatives import ConstraintDerivatives, JacobianDerivatives
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
+from identification.information import information_matrix
 
-WIDE = 16  # parameters from which gradients pay: exchanges and second derivatives of plans cost the cube of them
-MEMORY = 12  # pairs of steps and slopes that stand for the Hessian
 STEPS = 400
-INSIDE = 0.999  # sin t of a start on a limit: a joint exactly on it would never leave
-ON_LIMIT = 1e-6  # of half the range: a joint this near to its limit is put on it
-NEAR_LIMIT = 1e-3  # of half the range: where a joint may be held by the lack of a slope of t alone
-RELEASES, RELEASED = 3, 0.95  # times that such joints are put inside, and how far
-WEAK = 1e-3  # of the largest slope: too small for a release
-FIRST = 0.1  # largest component of the first step of t
-LONGEST = 1.0  # and of any other
-SHORTER = 0.3  # of a step that does not gain
-ENOUGH = 1e-4  # of the gain that the slope promises (Armijo)
-STANDSTILL = 10  # steps in a row that gain less than the tolerance
-SHORTEST = 1e-12  # step of t at which a search along a line gives up
-IN_TIME: Callable[[], bool] = lambda: False  # noqa: E731
-
-
-@dataclass
-class History:
-    """The last steps and changes of slope of s plans with N variables, newest last; products of zero are empty."""
-
-    steps: Array  # (MEMORY, s, N)
-    changes: Array  # (MEMORY, s, N)
-    products: Array = field(init=False)  # (MEMORY, s) step . change
-
-    def __post_init__(self) -> None:
-        self.products = np.zeros(self.steps.shape[:2])
-
-    def add(self, plans: NDArray[np.intp], steps: Array, changes: Array) -> None:
-        """Of some plans; a pair without positive curvature is left out."""
-        products = np.einsum("sn,sn->s", steps, changes)
-        convex = products > 1e-12 * np.linalg.norm(steps, axis=1) * np.linalg.norm(changes, axis=1)
-        rows = plans[convex]
-        for stored, new in ((self.steps, steps), (self.changes, changes), (self.products, products)):
-            stored[:-1, rows] = stored[1:, rows]
-            stored[-1, rows] = new[convex]
-
-    def downhill(self, slopes: Array) -> Array:
-        """(s, N) minus the inverse Hessian times the slopes (s, N): the two loops of Liu and Nocedal."""
-        direction, parts = slopes.copy(), np.zeros(self.products.shape)
-        inverse = np.divide(1.0, self.products, out=np.zeros(self.products.shape), where=self.products > 0.0)
-        for k in reversed(range(MEMORY)):
-            parts[k] = inverse[k] * np.einsum("sn,sn->s", self.steps[k], direction)
-            direction -= parts[k][:, None] * self.changes[k]
-        squares = np.einsum("sn,sn->s", self.changes[-1], self.changes[-1])
-        first = FIRST / np.maximum(np.abs(slopes).max(axis=1, initial=0.0), 1e-300)
-        direction *= np.where(squares > 0.0, self.products[-1] / np.maximum(squares, 1e-300), first)[:, None]
-        for k in range(MEMORY):
-            back = inverse[k] * np.einsum("sn,sn->s", self.changes[k], direction)
-            direction += (parts[k] - back)[:, None] * self.steps[k]
-        longest = np.abs(direction).max(axis=1, initial=0.0)
-        return -direction * np.minimum(1.0, LONGEST / np.maximum(longest, 1e-300))[:, None]
-
-
-def climbs(problem: DesignProblem) -> bool:
-    """True where climbing on gradients is the best there is: many parameters."""
-    return problem.parameters > WIDE
+FIRST = 0.1  # of half the ranges, length of the first step: a longer one ends on limits
+MEMORY = 12  # pairs of steps and slopes that stand for the Hessian
+SINGULAR = 1e10  # what takes the place of -Phi where M is singular: no step leads there
+FIRMNESS = (10.0, 100.0, 1000.0)  # s in units of the mean slope: a tenth, hundredth, thousandth of a radian outside
+ROUGHLY = 10.0  # times the tolerance, as long as s still grows
+MOVES = 1e-3  # of the steepest constraint: less steep ones, such as the height of the base, do not count as walls
+INSIDE = 1e-6  # [rad] constraints are kept by this much: geometry and symbolic forms differ by rounding
+CORRECTIONS, CORRECTION = 20, 0.3  # Newton steps back inside, and the largest change of a joint in one
 
 
 class PlanAscent:
-    """The criterion of plans (s, k, n) that stand for `runs` runs each, and how they climb.
-
-    runs : None: as many as the plan has postures
-    """
+    """The criterion of plans (k, n) that stand for `runs` runs, None: for k, less a penalty, and how they climb."""
 
     def __init__(self, problem: DesignProblem, runs: int | None = None) -> None:
         self.problem, self.runs = problem, runs
         self.criterion = smooth(problem.criterion)
         self.joints = list(problem.searched_joints)
         self.derivatives = JacobianDerivatives(problem, self.joints)
-        self.middle = 0.5 * (problem.lower + problem.upper)[self.joints]
-        self.half = 0.5 * (problem.upper - problem.lower)[self.joints]
+        self.walls = ConstraintDerivatives(problem, self.joints)
+        self.firmness, self.steepness = 0.0, np.ones(1)
 
-    def rise(self, plans: Array) -> tuple[Array, Array]:
-        """(s,) values and (s, k, a) slopes by the joints that matter; -inf and zero where M is singular."""
-        s, k, _ = plans.shape
-        runs = self.runs or k
-        jacobians = self.problem.scaled_jacobians(plans.reshape(s * k, -1))
-        rows = jacobians.reshape(s, -1, self.problem.parameters)
-        information = self.problem.prior.information(np.swapaxes(rows, 1, 2) @ rows * (runs / k), runs)
-        values = np.array(self.criterion.value(information))
-        gradients = np.zeros(information.shape)
-        for one in np.flatnonzero(np.isfinite(values)):
-            gradients[one] = self.criterion.gradient(information[one])
-        weights = (rows @ gradients).reshape(jacobians.shape)
-        slopes = self.derivatives.slope(plans.reshape(s * k, -1), weights).reshape(s, k, -1)
-        return values, slopes * (2.0 * runs / k / (runs + self.problem.prior.runs))
+    def rise(self, plan: Array) -> tuple[float, Array]:
+        """Value and slopes (k, a) by the joints that matter; -inf and zero where M is singular."""
+        k, runs = len(plan), self.runs or len(plan)
+        jacobians = self.problem.scaled_jacobians(plan)
+        information = self.problem.prior.information(information_matrix(jacobians) * (runs / k), runs)
+        value = float(self.criterion.value(information))
+        if not np.isfinite(value):
+            return value, np.zeros((k, len(self.joints)))
+        slopes = self.derivatives.slope(plan, jacobians @ self.criterion.gradient(information))
+        slopes *= 2.0 * runs / k / (runs + self.problem.prior.runs)
+        if self.firmness == 0.0:
+            return value, slopes
+        forces = self.firmness * np.maximum(0.0, INSIDE - self.walls.values(plan) / self.steepness)
+        outside = np.flatnonzero(forces.any(axis=1))
+        slopes[outside] += self.walls.slope(plan[outside], forces[outside] / self.steepness)
+        return value - float(np.sum(forces**2)) / (2.0 * self.firmness), slopes
 
-    def __call__(self, plans: Array, tolerance: float = 1e-8, stop: Callable[[], bool] = IN_TIME) -> Array:
-        """(s, k, n) plans at least as good as those given, climbed until steps gain less than `tolerance` (relative).
+    def __call__(self, plan: Array, tolerance: float | None = None, stop: Stop = never) -> Array:
+        """(k, n) a plan at least as good as the one given, and feasible if that is, climbed until steps gain less than
+        `tolerance` (relative).
 
+        tolerance : None: 1e-8, and 1e-6 under constraints, where the last digits are the penalty's
         stop : asked after every step
         """
-        sines = (plans[..., self.joints] - self.middle) / self.half
-        ended = self._climb(np.arcsin(np.clip(sines, -INSIDE, INSIDE)).reshape(len(plans), -1), plans, tolerance, stop)
-        for _ in range(RELEASES):
-            leaving = self._leaving(ended, plans)
-            if not leaving.any() or stop():
+        if not self.problem.constraints:
+            return self._climbed(plan, 1e-8 if tolerance is None else tolerance, stop)
+        tolerance = 1e-6 if tolerance is None else tolerance
+        self.firmness = 0.0
+        slope = float(np.sqrt(np.mean(self.rise(plan)[1] ** 2)))
+        steepness = np.sqrt(np.mean(np.sum(self.walls.first(plan)[1] ** 2, axis=2), axis=0))
+        self.steepness = np.maximum(steepness, MOVES * steepness.max(initial=0.0))
+        moved = plan
+        for firmness in FIRMNESS if slope > 0.0 else ():
+            self.firmness = firmness * slope
+            moved = self._climbed(moved, tolerance * (1.0 if firmness == FIRMNESS[-1] else ROUGHLY), stop)
+        inside = self.put_inside(moved)
+        return np.where(self.problem.feasible(inside)[:, None], inside, plan)
+
+    def _climbed(self, plan: Array, tolerance: float, stop: Stop) -> Array:
+        from scipy.optimize import minimize  # 0.1 s to import
+
+        unit = np.tile(FIRST * 0.5 * (self.problem.upper - self.problem.lower)[self.joints], len(plan))
+        limits = [np.tile(limit[self.joints], len(plan)) / unit for limit in (self.problem.lower, self.problem.upper)]
+
+        def postures(point: Array) -> Array:
+            moved = np.array(plan)
+            moved[:, self.joints] = (point * unit).reshape(len(plan), -1)
+            return self.problem.clip(moved)
+
+        def fall(point: Array) -> tuple[float, Array]:
+            value, slopes = self.rise(postures(point))
+            return (-value if np.isfinite(value) else SINGULAR), -slopes.ravel() * unit
+
+        def ended(_: Array) -> None:
+            if stop():
+                raise StopIteration
+
+        start = np.clip(plan[:, self.joints].ravel() / unit, *limits)
+        if not start.size or stop():
+            return plan
+        options = {"ftol": tolerance, "gtol": 0.0, "maxcor": MEMORY, "maxiter": STEPS}
+        reached = minimize(
+            fall, start, jac=True, method="L-BFGS-B", bounds=list(zip(*limits, strict=True)), callback=ended,
+            options=options,
+        )  # fmt: skip
+        climbed = postures(reached.x)
+        return climbed if self.rise(climbed)[0] >= self.rise(plan)[0] else plan
+
+    def put_inside(self, postures: Array) -> Array:
+        """(m, n) postures moved by as little as satisfies the constraints that are broken, most of them into all."""
+        inside = np.array(postures)
+        for _ in range(CORRECTIONS):
+            values, slopes = self.walls.first(inside)
+            missing = np.maximum(0.0, 2.0 * INSIDE - values / self.steepness)
+            outside = np.flatnonzero((missing > INSIDE).any(axis=1))
+            if not len(outside):
                 break
-            inside = np.where(leaving, np.arcsin(RELEASED) * np.sign(np.sin(ended)), ended)
-            ended = self._climb(inside, plans, tolerance, stop)
-        return self._best(plans, ended)
-
-    def _leaving(self, points: Array, plans: Array) -> NDArray[np.bool_]:
-        """(s, k a) joints on a limit, where t has no slope, that would gain by leaving it: a step went too far."""
-        sines = np.sin(points)
-        _, slopes = self.rise(self._postures(sines, plans))
-        slopes = slopes.reshape(points.shape)
-        strong = np.abs(slopes) > WEAK * np.abs(slopes).max(axis=1, initial=0.0)[:, None]
-        return (np.abs(sines) > 1.0 - NEAR_LIMIT) & (slopes * sines < 0.0) & strong
-
-    def _climb(self, points: Array, plans: Array, tolerance: float, stop: Callable[[], bool]) -> Array:
-        """(s, k a) values of t from which steps gain nothing more."""
-        points, s = np.array(points), len(plans)
-        values, slopes = self._fall(points, plans)
-        history = History(*(np.zeros((MEMORY, *points.shape)) for _ in range(2)))
-        directions, lengths, still = history.downhill(slopes), np.ones(s), np.zeros(s, dtype=int)
-        moving = np.flatnonzero(np.isfinite(values))
-        for _ in range(STEPS):
-            if not len(moving) or stop():
-                break
-            steps = lengths[moving, None] * directions[moving]
-            trial, found = points[moving] + steps, self._fall(points[moving] + steps, plans[moving])
-            promised = np.einsum("sn,sn->s", steps, slopes[moving])
-            better = found[0] <= values[moving] + ENOUGH * promised
-            taken = moving[better]
-            gains = values[taken] - found[0][better]
-            still[taken] = np.where(gains <= tolerance * np.maximum(1.0, np.abs(values[taken])), still[taken] + 1, 0)
-            history.add(taken, steps[better], found[1][better] - slopes[taken])
-            points[taken], values[taken], slopes[taken] = trial[better], found[0][better], found[1][better]
-            directions[moving] = np.where(better[:, None], history.downhill(slopes)[moving], directions[moving])
-            lengths[moving] = np.where(better, 1.0, SHORTER * lengths[moving])
-            moving = moving[(still[moving] < STANDSTILL) & (lengths[moving] > SHORTEST)]
-        return points
-
-    def _fall(self, points: Array, plans: Array) -> tuple[Array, Array]:
-        """(s,) minus the values and (s, k a) their slopes by t."""
-        values, slopes = self.rise(self._postures(np.sin(points), plans))
-        return -values, -(slopes * self.half).reshape(points.shape) * np.cos(points)
-
-    def _postures(self, sines: Array, plans: Array) -> Array:
-        moved = np.array(plans)
-        moved[..., self.joints] = self.middle + self.half * sines.reshape(*plans.shape[:2], -1)
-        return self.problem.clip(moved)
-
-    def _best(self, plans: Array, points: Array) -> Array:
-        """Of each plan the best: as climbed, with joints put on limits that they are near, as it was."""
-        sines = np.sin(points)
-        snapped = np.where(np.abs(sines) > 1.0 - ON_LIMIT, np.sign(sines), sines)
-        offered = np.stack([self._postures(snapped, plans), self._postures(sines, plans), plans])
-        values = np.array([self.rise(each)[0] for each in offered])
-        return np.asarray(offered[np.argmax(values, axis=0), np.arange(len(plans))])
+            slopes = np.where(missing[outside, :, None] > 0.0, slopes[outside] / self.steepness[:, None], 0.0)
+            steps = (np.linalg.pinv(slopes, rcond=1e-6) @ missing[outside, :, None])[..., 0]
+            steps *= np.minimum(1.0, CORRECTION / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-300))
+            moved = inside[outside]
+            moved[:, self.joints] += steps
+            inside[outside] = self.problem.clip(moved)
+        return inside

@@ -84,7 +84,7 @@ def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | N
     model = of_one_arm(problem.model)
     coordinates = criterion.jacobians.shape[1]
     points = 1.0 if model is None else coordinates / of_positions(model).dimension
-    return float(np.sqrt(max(-value, 0.0) / points / (runs + problem.prior.runs)) * sigma)
+    return float(np.sqrt(max(-value, 0.0) / points / (runs + problem.prior.runs) * sigma**2 + problem.beyond))
 
 
 def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Spectrum:

@@ -74,7 +74,7 @@ def ordered(plan: Plan, order: str = "travel", *, seed: int = 0, speeds: Array |
 
 def travel(postures: Array, speeds: Array | None = None) -> float:
     """Time [s] to go through the postures (m, n) [rad] in their order; largest joint travel [rad] without speeds."""
-    return float(costs(postures, speeds)[np.arange(len(postures) - 1), np.arange(1, len(postures))].sum())
+    return length(costs(postures, speeds), np.arange(len(postures)))
 
 
 def costs(postures: Array, speeds: Array | None = None) -> Array:
@@ -83,93 +83,74 @@ def costs(postures: Array, speeds: Array | None = None) -> Array:
     return np.abs(scaled[:, None] - scaled).max(axis=-1)
 
 
-def shortest_path(postures: Array, speeds: Array | None = None) -> Path:
-    """(m,) rows in the order of the shortest open path; never longer than the order given."""
-    cost = costs(postures, speeds)
-    best = min((two_opt(cost, start) for start in initial_paths(cost)), key=lambda path: length(cost, path))
-    if 3 < len(cost) <= EXACT:
-        proven = exact_path(cost)
-        if proven is not None and length(cost, proven) < length(cost, best):
-            best = proven
-    return best
-
-
 def length(cost: Array, path: Path) -> float:
     """Length of an open path."""
     return float(cost[path[:-1], path[1:]].sum())
 
 
-def initial_paths(cost: Array) -> list[Path]:
-    """The order given, and the nearest-neighbor path from every posture (from some, of many)."""
+def shortest_path(postures: Array, speeds: Array | None = None) -> Path:
+    """(m,) rows in the order of the shortest open path; never longer than the order given."""
+    cost = costs(postures, speeds)
     m = len(cost)
-    paths = [np.arange(m)]
-    for first in range(0, m, max(1, m // 20)):
-        left, path = np.ones(m, dtype=bool), [first]
-        left[first] = False
-        while left.any():
-            path.append(int(np.argmin(np.where(left, cost[path[-1]], np.inf))))
-            left[path[-1]] = False
-        paths.append(np.array(path))
-    return paths
+    padded = np.pad(cost, (0, 1))  # the last row is the dummy posture that joins the ends
+    starts = [np.arange(m), *(nearest_neighbors(cost, first) for first in range(0, m, max(1, m // 20)))]
+    best = min((two_opt(padded, start) for start in starts), key=lambda path: length(cost, path))
+    if 3 < m <= EXACT:
+        proven = exact_path(padded)
+        if proven is not None and length(cost, proven) < length(cost, best):
+            best = proven
+    return best
 
 
-def two_opt(cost: Array, path: Path) -> Path:
+def nearest_neighbors(cost: Array, first: int) -> Path:
+    """The path that goes on to the nearest posture not yet visited."""
+    left, path = np.ones(len(cost), dtype=bool), [first]
+    left[first] = False
+    while left.any():
+        path.append(int(np.argmin(np.where(left, cost[path[-1]], np.inf))))
+        left[path[-1]] = False
+    return np.array(path)
+
+
+def two_opt(padded: Array, path: Path) -> Path:
     """2-opt on an open path: stretches are reversed as long as that shortens it."""
-    m = len(path)
-    padded = np.zeros((m + 1, m + 1))  # the last row is the dummy posture that joins the ends
-    padded[:m, :m] = cost
-    tour = np.append(path, m)
+    tour = np.append(path, len(path))
     while True:
         a, b = tour, np.roll(tour, -1)
         gain = padded[a, b][:, None] + padded[a, b] - padded[np.ix_(a, a)] - padded[np.ix_(b, b)]
         i, k = np.unravel_index(np.argmax(np.triu(gain, 1)), gain.shape)
-        if gain[i, k] <= 1e-12 * (1.0 + cost.max()) or i >= k:
+        if gain[i, k] <= 1e-12 * (1.0 + padded.max()) or i >= k:
             break
         tour[i + 1 : k + 1] = tour[i + 1 : k + 1][::-1]
-    end = int(np.flatnonzero(tour == m)[0])
+    end = int(np.flatnonzero(tour == len(path))[0])
     return np.concatenate([tour[end + 1 :], tour[:end]])
 
 
-def exact_path(cost: Array) -> Path | None:
+def exact_path(padded: Array) -> Path | None:
     """The shortest open path with proof of optimality; None if HiGHS or the rounds of cuts do not finish."""
     from scipy.optimize import LinearConstraint, milp
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components, depth_first_order
 
-    m = len(cost)
+    m = len(padded) - 1
     first, second = np.triu_indices(m + 1, 1)
-    padded = np.zeros((m + 1, m + 1))
-    padded[:m, :m] = cost
     incidence = (first == np.arange(m + 1)[:, None]) | (second == np.arange(m + 1)[:, None])
     constraints = [LinearConstraint(incidence.astype(float), 2.0, 2.0)]
     for _ in range(ROUNDS):
-        found = milp(
+        solved = milp(
             padded[first, second], constraints=constraints, integrality=np.ones(first.size), bounds=(0.0, 1.0),
             options={"node_limit": 2000},
         )  # fmt: skip
-        if found.x is None or found.status != 0:
+        if solved.x is None or solved.status != 0:
             return None
-        edges = found.x > 0.5
-        loops = closed_loops(first[edges], second[edges], m + 1)
-        if len(loops) == 1:
-            return np.array(loops[0][1:])
-        for loop in loops:
-            inside = np.isin(first, loop) & np.isin(second, loop)
-            constraints.append(LinearConstraint(inside.astype(float)[None], -np.inf, len(loop) - 1.0))
+        edges = solved.x > 0.5
+        graph = coo_array((np.ones(int(edges.sum())), (first[edges], second[edges])), shape=padded.shape)
+        loops, labels = connected_components(graph, directed=False)
+        if loops == 1:
+            return depth_first_order(graph, m, directed=False)[0][1:]
+        for loop in range(loops):
+            inside = (labels[first] == loop) & (labels[second] == loop)
+            constraints.append(
+                LinearConstraint(inside.astype(float)[None], -np.inf, float(np.sum(labels == loop)) - 1.0)
+            )
     return None
-
-
-def closed_loops(first: Path, second: Path, count: int) -> list[list[int]]:
-    """Loops of a graph with two edges at every node, each as its nodes in order from its last one (the dummy)."""
-    neighbors: list[list[int]] = [[] for _ in range(count)]
-    for a, b in zip(first.tolist(), second.tolist(), strict=True):
-        neighbors[a].append(b)
-        neighbors[b].append(a)
-    left, loops = set(range(count)), []
-    while left:
-        node = max(left)
-        loop = [node]
-        left.discard(node)
-        while onward := [k for k in neighbors[loop[-1]] if k in left]:
-            loop.append(onward[0])
-            left.discard(onward[0])
-        loops.append(loop)
-    return loops

@@ -1,4 +1,7 @@
-"""Minimum distance between the postures of a plan, and spreading of joints that play no part."""
+"""Minimum distance between the postures of a plan, and spreading of joints that play no part.
+
+Distances are the largest difference of a joint, in `DesignProblem.joint_units`.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,8 @@ from identification.arrays import Array
 from identification.information import information_matrix
 
 ROUNDING = 1.0 + 1e-9
-CHUNK = 10_000_000  # numbers in memory, or pairs of rows to compare, at once
+CHUNK = 10_000_000  # pairs of rows to compare one by one
 ROWS = 256  # whose neighbors are sought at once
-MANY = 5000  # rows whose pairs are not listed one by one
 REACH = 3  # multiples of the minimum distance that a posture may be moved by, in each of a few joints
 
 
@@ -27,8 +29,7 @@ def free_values(problem: DesignProblem) -> Array:
 
 
 def distance_to_keep(problem: DesignProblem, runs: int) -> float:
-    """[rad] by which a search keeps postures apart in its joints, in the problem's `joint_units`; 0 where spreading a
-    free joint sets them apart."""
+    """[rad] by which a search keeps postures apart in its joints; 0 where spreading a free joint sets them apart."""
     return problem.minimum_distance if 1.0 == replicates_allowed(problem) < runs else 0.0
 
 
@@ -47,7 +48,13 @@ def replicates_allowed(problem: DesignProblem) -> float:
     if problem.choices is not None or problem.minimum_distance == 0.0:
         return float("inf")
     width = problem.comparable(problem.upper - problem.lower)[free_joints(problem)].max(initial=0.0)
-    return float(max(1.0, np.floor(width / problem.minimum_distance * (1.0 + 1e-9))))
+    return float(max(1.0, np.floor(width / problem.minimum_distance * ROUNDING)))
+
+
+def allowed_value(problem: DesignProblem, postures: Array) -> float:
+    """Criterion value of a plan; -inf if a posture violates a constraint or is a repeat that is not allowed."""
+    allowed = problem.feasible(postures).all() and not len(too_near(problem, postures))
+    return problem.objective(postures) if allowed else -np.inf
 
 
 def gaps(postures: Array, others: Array) -> Array:
@@ -69,30 +76,13 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
     if capacity >= len(postures):
         return np.empty(0, dtype=np.intp)
     searched, distance = searched_part(problem, postures), problem.minimum_distance / ROUNDING
-    near = np.zeros(len(postures))
     blocked = 1 if capacity == 1.0 else 2  # places on a free joint within the distance of a measured posture
-    near += blocked * (gaps(searched, searched_part(problem, problem.kept)) < distance).sum(axis=1)
-    if capacity > 1.0 or len(postures) > MANY:
-        most = near + neighbor_counts(searched, distance)
-        if most.max() < capacity or len(postures) > MANY:
-            return np.flatnonzero(most >= capacity)
-    rows = max(1, CHUNK // max(1, searched.size))
-    for start in range(0, len(searched), rows):
-        chunk = gaps(searched[start : start + rows], searched[: start + rows]) < distance
-        near[start : start + rows] += np.tril(chunk, k=start - 1).sum(axis=1)
-    return np.flatnonzero(near >= capacity)
-
-
-def beside_earlier(points: Array, distance: float) -> NDArray[np.intp]:
-    """Rows whose nearest other row is an earlier one within the distance (in every column): one at least of every two
-    that are so near."""
-    tree = _tree(points)
-    if tree is None:
-        return np.arange(1, len(points))
-    reach, nearest = tree.query(points, k=2, p=np.inf, distance_upper_bound=distance / ROUNDING)
-    rows = np.arange(len(points))
-    other = np.where(nearest[:, 0] == rows, nearest[:, 1], nearest[:, 0])
-    return np.flatnonzero(np.isfinite(reach[:, 1]) & (other < rows))
+    near = blocked * (gaps(searched, searched_part(problem, problem.kept)) < distance).sum(axis=1)
+    crowded = np.flatnonzero(near + neighbor_counts(searched, distance) >= capacity)
+    if len(crowded) * len(postures) > CHUNK:
+        return crowded
+    earlier = [np.count_nonzero(gaps(searched[row, None], searched[:row]) < distance) for row in crowded.tolist()]
+    return crowded[near[crowded] + np.array(earlier, dtype=int) >= capacity]
 
 
 def neighbor_counts(points: Array, distance: float) -> NDArray[np.intp]:
@@ -114,7 +104,7 @@ def _counted(content: bytes, columns: int, distance: float) -> NDArray[np.intp]:
 def _tree(points: Array) -> Any:
     from scipy.spatial import KDTree  # 0.1 s to import
 
-    return KDTree(points) if points.shape[1] else None
+    return KDTree(points)
 
 
 def separated(problem: DesignProblem, postures: Array) -> Array:
@@ -146,12 +136,8 @@ def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
 def around(problem: DesignProblem, posture: Array) -> Array:
     """(k, n) postures within the limits that differ by multiples of the minimum distance in up to two joints."""
     sizes = problem.minimum_distance * ROUNDING * np.array([s for s in range(-REACH, REACH + 1) if s])
-    moves = []
-    for joint in problem.searched_joints:
-        for size in sizes:
-            move = np.zeros(problem.joints)
-            move[joint] = size * problem.joint_units[joint]
-            moves.append(move)
+    units = (problem.joint_units * np.eye(problem.joints))[list(problem.searched_joints)]
+    moves = [size * unit for unit in units for size in sizes]
     pairs = [a + b for a, b in product(moves, moves) if np.count_nonzero(a + b) == 2]
     places = posture + np.array(moves + pairs)
     return places[np.all((places >= problem.lower) & (places <= problem.upper), axis=1)]
@@ -180,22 +166,17 @@ def set_apart(problem: DesignProblem, postures: Array, generator: np.random.Gene
     searched, kept = searched_part(problem, postures), searched_part(problem, problem.kept)
     width, distance = problem.upper[joint] - problem.lower[joint], problem.minimum_distance / ROUNDING
     places = problem.lower[joint] + (np.arange(count) + 0.5) / count * width
-    unit, used, chosen = problem.joint_units[joint], np.zeros(count), np.full(len(postures), -1)
-    tree = _tree(searched)
+    by_measured = gaps(places[:, None], problem.kept[:, joint, None]) < distance * problem.joint_units[joint]
+    used, chosen = np.zeros(count), np.full(len(postures), -1)
+    tree = _tree(searched if searched.shape[1] else np.zeros((len(postures), 1)))
     for rows in np.array_split(np.arange(len(postures)), -(-len(postures) // ROWS)):
         wishes = generator.uniform(0.0, 0.5, (len(rows), count))
-        alike = (
-            [slice(0, row) for row in rows]
-            if tree is None
-            else tree.query_ball_point(searched[rows], distance, p=np.inf)
-        )
+        alike = tree.query_ball_point(tree.data[rows], distance, p=np.inf)
         beside = gaps(searched[rows], kept) < distance
-        for row, wish, near, same in zip(rows, wishes, alike, beside, strict=True):
+        for row, wish, near, measured in zip(rows.tolist(), wishes, alike, beside, strict=True):
             cost, taken = used + wish, chosen[near]
             cost[taken[taken >= 0]] = np.inf
-            if same.any():
-                measured = problem.kept[same, joint]
-                cost[(gaps(places[:, None], measured[:, None]) < distance * unit).any(axis=1)] = np.inf
+            cost[by_measured[:, measured].any(axis=1)] = np.inf
             chosen[row] = np.argmin(cost)
             used[chosen[row]] += 1.0
     return np.asarray(places[chosen])

@@ -6,22 +6,27 @@ is counted against the arm's true position, as root mean square over poses and o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from doe.criteria import I
+from doe.problem.candidates import listed_candidates
+from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import robust_problem, tip_jacobians, workspace
+from doe.problem.robust import missing_effects, robust_problem, tip_jacobians, workspace
 from doe.problem.spatial import of_one_arm
 from identification.arrays import Array
-from identification.estimation.prior import Prior
-from identification.gap.library.library_prior import LibraryPrior
-from identification.information import log_determinants, spectrum
-from identification.kinematics.parameters import EFFECT
+from identification.information import information_matrix, inverses, spectrum
 from identification.model.positions import of_positions
 from identification.validate.row_groups import diagnosed
 
 SPACE = 3  # coordinates of a point
+PLANS = 50  # random plans that a plan is compared with
+POOL = 2000  # postures that they are drawn from
+BETTER = 0.5  # share of them that a plan must be better than to be worth its search
 
 
 @dataclass(frozen=True)
@@ -47,68 +52,162 @@ class TipError:
         return {name: value if np.isfinite(value) else None for name, value in found.items()}
 
 
-def tip_error(problem: DesignProblem, wide: DesignProblem, postures: Array, poses: Array | None = None) -> TipError:
-    """Expected tip error of a plan (m, n) and the postures measured already; infinite if the model is not identified.
+@dataclass(frozen=True)
+class TipErrors:
+    """Expected tip errors of plans.
 
     problem : of the model as it is, whose parameters may have a prior, as a spatial arm's geometry has
     wide : `robust_problem` of it, whose added parameters come last
-    poses : (k, n) where the tip is needed, None: the `workspace`
+    targets : (k, d, P) scaled Jacobian of the measured points of `wide` where the tip is needed, see `tip_jacobians`
     """
-    own, kept = problem.parameters, problem.kept
-    rows = _of_measurements(wide, np.concatenate([postures, kept]))
-    targets = _of_points(wide, workspace(problem) if poses is None else poses)
-    noise = float(wide.model.sigma or 0.0) ** 2
-    least = np.concatenate([rows[: -wide.parameters, :own], np.diag(np.sqrt(wide.precisions[:own]))])
-    all_known = _spread(rows, targets, noise)
-    if spectrum(least, np.ones(own)).rank < own:
-        return TipError(np.inf, np.inf, _mean(all_known))
-    right = _spread(least, targets[..., :own], noise)
-    # the fit takes up of each missing effect what the geometry can, and the tip lacks the rest
-    unseen = np.concatenate([rows[: -wide.parameters, own:], np.zeros((own, wide.parameters - own))])
-    taken = np.linalg.lstsq(least, unseen, rcond=None)[0]
-    lacking = targets[..., :own] @ taken - targets[..., own:]
-    bias = np.sum(lacking**2 @ (noise / wide.precisions[own:]), axis=1)  # sizes squared, in scaled parameters
-    lacks = (_mean(right + bias), _mean(all_known)) if wide.parameters > own else (np.inf, np.inf)
-    return TipError(_mean(right), *lacks, float(np.sqrt(right.max())))
+
+    problem: DesignProblem
+    wide: DesignProblem
+    targets: Array
+
+    @classmethod
+    def of(cls, problem: DesignProblem) -> TipErrors | None:
+        """Over the `workspace`; None where there is no sigma to weigh sizes against, or no library for the model, or
+        effects may be missing in it already.
+
+        Of a diagnosed arm nothing is missing: what its data could show is in the model, and would have been shown.
+        """
+        own = of_one_arm(problem.model)
+        if problem.model.sigma is None or own is None or problem.missing:
+            return None
+        poses = workspace(problem)  # once: rare postures take long to find
+        if diagnosed(own.arm):
+            return cls(problem, problem, tip_jacobians(problem, poses))
+        wide = robust_problem(problem, missing_effects(problem), poses=poses)
+        return cls(problem, wide, tip_jacobians(wide, poses))
+
+    @cached_property
+    def _targets(self) -> Array:
+        """(k, d, P) the same, its squares a mean over the measured points, without orientations that are measured too:
+        they are no distance."""
+        model, coordinates = of_one_arm(self.wide.model), self.targets.shape[1]
+        each = coordinates if model is None else of_positions(model).dimension
+        points = [self.targets[:, k : k + SPACE] for k in range(0, coordinates, each)]
+        return np.asarray(np.concatenate(points, axis=1) / np.sqrt(coordinates / each))
+
+    @cached_property
+    def _weight(self) -> Array:
+        """(P, P) mean of the squares of the tip's Jacobian."""
+        return information_matrix(self._targets) / len(self._targets)
+
+    def with_prior(self, postures: Array) -> float:
+        """Of a plan (m, n) and the postures measured already, fitted with the effects and their prior."""
+        return self._with_prior(self._information(postures))
+
+    def missing(self, postures: Array) -> float:
+        """The same without the effects, which are there."""
+        return self._missing(self._information(postures))
+
+    def of_plan(self, postures: Array) -> TipError:
+        """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
+        own, information = self.problem.parameters, self._information(postures)
+        with_prior = self._with_prior(information)
+        if not self._identified(postures):
+            return TipError(np.inf, np.inf, with_prior)
+        posterior = inverses(information[:own, :own] + np.diag(self.problem.precisions))
+        targets = self._targets[..., :own]
+        right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
+        if self.wide.parameters == own:
+            return TipError(float(np.sqrt(right.mean())), np.inf, np.inf, float(np.sqrt(right.max())))
+        missing = self._missing(information)
+        return TipError(float(np.sqrt(right.mean())), missing, with_prior, float(np.sqrt(right.max())))
+
+    def _information(self, postures: Array) -> Array:
+        """(P, P) sum of B^T B of the plan and of what is measured already, without any prior."""
+        every = np.concatenate([postures, self.problem.kept])
+        return self.wide.weighted_information(every, np.ones(len(every)))
+
+    def _identified(self, postures: Array) -> bool:
+        own = self.problem.parameters
+        rows = self.problem.scaled_jacobians(np.concatenate([postures, self.problem.kept])).reshape(-1, own)
+        held = np.diag(np.sqrt(self.problem.precisions))
+        return bool(spectrum(np.concatenate([rows, held]), np.ones(own)).rank == own)
+
+    def _with_prior(self, information: Array) -> float:
+        posterior = inverses(information + np.diag(self.wide.precisions))
+        noise = float(self.wide.model.sigma or 0.0) ** 2
+        if np.isinf(posterior[0, 0]):
+            return np.inf
+        return float(np.sqrt(noise * np.sum(posterior * self._weight) + self.wide.beyond))
+
+    def _missing(self, information: Array) -> float:
+        """The fit takes up of each missing effect what the geometry can, and the tip lacks the rest; it takes the noise
+        for that of the instrument, which each posture's own error comes on top of."""
+        own, wide = self.problem.parameters, self.wide
+        posterior = inverses(information[:own, :own] + np.diag(self.problem.precisions))
+        if np.isinf(posterior[0, 0]):
+            return np.inf
+        sigma, noise = float(self.problem.model.sigma or 0.0) ** 2, float(wide.model.sigma or 0.0) ** 2
+        spread = sigma * posterior + (noise - sigma) * posterior @ information[:own, :own] @ posterior
+        lacking = np.concatenate([posterior @ information[:own, own:], -np.eye(wide.parameters - own)])
+        sizes = noise / wide.precisions[own:]  # squared, in scaled parameters
+        bias = float(np.sum(np.einsum("ap,ab,bp->p", lacking, self._weight, lacking, optimize=True) * sizes))
+        return float(np.sqrt(np.sum(spread * self._weight[:own, :own]) + bias + wide.beyond))
 
 
-def _of_measurements(wide: DesignProblem, postures: Array) -> Array:
-    """(m d + P, P) scaled Jacobian, and the prior as rows of its own."""
-    measured = wide.scaled_jacobians(postures).reshape(-1, wide.parameters)
-    return np.concatenate([measured, np.diag(np.sqrt(wide.precisions))])
+@dataclass(frozen=True)
+class ExpectedTip:
+    """What a plan promises beside random ones, where the arm may have what its model lacks: RMS distances [mm].
 
-
-def _of_points(wide: DesignProblem, poses: Array) -> Array:
-    """(k, d, P) scaled Jacobian of the tip's position, its squares a mean over the measured points; an orientation that
-    is measured too is no distance."""
-    jacobians, model = tip_jacobians(wide, poses), of_one_arm(wide.model)
-    coordinates = jacobians.shape[1]
-    each = coordinates if model is None else of_positions(model).dimension
-    points = np.concatenate([jacobians[:, k : k + SPACE] for k in range(0, coordinates, each)], axis=1)
-    return np.asarray(points / np.sqrt(coordinates / each))
-
-
-def _spread(rows: Array, targets: Array, noise: float) -> Array:
-    """(k,) mean square of the tip's distance, from (N, p) rows that were fitted and (k, d, p) of the tip."""
-    information = rows.T @ rows
-    if np.isneginf(log_determinants(information)):
-        return np.full(len(targets), np.inf)
-    solved = np.linalg.solve(information, targets.reshape(-1, len(information)).T).T.reshape(targets.shape)
-    return noise * np.einsum("kdp,kdp->k", targets, solved)
-
-
-def _mean(squares: Array) -> float:
-    return float(np.sqrt(np.mean(squares)))
-
-
-def robust_or_none(problem: DesignProblem) -> DesignProblem | None:
-    """`robust_problem`, None where there is no sigma to weigh sizes against, no library for the model, or it is one.
-
-    Of a diagnosed arm nothing is missing: what its data could show is in the model, at typical size they would have.
+    plan : if fitted as the plan says;  random : (`PLANS`,) of random plans of as many runs, fitted in the same way
+    fit : `library-prior`, or empty: least squares
     """
-    model, own = problem.model, of_one_arm(problem.model)
-    robust = any(p.kind == EFFECT and p.name in problem.deviations for p in model.parameters)
-    if model.sigma is None or own is None or robust:
+
+    plan: float
+    random: Array
+    fit: str
+
+    @property
+    def better_than(self) -> float:
+        """Share of the random plans that promise less."""
+        return float(np.mean(self.random > self.plan))
+
+    def to_json(self) -> dict[str, Any]:
+        """Key `expected_tip` (identification/files/README.md, "JSON keys")."""
+        figures = {"plan_mm": self.plan, "random_median_mm": float(np.median(self.random))}
+        known = {name: value if np.isfinite(value) else None for name, value in figures.items()}
+        return known | {"better_than": self.better_than, "random_plans": len(self.random), "fit": self.fit or None}
+
+    def __str__(self) -> str:
+        """One sentence, or two."""
+        fit = f"fitted by armcal identify --{self.fit}" if self.fit else "fitted without them"
+        where = f"Expected error of the tip if the arm has effects and error curves that its file does not name ({fit})"
+        figures = (
+            f"{self.plan:.3g} mm by this plan, {np.median(self.random):.3g} mm by the median of {PLANS} random ones"
+        )
+        share = f"better than {100.0 * self.better_than:.0f} % of them"
+        if self.better_than > BETTER:
+            return f"{where}: {figures}; {share}."
+        instead = "" if self.fit else " armcal design --robust chooses postures for that."
+        return f"{where}: {figures}. In this the plan is no better than postures chosen at random ({share}).{instead}"
+
+
+def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) -> ExpectedTip | None:
+    """What a plan (m, n) promises beside random ones; None where no sizes are known or none are counted, and for more
+    runs than `POOL`, of which random plans are all alike.
+
+    problem : that the plan was chosen for, robust or not
+    """
+    if len(postures) > POOL:
         return None
-    nothing = LibraryPrior(own.arm, (), Prior({}), {}) if diagnosed(own.arm) else None
-    return robust_problem(problem, nothing)
+    if problem.missing:
+        at, everywhere = problem.criterion, replace(problem, choices=None) if problem.sampled else problem
+        targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(everywhere))
+        errors: TipErrors | None = TipErrors(problem, problem, targets)
+    else:
+        errors = TipErrors.of(problem)
+    if errors is None or not errors.wide.missing:
+        return None
+    judge = errors.with_prior if problem.fit else errors.missing
+    generator, m = np.random.default_rng([seed, len(postures)]), len(postures)
+    if problem.choices is not None and not problem.sampled:
+        pool = listed_candidates(problem, problem.choices).postures
+    else:
+        pool = random_postures(problem, min(PLANS * m, POOL), generator)
+    plans = [pool[generator.choice(len(pool), m, replace=len(pool) < m)] for _ in range(PLANS)]
+    return ExpectedTip(judge(postures), np.array([judge(plan) for plan in plans]), problem.fit)

@@ -69,18 +69,17 @@ class EnsembleModel(DerivedModel):
         return ca.Function("ensemble", [q, c, p], ca.cse(outputs))
 
 
-def prior_draws(
-    model: Model, count: int, generator: np.random.Generator, *, length: float = 1.0, angle: float = np.radians(0.5)
-) -> Array:
+def prior_draws(model: Model, count: int, generator: np.random.Generator) -> Array:
     """(count, p) parameter vectors around the best known values of an arm.
 
-    With a calibration that has a covariance of the same parameters, from it; else independent normal deviations, see
-    `deviated_draws`, where an angle of unknown place turns a link of mean length.
+    With a calibration that has a covariance of the same parameters, from it; else independent normal deviations of the
+    sizes of its machining, see `deviated_draws`, where an angle of unknown place turns a link of mean length.
     """
     calibration = model.arm.calibration
     if calibration is not None and calibration.covariance is not None and calibration.parameter_names == model.names:
         return generator.multivariate_normal(model.values, calibration.covariance, count, method="eigh")
-    return deviated_draws(model, count, generator, length, angle, float(np.mean(model.arm.lengths)))
+    machining, lever = model.arm.machining, float(np.mean(model.arm.lengths))
+    return deviated_draws(model, count, generator, machining.translation, machining.rotation, lever)
 
 
 def deviated_draws(

@@ -6,7 +6,7 @@ A grid of a million postures is three short axes, not an array: postures exist o
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import prod
 from typing import Protocol
 
@@ -67,11 +67,14 @@ class Grid:
     axes: tuple[Array, ...]
     allowed: Index | None = None
     dropped: int = 0
-    shape: tuple[int, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(readonly(axis, -1) for axis in self.axes))
-        object.__setattr__(self, "shape", tuple(axis.size for axis in self.axes))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Values per joint."""
+        return tuple(axis.size for axis in self.axes)
 
     def __len__(self) -> int:
         return prod(self.shape) if self.allowed is None else len(self.allowed)
@@ -83,17 +86,13 @@ class Grid:
         cells = np.ravel_multi_index(tuple(place.ravel() for place in places), self.shape)
         if self.allowed is None:
             return cells
-        found = np.minimum(np.searchsorted(self.allowed, cells), len(self.allowed) - 1)
-        return found[self.allowed[found] == cells]
+        return np.flatnonzero(np.isin(self.allowed, cells))
 
     def take(self, index: Index) -> Array:
         """(k, n) postures [rad] of some candidates."""
         cell = np.asarray(index) if self.allowed is None else self.allowed[index]
         places = np.unravel_index(cell, self.shape)
-        postures = np.empty((len(cell), len(self.axes)))
-        for joint, (axis, place) in enumerate(zip(self.axes, places, strict=True)):
-            postures[:, joint] = axis[place]
-        return postures
+        return np.stack([axis[place] for axis, place in zip(self.axes, places, strict=True)], axis=1)
 
 
 def chunks(candidates: Candidates, size: int = CHUNK) -> Iterator[tuple[Index, Array]]:
@@ -126,11 +125,17 @@ def grid(problem: DesignProblem, levels: int) -> Grid:
     """
     if levels < 2:
         raise InputError(f"grid: {levels} levels per joint, allowed: at least 2 (the joint limits)")
-    gridded = len(problem.searched_joints)
-    if levels**gridded > MOST:
-        found, most = f"{levels} levels for each of {gridded} joints", int(MOST ** (1.0 / gridded) + 1e-9)
-        raise InputError(f"grid: {found}, allowed: 2 to {most}, which are {MOST:,} candidates at most")
-    everything = Grid(_axes(problem, levels))
+    gridded = problem.searched_joints
+    if levels ** len(gridded) > MOST:
+        asked, most = f"{levels} levels for each of {len(gridded)} joints", int(MOST ** (1.0 / len(gridded)) + 1e-9)
+        raise InputError(f"grid: {asked}, allowed: 2 to {most}, which are {MOST:,} candidates at most")
+    limits = zip(problem.lower, problem.upper, strict=True)
+    everything = Grid(
+        tuple(
+            np.linspace(low, high, levels) if joint in gridded else np.array([0.5 * (low + high)])
+            for joint, (low, high) in enumerate(limits)
+        )
+    )
     if not problem.constraints:
         return everything
     allowed = np.concatenate([index[problem.feasible(postures)] for index, postures in chunks(everything)])
@@ -138,33 +143,23 @@ def grid(problem: DesignProblem, levels: int) -> Grid:
     return Grid(everything.axes, allowed, len(everything) - len(allowed))
 
 
-def _axes(problem: DesignProblem, levels: int) -> tuple[Array, ...]:
-    """The values of each joint: `levels` of one that is searched, the middle of any other."""
-    gridded, middle = set(problem.searched_joints), 0.5 * (problem.lower + problem.upper)
-    return tuple(
-        np.linspace(problem.lower[j], problem.upper[j], levels) if j in gridded else middle[j : j + 1]
-        for j in range(problem.joints)
-    )
-
-
 def listed_candidates(problem: DesignProblem, postures: ArrayLike) -> PostureList:
     """The (N, n) `postures` [rad] that are within the limits and satisfy the constraints, as a list.
 
     Raises InputError for another number of joints and where no candidate is left.
     """
-    given = np.atleast_2d(np.asarray(postures, dtype=float))
-    if given.ndim != 2 or given.shape[1] != problem.joints:
+    listed = np.atleast_2d(np.asarray(postures, dtype=float))
+    if listed.ndim != 2 or listed.shape[1] != problem.joints:
         raise InputError(f"candidates: shape {np.shape(postures)}, allowed: (N, {problem.joints})")
-    if not np.all(np.isfinite(given)):
-        row = int(np.flatnonzero(~np.isfinite(given).all(axis=1))[0])
-        raise InputError(f"candidates: row {row + 1} is not finite, allowed: finite joint angles")
-    inside = np.all((given >= problem.lower - OUTSIDE) & (given <= problem.upper + OUTSIDE), axis=1)
-    clipped = problem.clip(given)
+    if len(rows := np.flatnonzero(~np.isfinite(listed).all(axis=1))):
+        raise InputError(f"candidates: row {rows[0] + 1} is not finite, allowed: finite joint angles")
+    inside = np.all((listed >= problem.lower - OUTSIDE) & (listed <= problem.upper + OUTSIDE), axis=1)
+    clipped = problem.clip(listed)
     inside[inside] = problem.feasible(clipped[inside])
-    _require_some(int(inside.sum()), len(given))
-    return PostureList(clipped[inside], len(given) - int(inside.sum()))
+    _require_some(int(inside.sum()), len(listed))
+    return PostureList(clipped[inside], len(listed) - int(inside.sum()))
 
 
-def _require_some(left: int, given: int) -> None:
+def _require_some(left: int, total: int) -> None:
     if left == 0:
-        raise InputError(f"candidates: 0 of {given} are within limits and constraints, allowed: at least one")
+        raise InputError(f"candidates: 0 of {total} are within limits and constraints, allowed: at least one")

@@ -43,52 +43,44 @@ def random_grid(problem: DesignProblem, grid: Array, count: int, generator: np.r
 
 def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], generator: np.random.Generator) -> Array:
     """(count, n) feasible postures of those that `draw(size)` makes, or near them where they are too rare."""
-    found, seen = np.empty((0, problem.joints)), []
+    feasible, seen = np.empty((0, problem.joints)), []
     for _ in range(TRIES):
         drawn = draw(max(BATCH, count))
         seen.append(drawn)
-        found = np.concatenate([found, drawn[problem.feasible(drawn)]])
-        if len(found) >= count:
-            return found[:count]
-    if not len(found):
-        found = climb(problem, np.concatenate(seen), generator)
-    extra = vary(problem, found[generator.integers(len(found), size=count)], generator)
-    return np.concatenate([found, extra])[:count] if len(found) < count else found[:count]
+        feasible = np.concatenate([feasible, drawn[problem.feasible(drawn)]])
+        if len(feasible) >= count:
+            return feasible[:count]
+    if not len(feasible):
+        feasible = led_inside(problem, np.concatenate(seen), generator)
+    near = vary(problem, feasible[generator.integers(len(feasible), size=count)], generator)
+    return np.concatenate([feasible, near])[:count]
 
 
-def shortfall(problem: DesignProblem, postures: Array) -> Array:
-    """(m,) sum over the constraints of how far a posture is from satisfying them; 0 where it does."""
-    return sum((np.maximum(-c.margin(postures), 0.0).sum(axis=1) for c in problem.constraints), np.zeros(len(postures)))
+def led_inside(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
+    """Feasible postures near the least infeasible of many, by random steps that reduce by how much they are so."""
 
+    def shortfall(postures: Array) -> Array:
+        """(m,) sum over the constraints of how far a posture is from satisfying them; 0 where it does."""
+        return np.sum([np.maximum(-c.margin(postures), 0.0).sum(axis=1) for c in problem.constraints], axis=0)
 
-def climb(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
-    """Feasible postures found by random steps that reduce the shortfall, from the least infeasible of many."""
-    miss = shortfall(problem, postures)
-    best = postures[np.argsort(miss)[:64]]
-    miss = np.sort(miss)[:64]
+    best = postures[np.argsort(shortfall(postures))[:64]]
+    miss, width = shortfall(best), problem.upper - problem.lower
     for k in range(CLIMBS):
-        _step(problem, best, miss, generator.standard_normal((16, *best.shape)) * 0.2 * 0.85**k)
+        trials = problem.clip(best + generator.standard_normal((16, *best.shape)) * 0.2 * 0.85**k * width)
+        values = shortfall(trials.reshape(-1, problem.joints)).reshape(len(trials), -1)
+        better = values.min(axis=0) < miss
+        best[better] = trials[np.argmin(values, axis=0), np.arange(len(best))][better]
+        miss[better] = values.min(axis=0)[better]
     feasible = best[problem.feasible(best)]
     if not len(feasible):
         raise infeasible(tuple(problem.constraints), np.concatenate([postures, best]))
     return feasible
 
 
-def _step(problem: DesignProblem, best: Array, miss: Array, steps: Array) -> None:
-    """Moves each posture (j, n) of `best` by the step (s, j, n), in widths of the limits, that helps most, in place."""
-    trials = problem.clip(best + steps * (problem.upper - problem.lower))
-    values = shortfall(problem, trials.reshape(-1, problem.joints)).reshape(len(steps), -1)
-    better = values.min(axis=0) < miss
-    best[better] = trials[np.argmin(values, axis=0), np.arange(len(best))][better]
-    miss[better] = values.min(axis=0)[better]
-
-
 def vary(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
     """Each posture moved at random as far as it stays feasible: steps are shortened until it does."""
-    width = problem.upper - problem.lower
-    steps = generator.standard_normal(postures.shape) * width * 0.2
-    moved = np.array(postures)
-    waiting = np.arange(len(postures))
+    steps = generator.standard_normal(postures.shape) * (problem.upper - problem.lower) * 0.2
+    moved, waiting = np.array(postures), np.arange(len(postures))
     for k in range(12):
         trial = problem.clip(postures[waiting] + steps[waiting] * 0.5**k)
         fits = problem.feasible(trial)

@@ -22,11 +22,18 @@ from doe.problem.touching import touches, touching_postures
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
-from identification.kinematics.parameters import PRISMATIC, ParameterSet
+from identification.kinematics.parameters import EFFECT, PRISMATIC, ParameterSet
 from identification.model import Model
 from identification.vectorize import PART, vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
+MANY = 16  # parameters above which gradients pay: exchanges and second derivatives of plans cost the cube of them
+Stop = Callable[[], bool]  # is asked now and then in a search, which ends where it says True
+
+
+def never() -> bool:
+    """A `Stop` that lets a search come to its end."""
+    return False
 
 
 class InformationModel(Protocol):
@@ -86,6 +93,7 @@ class DesignProblem:
     deviations : parameter name -> standard deviation of what is known of it before anything is measured [API unit],
         around the model's values: a normal prior, which needs sigma; parameters without one are free
     fit : how measurements of its plans are to be fitted, see `Plan`
+    beyond : mean square [mm^2] of the tip's distance that no plan can lower: errors that a posture does not share
     """
 
     model: InformationModel
@@ -99,14 +107,23 @@ class DesignProblem:
     minimum_distance: float = ONE_DEGREE
     deviations: Mapping[str, float] = field(default_factory=dict)
     fit: str = ""
+    beyond: float = 0.0
 
     def __post_init__(self) -> None:
-        check_parts(self)
+        for name, needed, made in (
+            ("model", "jacobian", "Model(arm)"),
+            ("criterion", "value", "doe.criteria.criterion('A', ...)"),
+        ):
+            if not callable(getattr(part := getattr(self, name), needed, None)):
+                raise InputError(f"{name}: {part!r:.40}, allowed: an object with {needed}(), such as {made}")
         for name in ("lower", "upper"):
             object.__setattr__(self, name, readonly(getattr(self, name), -1))
-        object.__setattr__(self, "kept", measured_already(self.kept, self.joints))
+        kept = np.empty((0, self.joints)) if self.kept is None else np.atleast_2d(np.asarray(self.kept, dtype=float))
+        if kept.size and kept.shape[1:] != (self.joints,):
+            raise InputError(f"kept: shape {kept.shape}, allowed: (k, {self.joints})")
+        object.__setattr__(self, "kept", readonly(kept.reshape(-1, self.joints)))
         object.__setattr__(self, "deviations", dict(self.deviations))
-        precisions(self.model.parameters, self.deviations, self.model.sigma)  # raises for what does not fit
+        _ = self.precisions  # raises for deviations that do not fit
         if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):
             raise InputError(f"minimum distance: {np.degrees(self.minimum_distance):g} deg, allowed: a number >= 0")
         if len(self.model.joint_types) != self.joints:
@@ -126,8 +143,8 @@ class DesignProblem:
         if not hasattr(model, "arm"):
             raise InputError(f"model: {type(model).__name__}, allowed: a Model, such as Model(arm)")
         placed, whole, known = designed(model)
-        own: dict[str, Any] = {"constraints": constraints_of(placed), "deviations": known}
-        free = cls(whole, model.arm.lower, model.arm.upper, **own | changes)
+        of_arm: dict[str, Any] = {"constraints": constraints_of(placed), "deviations": known}
+        free = cls(whole, model.arm.lower, model.arm.upper, **of_arm | changes)
         if not touches(placed) or free.choices is not None:
             return free
         return replace(free, choices=touching_postures(placed, free))
@@ -162,6 +179,16 @@ class DesignProblem:
         return len(self.model.parameters)
 
     @property
+    def many_parameters(self) -> bool:
+        """True where climbing on gradients is the best there is."""
+        return self.parameters > MANY
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Names of the parameters of effects that may be missing, which have a prior."""
+        return tuple(p.name for p in self.model.parameters if p.kind == EFFECT and p.name in self.deviations)
+
+    @property
     def fewest_runs(self) -> int:
         """The smallest number of runs with as many equations as unknowns of which nothing is known: m d >= p."""
         missing = self.parameters - len(self.deviations) - self.model.dimension * len(self.kept)
@@ -180,15 +207,13 @@ class DesignProblem:
         Postures already measured (`kept`) count as runs; weights are the shares of the new runs only.
         """
         rows = np.atleast_2d(postures)
-        m = len(rows)
-        shares = np.full(m, 1.0 / m) if weights is None else weights
-        return self.prior.per_new_run(m).information(self.weighted_information(rows, shares))
+        shares = np.full(len(rows), 1.0 / len(rows)) if weights is None else weights
+        return self.prior.per_new_run(len(rows)).information(self.weighted_information(rows, shares))
 
     def weighted_information(self, postures: Array, weights: Array) -> Array:
         """(p, p) sum of w_i B_i^T B_i of postures (m, n) with weights (m,), without what is known beforehand."""
         parts = (slice(k, k + PART) for k in range(0, len(postures), PART))  # Jacobians that stay in the cache
-        found = sum(information_matrix(self.scaled_jacobians(postures[part]), weights[part]) for part in parts)
-        return np.asarray(found)
+        return np.asarray(sum(information_matrix(self.scaled_jacobians(postures[k]), weights[k]) for k in parts))
 
     def objective(self, postures: ArrayLike, weights: Array | None = None) -> float:
         """Criterion value of a plan (to maximise); -inf if its information matrix is singular."""
@@ -244,39 +269,17 @@ class DesignProblem:
     @cached_property
     def active_joints(self) -> tuple[int, ...]:
         """Joints (from 0) that change B^T B; the others, such as q_1 of the base model, are free for other purposes."""
-        generator = np.random.default_rng(0)
-        base = generator.uniform(self.lower, self.upper, (16, self.joints))
+        base, other = np.random.default_rng(0).uniform(self.lower, self.upper, (2, 16, self.joints))
+        moved = np.where(np.eye(self.joints, dtype=bool)[:, None], other, base)  # (n, 16, n)
         before = information_of_each(self.scaled_jacobians(base))
-        active = []
-        for joint in range(self.joints):
-            moved = base.copy()
-            moved[:, joint] = generator.uniform(self.lower[joint], self.upper[joint], 16)
-            change = np.abs(information_of_each(self.scaled_jacobians(moved)) - before).max()
-            if change > 1e-9 * np.abs(before).max():
-                active.append(joint)
-        return tuple(active)
+        changes = np.abs(information_of_each(self.scaled_jacobians(moved)) - before).max(axis=(1, 2, 3))
+        return tuple(np.flatnonzero(changes > 1e-9 * np.abs(before).max()).tolist())
 
     @cached_property
     def searched_joints(self) -> tuple[int, ...]:
         """Joints (from 0) that a solver must choose: the active ones, or all where constraints or a list tie them."""
         tied = bool(self.constraints) or self.choices is not None
         return tuple(range(self.joints)) if tied else self.active_joints
-
-
-def check_parts(problem: DesignProblem) -> None:
-    """Raises `InputError` for a model or criterion that is none, such as a name."""
-    for name, part, needed in (("model", problem.model, "jacobian"), ("criterion", problem.criterion, "value")):
-        if not callable(getattr(part, needed, None)):
-            made = "Model(arm)" if name == "model" else "doe.criteria.criterion('A', ...)"
-            raise InputError(f"{name}: {part!r:.40}, allowed: an object with {needed}(), such as {made}")
-
-
-def measured_already(kept: ArrayLike | None, joints: int) -> Array:
-    """(k, n) postures measured already. Raises `InputError` for another number of joints."""
-    postures = np.empty((0, joints)) if kept is None else readonly(np.atleast_2d(np.asarray(kept, dtype=float)))
-    if postures.size and postures.shape[1:] != (joints,):
-        raise InputError(f"kept: shape {postures.shape}, allowed: (k, {joints})")
-    return readonly(postures.reshape(-1, joints))
 
 
 def information_of_each(jacobians: Array) -> Array:

@@ -1,8 +1,9 @@
-"""Designs for an arm whose model may lack effects: those of the library enter with a prior of typical sizes.
+"""Designs for an arm whose model may lack something: what it may lack enters with its prior.
 
-The parameters are those of the model and of all effects of the library; the latter have a normal prior of zero mean
-(`identification.gap.library.library_prior`). With K its information the posterior of a plan is (sum B^T B + K)^-1
-sigma^2, and every criterion of it is concave as before (doe/README.md, "Prior information").
+The parameters are those of the model and of all effects of the library, error curves among them; the latter have a
+normal prior of zero mean, and each posture has an error of its own, which is noise to all others
+(`identification.gap.library.library_prior`). With K the information of the prior the posterior of a plan is
+(sum B^T B + K)^-1 sigma^2, and every criterion of it is concave as before (doe/README.md, "Prior information").
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from doe.problem.touching import touches
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.library.library_prior import LibraryPrior, library_prior
+from identification.model import Model
 from identification.model.positions import of_positions, tip_jacobian
 
 # reasons: doe/README.md, "Robust designs"
-SETTINGS = 4  # orders that stand for all orders of a ripple
+FASTEST = 24.0  # order of the fastest wave of an error curve that a plan is to show
 POSES = 1000  # random postures that stand for the workspace
 LIBRARY = "library-prior"  # what its criterion promises is of a fit with `armcal identify --library-prior`
 CHOICES = 2000  # postures to choose from where none are listed
@@ -41,22 +43,32 @@ def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) 
         raise InputError(f"robust: {type(problem.model).__name__}, allowed: the model of one arm")
     if model.sigma is None:
         raise InputError(f"--robust {NEEDS_SIGMA}")
-    return library_prior(model.arm, names=names, most_settings=SETTINGS)
+    return library_prior(model.arm, names=names, fastest=FASTEST)
 
 
 def robust_problem(
-    problem: DesignProblem, missing: LibraryPrior | None = None, criterion: Criterion | None = None
+    problem: DesignProblem,
+    missing: LibraryPrior | None = None,
+    criterion: Criterion | None = None,
+    poses: Array | None = None,
 ) -> DesignProblem:
     """The same design space for an arm that may have these effects too.
 
     missing : None: all that postures can show, `missing_effects`
-    criterion : None: I, the mean squared error of the tip over `workspace`, with the estimated effects in the model
+    criterion : None: I, the mean squared error of the tip over `poses`, with the estimated effects in the model
+    poses : (k, n) where the tip is needed, None: the `workspace`
     """
     added = missing_effects(problem) if missing is None else missing
     own = of_one_arm(problem.model)
-    model = whole(replace(added.model, known=None if own is None else own.known))
-    wide = replace(problem, model=model, deviations={**problem.deviations, **added.prior.deviations}, fit=LIBRARY)
-    return replace(wide, criterion=average_error(wide) if criterion is None else criterion)
+    noise = float(np.hypot(problem.model.sigma or 0.0, added.prior.own_error))
+    model = replace(Model(replace(added.arm, sigma=noise)), known=None if own is None else own.known)
+    deviations = {**problem.deviations, **added.prior.deviations}
+    wide = replace(problem, model=whole(model), deviations=deviations, fit=LIBRARY)
+    poses = workspace(wide) if poses is None else poses
+    levers = of_positions(model).joint_levers(poses)
+    waves = float(np.mean(np.einsum("kdj,j->k", levers**2, added.faster)))
+    wide = replace(wide, beyond=waves + levers.shape[1] * added.prior.own_error**2)
+    return replace(wide, criterion=average_error(wide, poses) if criterion is None else criterion)
 
 
 def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignProblem:

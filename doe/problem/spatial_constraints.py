@@ -66,7 +66,7 @@ class OutsideCylinder:
         start = np.array(self.cylinder.start)
         along = np.array(self.cylinder.end) - start
         length, radius = float(np.linalg.norm(along)), self.cylinder.radius
-        axis, found = ca.DM(along / length), []
+        axis, expressions = ca.DM(along / length), []
         for a, b in pairwise(self.model.symbolic_points(q)):
             here, there = ca.dot(a - ca.DM(start), axis), ca.dot(b - ca.DM(start), axis)
             beyond = ca.fmax(ca.fmin(here, there) - length, -ca.fmax(here, there))
@@ -78,8 +78,8 @@ class OutsideCylinder:
             nearest = -ca.dot(offset, turned) / ca.fmax(ca.sumsqr(turned), FLAT)
             first, last = _share(ca.fmin(enters, leaves)), _share(ca.fmax(enters, leaves))
             away = ca.sumsqr(offset + ca.fmax(first, ca.fmin(last, nearest)) * turned) - radius**2
-            found.append(ca.fmax(beyond, away / (2.0 * radius)))
-        return ca.vertcat(*found)
+            expressions.append(ca.fmax(beyond, away / (2.0 * radius)))
+        return ca.vertcat(*expressions)
 
 
 @dataclass(frozen=True)
@@ -114,15 +114,14 @@ class InView:
         points, tracker = self.model.points(postures), np.array(self.sight.tracker)
         view, axis = points[:, -1] - tracker, np.array(self.sight.toward) - tracker
         distance = np.linalg.norm(view, axis=1)
-        found = [(self.sight.half_angle - angle(view, axis)) * distance]
+        margins = [(self.sight.half_angle - angle(view, axis)) * distance]
         if self.sight.reach is not None:
-            found += [distance - self.sight.reach[0], self.sight.reach[1] - distance]
+            margins += [distance - self.sight.reach[0], self.sight.reach[1] - distance]
         if self._pointing is not None:
             looks = self._pointing.points(postures)[:, -1] - points[:, -1]
-            found.append((self.sight.acceptance - angle(looks, -view)) * distance)
-
+            margins.append((self.sight.acceptance - angle(looks, -view)) * distance)
         links = distance_between(tracker, points[:, -1:], points[:, :-2], points[:, 1:-1]) - self._clearance
-        return np.column_stack([*found, links])
+        return np.column_stack([*margins, links])
 
     def symbolic(self, q: ca.SX) -> ca.SX:
         """(k,) cosines in place of angles, and squares of distances: (distance^2 - radius^2) / (2 radius)."""
@@ -130,15 +129,15 @@ class InView:
         axis = np.subtract(self.sight.toward, self.sight.tracker)
         view = points[-1] - tracker
         distance, radius = ca.norm_2(view), self._clearance
-        found = [ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(self.sight.half_angle) * distance]
+        expressions = [ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(self.sight.half_angle) * distance]
         if self.sight.reach is not None:
-            found += [distance - self.sight.reach[0], self.sight.reach[1] - distance]
+            expressions += [distance - self.sight.reach[0], self.sight.reach[1] - distance]
         if self._pointing is not None:
             looks = (self._pointing.symbolic_points(q)[-1] - points[-1]) / POINTER
-            found.append(-ca.dot(looks, view) - np.cos(self.sight.acceptance) * distance)
+            expressions.append(-ca.dot(looks, view) - np.cos(self.sight.acceptance) * distance)
         for a, b in pairwise(points[:-1]):
-            found.append((symbolic_square_between(tracker, points[-1], a, b) - radius**2) / (2.0 * radius))
-        return ca.vertcat(*found)
+            expressions.append((symbolic_square_between(tracker, points[-1], a, b) - radius**2) / (2.0 * radius))
+        return ca.vertcat(*expressions)
 
 
 def angle(one: Array, other: Array) -> Array:

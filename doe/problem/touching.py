@@ -80,9 +80,11 @@ def on_surface(model: Model, postures: Array, units: Array) -> Array:
     q, radius = np.array(postures), model.arm.chain.instrument.radius or 0.0
     conditions = Conditions()
     for _ in range(STEPS):
-        found, slopes = model.expressions.posture_jacobian(q, model.condition_table(q, conditions), model.values[None])
+        distance, slopes = model.expressions.posture_jacobian(
+            q, model.condition_table(q, conditions), model.values[None]
+        )
         slope = slopes[:, 0] * units
-        steps = -slope * ((found[:, 0, 0] - radius) / np.maximum(np.sum(slope**2, axis=1), 1e-300))[:, None]
+        steps = -slope * ((distance[:, 0, 0] - radius) / np.maximum(np.sum(slope**2, axis=1), 1e-300))[:, None]
         longest = np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / LONGEST, 1.0)
         q = q + steps / longest * units
     return q

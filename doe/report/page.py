@@ -1,7 +1,7 @@
-"""One self-contained HTML page: verdict, what to do next, sections of text, tables and pictures (jinja2, inline SVG).
+"""A document as one self-contained HTML page: verdict, what to do next, sections, where it comes from (jinja2, SVG).
 
-Everything that a user wrote is escaped by jinja2; the one script is known to the browser by its hash, so that no other
-could run; the page asks for nothing on the network.
+Everything that a user wrote is escaped; the one script is known to the browser by its hash, so that no other could run;
+the page asks for nothing on the network.
 """
 
 from __future__ import annotations
@@ -9,105 +9,94 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
+import platform
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from identification.document import Document, PlanSteps, Section, Sheet, html
 from identification.errors import InputError
-from identification.html_tables import html_table
+from identification.files.io import read_bytes, read_toml
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NO_METADATA = ("Date", "Creator", "Format", "Type")
 NARROW = 430.0  # [pt] width of a figure that a phone shows as it is; columns of wider ones stand below each other
 # colours of figures -> those of the page, light or dark
 COLORS = {"#000000": "var(--ink)", "#ffffff": "none", "#c44e52": "var(--before)", "#2a6f97": "var(--after)"}
 
 
-def check_picture(path: Path) -> None:
-    """Raises `InputError` for the name of a picture file whose ending is no format."""
-    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")
-
-
 @dataclass(frozen=True)
-class Sheet:
-    """A table of a page: headings and rows of ready text."""
+class Origin:
+    """command : as it was typed;  seed : of all that is random;  files : that were read"""
 
-    headings: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    command: str
+    seed: int
+    files: Sequence[Path]
 
-
-@dataclass(frozen=True)
-class Section:
-    """A part of a page: what it says, then its tables and pictures.
-
-    lead : a paragraph, or several
-    steps : a plan to be stepped through (`doe.report.plan_steps`);  folded : closed until a reader opens it
-    """
-
-    title: str
-    lead: str | Sequence[str]
-    sheets: Sequence[Sheet] = ()
-    figures: Sequence[Figure] = ()
-    steps: Mapping[str, Any] | None = None
-    folded: bool = False
-
-
-@dataclass(frozen=True)
-class Action:
-    """What to do next, in words, and the command for it where there is one."""
-
-    text: str
-    command: str = ""
+    def section(self) -> Section:
+        """The last part of a page: files with their hashes, URDF files that arm files name too, versions, command."""
+        paths = dict.fromkeys(self.files)
+        for path in self.files:
+            urdf = read_toml(path).get("urdf") if path.suffix == ".toml" else None
+            if isinstance(urdf, str) and not urdf.lstrip().startswith("<"):
+                paths[path.parent / urdf] = None
+        versions = [f"{name} {version(name)}" for name in ("armcal", "numpy", "scipy", "casadi")]
+        facts = [["command", self.command], ["seed", str(self.seed)]]
+        facts.append(["versions", ", ".join([*versions, f"Python {platform.python_version()}"])])
+        rows = [[name, str(size), digest] for name, size, digest in hashes(paths)]
+        tables = [Sheet(("file", "bytes", "SHA-256"), rows), Sheet(("", ""), facts)]
+        return Section("Where this page comes from", tables)
 
 
-def page(
-    title: str,
-    verdict: str | Sequence[str],
-    sections: Sequence[Section],
-    actions: Sequence[Action] = (),
-    warnings: Sequence[str] = (),
-) -> str:
-    """The page as text; it needs no other file and no network.
+def hashes(paths: Iterable[Path]) -> list[tuple[str, int, str]]:
+    """Name, size and SHA-256 of each file."""
+    contents = ((path, read_bytes(path)) for path in paths)
+    return [(str(path), len(content), hashlib.sha256(content).hexdigest()) for path, content in contents]
 
-    verdict : sentences, the first of them in bold
-    """
+
+def page(document: Document, origin: Origin | None = None) -> str:
+    """The page as text; it needs no other file and no network."""
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader("doe.report", "."), autoescape=True, trim_blocks=True)
-    drawn = [vars(s) | {"lead": paragraphs(s.lead), "pictures": [page_picture(f) for f in s.figures]} for s in sections]
+    loose = [part for part in document.parts if not isinstance(part, Section)]
+    sections = [Section("In short", loose)] if loose else []
+    sections += [part for part in document.parts if isinstance(part, Section)]
+    sections += [] if origin is None else [origin.section()]
     style, script = (files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     return environment.get_template("page.html.j2").render(
-        html_table=html_table,
-        title=title,
-        verdict=paragraphs(verdict),
-        sections=drawn,
-        actions=actions,
-        warnings=warnings,
+        document=document,
+        verdict=[sentence for sentence in document.verdict if sentence],
+        sections=sections,
+        steps={k: part for k, s in enumerate(sections, 1) for part in s.parts if isinstance(part, PlanSteps)},
+        html=lambda section: html(section, page_picture),
         style=style,
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     )
 
 
-def paragraphs(text: str | Sequence[str]) -> list[str]:
-    """One paragraph or several, without empty ones."""
-    return [one for one in ([text] if isinstance(text, str) else text) if one]
-
-
-def page_picture(figure: Figure) -> dict[str, Any]:
-    """A figure as the page has it: SVG in the page's colours, its size, whether it is too wide for a phone, and of one
-    that is the strips (left end, width) that stand below each other there."""
-    text = re.sub("|".join(COLORS), lambda found: COLORS[found[0]], svg(figure))
+def page_picture(figure: Figure) -> str:
+    """A figure as the page has it: SVG in the page's colours; where it is too wide for a phone, the strips too that
+    stand below each other there, or, without strips, in a box that scrolls."""
+    drawn = re.sub("|".join(COLORS), lambda color: COLORS[color[0]], svg(figure))
     width, height = 72.0 * figure.get_figwidth(), 72.0 * figure.get_figheight()
-    wide = width > NARROW
-    return {"svg": text, "width": width, "height": height, "wide": wide, "strips": strips(figure) if wide else []}
+    parts = strips(figure) if width > NARROW else []
+    kind = "panel" if width <= NARROW else "wide stacked" if parts else "wide pan"
+    name = f"picture-{hashlib.sha256(drawn.encode()).hexdigest()[:12]}"
+    drawn = drawn.replace("<svg", f'<svg id="{name}"', 1)
+    shown = "".join(
+        f'<svg class="strip" aria-hidden="true" viewBox="{left} 0 {across} {height}">'
+        f'<use href="#{name}" width="{width}" height="{height}"/></svg>\n'
+        for left, across in parts
+    )
+    return f'<div class="{kind}" style="--width: {width:.0f}pt">\n<div class="whole">{drawn}</div>\n{shown}</div>\n'
 
 
 def strips(figure: Figure) -> list[tuple[float, float]]:
@@ -124,8 +113,8 @@ def strips(figure: Figure) -> list[tuple[float, float]]:
         else:
             columns.append([low, high])
     ends = [0.0, *((a[1] + b[0]) / 2.0 for a, b in pairwise(columns)), 72.0 * figure.get_figwidth()]
-    found = [(round(a, 2), round(b - a, 2)) for a, b in pairwise(ends)]
-    return found if len(found) > 1 and max(width for _, width in found) <= NARROW else []
+    parts = [(round(a, 2), round(b - a, 2)) for a, b in pairwise(ends)]
+    return parts if len(parts) > 1 and max(width for _, width in parts) <= NARROW else []
 
 
 def svg(figure: Figure) -> str:
@@ -134,7 +123,13 @@ def svg(figure: Figure) -> str:
 
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": "armcal", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", dpi=200, metadata=dict.fromkeys(NO_METADATA))
+        figure.savefig(buffer, format="svg", dpi=200, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     text = buffer.getvalue()
     element = text[text.index("<svg") :]
     return re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", re.sub(r'width="[^"]*pt"', 'width="100%"', element, count=1))
+
+
+def check_picture(path: Path) -> None:
+    """Raises `InputError` for the name of a picture file whose ending is no format."""
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")

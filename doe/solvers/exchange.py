@@ -1,14 +1,15 @@
-"""Coordinate exchange on a coarse grid per joint, for many starts at once.
+"""Exchange, for many starts at once: each run in turn is taken out of the plan and replaced by the best posture.
 
-R. K. Meyer, C. J. Nachtsheim, Technometrics 37 (1995); here the best single-joint change over all joints is taken.
-
-One sweep visits every run in random order. The run is taken out of the plan, and put back at the best of all postures
-that differ from it in one joint, on the grid; a start ends when a sweep changes nothing. The starts of a batch advance
-together, so that numpy works on arrays of starts x candidates.
+`Exchange` offers all postures that differ from the run's in one joint, on a coarse grid per joint: coordinate exchange
+(R. K. Meyer, C. J. Nachtsheim, Technometrics 37, 1995), here with the best single-joint change over all joints.
+`Fedorov` offers a whole list (R. D. Cook, C. J. Nachtsheim, Technometrics 22 (1980), after V. V. Fedorov, "Theory of
+Optimal Experiments", 1972). One sweep visits every run in random order; a start ends when a sweep changes nothing. The
+starts of a batch advance together, so that numpy works on arrays of starts x candidates.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -16,17 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria.criterion import surrogate, values_after_adding
-from doe.plan.ascent import WIDE
 from doe.plan.replicate_spacing import distance_to_keep
+from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_grid
-from doe.problem.problem import DesignProblem, information_of_each
+from doe.problem.problem import MANY, DesignProblem, information_of_each
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
+from identification.errors import InputError
 from identification.information import information_matrix
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 SWEEPS = 60
 TOGETHER = 20_000  # runs of all starts of a batch, at most: keeps memory and time of a batch small
+DEAR, FEWEST = 100, 2  # parameters from which a list has fewer starts; the fewest starts
+CHUNK = 20_000  # listed postures compared at once: stays in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class Exchange:
     def starts_for(self, problem: DesignProblem) -> int:
         """Thirty per pair of joints, as local optima grow with them; fewer for many parameters, as each costs p^3."""
         wanted = max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
-        return max(10, round(wanted * min(1.0, (WIDE / problem.parameters) ** 2)))
+        return max(10, round(wanted * min(1.0, (MANY / problem.parameters) ** 2)))
 
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
@@ -51,12 +55,16 @@ class Exchange:
         """The plans of each batch, best first."""
         left = budget.starts
         while True:
-            count = max(1, min(self.batch, left, TOGETHER // runs))
-            left -= count
-            first = self.begin(problem, count, runs, generator)
-            yield Offer(first[0])  # something to return if the user stops during the first batch
-            for plan in self.improve(problem, first, generator, budget)[0]:
+            started = self.begin(problem, left, runs, generator)
+            left -= len(started)
+            yield Offer(started[0])  # something to return if the user stops during the first batch
+            for plan in self.improve(problem, started, generator, budget)[0]:
                 yield Offer(plan, 1, independent=True)
+
+    def begin(self, problem: DesignProblem, left: int, runs: int, generator: np.random.Generator) -> Array:
+        """(s, m, n) random plans on the grid: a batch, or as many starts as are left."""
+        count = max(1, min(self.batch, left, TOGETHER // runs))
+        return random_grid(problem, self.grid(problem), count * runs, generator).reshape(count, runs, problem.joints)
 
     def improve(
         self, problem: DesignProblem, plans: Array, generator: np.random.Generator, budget: Budget
@@ -68,17 +76,51 @@ class Exchange:
         order = np.argsort(-values, kind="stable")
         return search.plans[order], values[order]
 
-    def begin(self, problem: DesignProblem, count: int, runs: int, generator: np.random.Generator) -> Array:
-        """(count, m, n) random plans on the grid."""
-        postures = random_grid(problem, self.grid(problem), count * runs, generator)
-        return postures.reshape(count, runs, problem.joints)
-
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""
         return np.linspace(problem.lower, problem.upper, self.levels, axis=1)
 
 
-class Batch:
+@dataclass(frozen=True)
+class Fedorov:
+    """Exchange with all of `problem.choices` for every run, from random choices; each once unless repeats are allowed.
+
+    count : starts;  batch : starts that advance together, one by one where there is a prior over many effects: a start
+        takes seconds then, and a time limit is to find some at their end
+    """
+
+    count: int = 30
+    batch: int = 10
+    name: str = "fedorov"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """Each start is thorough; fewer for many parameters that have a prior, as each costs the square of them."""
+        if not problem.deviations:
+            return self.count
+        return max(FEWEST, round(self.batch * min(1.0, (DEAR / problem.parameters) ** 2)))
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
+        if problem.choices is None:
+            raise InputError("solver: fedorov needs a list of postures, found none, allowed: with --candidates")
+        postures = listed_candidates(problem, problem.choices).postures
+        if problem.minimum_distance > 0.0:
+            postures = np.unique(postures, axis=0)
+            if len(postures) < runs:
+                allowed = f"up to {len(postures)}, the different postures to choose from"
+                raise InputError(f"runs: found {runs}, allowed: {allowed}")
+        shape = (1 if problem.deviations else self.batch, runs)
+        jacobians = problem.scaled_jacobians(postures)
+        while True:
+            search = ListBatch.started(problem, jacobians, shape, generator)
+            search.improve(generator, budget)
+            for chosen in search.chosen[np.argsort(-search.values, kind="stable")]:
+                yield Offer(postures[chosen], 1, independent=True)
+
+
+class Batch(ABC):
     """Starts that advance together, whatever postures a run is exchanged for.
 
     jacobians : (s, m, d, p), scaled;  information : (s, p, p);  values : (s,) criterion, or its surrogate
@@ -97,27 +139,28 @@ class Batch:
         for _ in range(SWEEPS):
             if not self.running.size or budget.out_of_time:
                 break
-            self.sweep(generator, budget)
+            before = self.values[self.running]
+            for run in generator.permutation(self.runs).tolist():
+                if budget.ended():
+                    break
+                self.exchange(run)
+            information, values = self._information(self.running)  # computed afresh: no rounding piles up
+            self.information[self.running], self.values[self.running] = information, values
+            self.running = self.running[~(values <= before + IMPROVEMENT) | np.isneginf(before)]
 
-    def sweep(self, generator: np.random.Generator, budget: Budget) -> None:
-        """Every run of every running start once, as long as there is time."""
-        before = self.values[self.running]
-        for run in generator.permutation(self.runs):
-            if budget.out_of_time:
-                break
-            self.exchange(int(run))
-        information, values = self._information(self.running)  # computed afresh: no rounding piles up
-        self.information[self.running], self.values[self.running] = information, values
-        self.running = self.running[~(values <= before + IMPROVEMENT) | np.isneginf(before)]
-
+    @abstractmethod
     def exchange(self, run: int) -> None:
-        """Move one run of every running start to the best reachable posture."""
-        raise NotImplementedError
+        """Move one run of every running start to the best posture on offer."""
 
     def _information(self, starts: NDArray[np.intp]) -> tuple[Array, Array]:
         """(s, p, p) information matrices, and (s,) their values."""
         information = self.problem.prior.information(information_matrix(self.jacobians[starts]), self.runs)
         return information, np.array(self.criterion.value(information))
+
+    def _put(self, starts: NDArray[np.intp], run: int, without: Array, jacobians: Array) -> None:
+        """Put postures with these Jacobians (s, d, p) in the place of a run; `without` (s, p, p): all but that run."""
+        self.jacobians[starts, run] = jacobians
+        self.information[starts] = without + information_of_each(jacobians) / self.total
 
 
 class GridBatch(Batch):
@@ -131,10 +174,10 @@ class GridBatch(Batch):
             self.running = self.running[:0]
 
     def exchange(self, run: int) -> None:
-        """Move one run of every running start to the best reachable posture."""
+        """Move one run of every running start to the best posture on offer."""
         old = self.jacobians[self.running, run]
         without = self.information[self.running] - information_of_each(old) / self.total
-        postures = self.neighbors(self.plans[self.running, run])
+        postures = self._neighbors(self.plans[self.running, run])
         jacobians = self.problem.scaled_jacobians(postures)
         offered = np.concatenate([old[:, None], jacobians], axis=1) / np.sqrt(self.total)
         values = values_after_adding(self.criterion, without, offered)
@@ -142,8 +185,15 @@ class GridBatch(Batch):
         starts = np.flatnonzero(values[:, 1:].max(axis=1) > values[:, 0] + IMPROVEMENT)
         best, at = np.argmax(values[starts, 1:], axis=1), self.running[starts]
         self.plans[at, run] = postures[starts, best]
-        self.jacobians[at, run] = jacobians[starts, best]
-        self.information[at] = without[starts] + information_of_each(self.jacobians[at, run]) / self.total
+        self._put(at, run, without[starts], jacobians[starts, best])
+
+    def _neighbors(self, postures: Array) -> Array:
+        """(s, c, n) postures that differ from those given (s, n) in one joint, on the grid."""
+        levels, joints = self.grid.shape[1], self.problem.searched_joints
+        moved = np.repeat(postures[:, None], len(joints) * levels, axis=1)
+        for k, joint in enumerate(joints):
+            moved[:, k * levels : (k + 1) * levels, joint] = self.grid[joint]
+        return moved
 
     def _allowed(self, postures: Array, run: int) -> NDArray[np.bool_]:
         """(s, c) True where a posture satisfies the constraints and repeats no other run of its plan."""
@@ -157,11 +207,36 @@ class GridBatch(Batch):
                 allowed &= np.abs(offered - other[:, None]).max(axis=-1) >= self.distance
         return allowed
 
-    def neighbors(self, postures: Array) -> Array:
-        """(s, c, n) postures that differ from those given (s, n) in one joint, on the grid."""
-        levels = self.grid.shape[1]
-        joints = self.problem.searched_joints
-        moved = np.repeat(postures[:, None], len(joints) * levels, axis=1)
-        for k, joint in enumerate(joints):
-            moved[:, k * levels : (k + 1) * levels, joint] = self.grid[joint]
-        return moved
+
+class ListBatch(Batch):
+    """Rows (s, m) of a list, `chosen`, whose runs are exchanged for any of its N postures; offered : (N, d, p)."""
+
+    def __init__(self, problem: DesignProblem, offered: Array, chosen: NDArray[np.intp]) -> None:
+        super().__init__(problem, offered[chosen])
+        self.offered, self.chosen = offered, chosen
+
+    @classmethod
+    def started(
+        cls, problem: DesignProblem, offered: Array, shape: tuple[int, int], generator: np.random.Generator
+    ) -> ListBatch:
+        """(s, m) random rows of the list."""
+        if problem.minimum_distance == 0.0:
+            return cls(problem, offered, generator.integers(len(offered), size=shape))
+        rows = [generator.choice(len(offered), shape[1], replace=False) for _ in range(shape[0])]
+        return cls(problem, offered, np.array(rows))
+
+    def exchange(self, run: int) -> None:
+        """Move one run of every running start to the best posture of the list."""
+        parts = np.array_split(self.offered, -(-len(self.offered) // CHUNK))
+        for start in self.running.tolist():
+            old = self.chosen[start, run]
+            without = self.information[start] - information_of_each(self.offered[old]) / self.total
+            scaled = (part[None] / np.sqrt(self.total) for part in parts)
+            values = np.concatenate([values_after_adding(self.criterion, without[None], part)[0] for part in scaled])
+            now = values[old]
+            if self.problem.minimum_distance > 0.0:
+                values[self.chosen[start]] = -np.inf
+            best = int(np.argmax(values))
+            if values[best] > now + IMPROVEMENT:
+                self.chosen[start, run] = best
+                self._put(np.array([start]), run, without[None], self.offered[best][None])

@@ -1,31 +1,43 @@
-"""IPOPT from several starts, with exact first and second derivatives of the criterion and of the constraints."""
+"""IPOPT from several starts, with exact first and second derivatives of the criterion and of the constraints.
+
+    f(q_1, ..., q_m) = Phi(M),   M = (sum_i B_i^T B_i + K) / N
+
+with B_i = B(q_i), K what is known from k runs already (`PriorInformation`), N = m + k. By the chain rule, with
+G = dPhi/dM and X_ia = dM/dq_ia,
+
+    df/dq_ia            = (2/N) tr(G B_i^T dB_i/dq_a)
+    d2f/dq_ia dq_kb     = D^2 Phi[X_ia, X_kb] + (2/N) [i = k] ( tr(G dB_a^T dB_b) + tr(G B^T d2B_ab) )
+
+B and its derivatives come from `doe.problem.derivatives`; CasADi calls numpy for them, since Phi is numpy's.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from doe.criteria.criterion import smooth
 from doe.plan.replicate_spacing import free_values
+from doe.problem.derivatives import ConstraintDerivatives, JacobianDerivatives
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.solvers.derivatives import ConstraintFunction, PlanFunction
-from doe.solvers.ipopt_callbacks import Guarded, Stop, interrupts_noted
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.information import information_matrix
 
 MOST = 5000  # variables, whose second derivatives are dense: 0.2 GB, and 10 s for each step
 POLISHED = 1500  # variables, beyond which what other solvers found is left as it is
-
 NEAR_LIMIT = 1e-5  # joint unit: an interior point method ends this near to a limit that is active; it is put on it
-
 MARGIN = 1e-4  # [mm] constraints are kept by this much, since IPOPT keeps them to about 1e-8 only
-
 QUIET = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "show_eval_warnings": False}
 
 
@@ -85,20 +97,61 @@ def polishes(problem: DesignProblem, runs: int) -> bool:
     return variables(problem, runs) <= POLISHED
 
 
+@dataclass(frozen=True)
+class PlanFunction:
+    """The criterion of plans of m runs as a function of the angles of some `joints`; the others stay where they are.
+
+    Of a criterion without second derivatives (E) it is the smooth stand-in. Derivatives are ordered run by run, joint
+    by joint: (m a), (m a, m a).
+    """
+
+    problem: DesignProblem
+    joints: Sequence[int]
+
+    def value(self, postures: Array) -> float:
+        """f; -inf where the information matrix is singular."""
+        return float(smooth(self.problem.criterion).value(self.problem.information(postures)))
+
+    def expand(self, postures: Array) -> tuple[float, Array, Array]:
+        """f, its gradient (m a,) and its Hessian (m a, m a), in one pass.
+
+        Raises numpy's `LinAlgError` where the information matrix is singular.
+        """
+        criterion = smooth(self.problem.criterion)
+        jacobian, first = self._derivatives.first(postures)
+        m, a, d, p = first.shape
+        total = m + self.problem.prior.runs
+        information = self.problem.prior.information(information_matrix(jacobian), m)
+        gradient = criterion.gradient(information)
+        slope = (2.0 / total) * np.einsum("mdp,madp->ma", jacobian @ gradient, first)
+        half = np.swapaxes(jacobian, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
+        directions = (half + np.swapaxes(half, -1, -2)).reshape(m * a, p, p) / total
+        hessian = criterion.curvature(information, directions).reshape(m, a, m, a)
+        flat = first.reshape(m, a, d * p)
+        bend = flat @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
+        bend += self._derivatives.bend(postures, jacobian @ gradient)
+        hessian[np.arange(m), :, np.arange(m), :] += (2.0 / total) * bend
+        return float(criterion.value(information)), slope.ravel(), hessian.reshape(m * a, m * a)
+
+    @cached_property
+    def _derivatives(self) -> JacobianDerivatives:
+        return JacobianDerivatives(self.problem, self.joints)
+
+
 class Climber:
     """IPOPT set up once for a problem; each call improves one plan (m, n) as far as it goes, or until time is up."""
 
     def __init__(self, problem: DesignProblem, runs: int, settings: Ipopt, budget: Budget) -> None:
-        self.function = PlanFunction(problem, runs, problem.searched_joints)
-        self.constraints = ConstraintFunction(problem, self.function.joints)
-        self.problem = problem
-        self.budget = budget
+        self.problem, self.runs, self.budget = problem, runs, budget
+        self.joints = list(problem.searched_joints)
+        self.function = PlanFunction(problem, self.joints)
+        self.walls = ConstraintDerivatives(problem, self.joints)
         self.base = np.tile(free_values(problem), (runs, 1))
-        self.joints = list(self.function.joints)
         self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
         self.near_limit = np.tile(NEAR_LIMIT * problem.joint_units[self.joints], runs)
         self.interrupted = False
-        self.expand, self.values = lru_cache(1)(self._expand), lru_cache(1)(self._values)  # IPOPT asks one by one
+        self.expand = lru_cache(1)(lambda x: self.function.expand(self._of_bytes(x)))  # IPOPT asks one by one
+        self.values = lru_cache(1)(self._values)
         self._callbacks = self._build()
         nlp = self._callbacks.pop("nlp")
         self.ipopt = ca.nlpsol("ipopt", "ipopt", nlp, settings.options | self._callbacks | {"no_nlp_grad": True})
@@ -109,10 +162,9 @@ class Climber:
         start = self.problem.clip(postures)[:, self.joints].ravel()
         if not start.size:  # a single link: every posture is as good as any other
             return self.postures(start)
-        with interrupts_noted(self):
+        with self._interrupts_noted():
             ended = self.ipopt(x0=start, lbx=self.lower, ubx=self.upper, lbg=MARGIN, ubg=np.inf)
-        found = np.asarray(ended["x"]).ravel()
-        inside = np.clip(found, self.lower, self.upper)
+        inside = np.clip(np.asarray(ended["x"]).ravel(), self.lower, self.upper)
         snapped = np.where(inside - self.lower < self.near_limit, self.lower, inside)
         snapped = np.where(self.upper - inside < self.near_limit, self.upper, snapped)
         plans = [self.postures(x) for x in (snapped, inside, start)]
@@ -131,50 +183,116 @@ class Climber:
         plan[:, self.joints] = point.reshape(len(plan), -1)
         return plan
 
+    @contextmanager
+    def _interrupts_noted(self) -> Iterator[None]:
+        """Ctrl-C, and SIGTERM where it raises, set `interrupted` instead: CasADi would swallow the exception."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def note(*_: object) -> None:
+            self.interrupted = True
+
+        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        # CasADi listens to SIGINT itself, also where a shell started the program in the background and it is ignored
+        raising = {
+            number: handler for number, handler in before.items() if number == signal.SIGINT or callable(handler)
+        }
+        try:
+            for number in raising:
+                signal.signal(number, note)
+            yield
+        finally:
+            for number, handler in raising.items():
+                signal.signal(number, handler or signal.SIG_DFL)
+
     def _build(self) -> dict[str, ca.Callback]:
         """Functions for `casadi.nlpsol`: f and g, grad f, jac g, the Hessian of the Lagrangian, and the stop."""
-        size, rows = self.function.size, self.function.runs * self.constraints.rows
-        x, scalar = ca.Sparsity.dense(size, 1), ca.Sparsity.dense(1, 1)
-        g = ca.Sparsity.dense(rows, 1) if rows else ca.Sparsity(0, 1)
+        each = self.walls.values(self.problem.lower[None]).shape[1] if self.problem.constraints else 0
+        size, rows = self.runs * len(self.joints), self.runs * each
+        x, scalar, g = ca.Sparsity.dense(size, 1), ca.Sparsity.dense(1, 1), ca.Sparsity.dense(rows, 1)
         point, multipliers = {"x": x, "p": ca.Sparsity(0, 0)}, {"lam_f": scalar, "lam_g": g}
-        jacobian, upper = self.constraints.sparsity(self.function.runs), ca.Sparsity.upper(size)
-        made = {
-            "nlp": Guarded("nlp", point, {"f": scalar, "g": g}, self._objective),
-            "grad_f": Guarded("grad_f", point, {"f": scalar, "grad_f_x": x}, self._gradient),
-            "hess_lag": Guarded("hessian", point | multipliers, {"triu_hess_gamma_x_x": upper}, self._hessian),
-            "iteration_callback": Stop(size, rows, self),
+        upper = {"triu_hess_gamma_x_x": ca.Sparsity.upper(size)}
+        made: dict[str, ca.Callback] = {
+            "nlp": NumpyFunction("nlp", point, {"f": scalar, "g": g}, lambda x, *_: self.values(x.tobytes())),
+            "grad_f": NumpyFunction("grad_f", point, {"f": scalar, "grad_f_x": x}, self._gradient),
+            "hess_lag": NumpyFunction("hessian", point | multipliers, upper, self._hessian),
         }
-        if rows:
-            made["jac_g"] = Guarded("jac_g", point, {"g": g, "jac_g_x": jacobian}, self._jacobian)
+        if rows:  # a run's constraints depend on its own joints only
+            jacobian = ca.diagcat(*[ca.Sparsity.dense(each, len(self.joints))] * self.runs)
+            made["jac_g"] = NumpyFunction("jac_g", point, {"g": g, "jac_g_x": jacobian}, self._jacobian)
+        counts = {"f": 1, "x": size, "lam_x": size, "g": rows, "lam_g": rows}
+        names = [ca.nlpsol_out(k) for k in range(ca.nlpsol_n_out())]
+        state = {name: ca.Sparsity.dense(counts.get(name, 0), min(counts.get(name, 0), 1)) for name in names}
+        made["iteration_callback"] = NumpyFunction("stop", state, {"ret": scalar}, self._stop)
         return made
 
-    def _plan(self, point: bytes) -> Array:
+    def _of_bytes(self, point: bytes) -> Array:
         return self.postures(np.frombuffer(point))
-
-    def _expand(self, point: bytes) -> tuple[float, Array, Array]:
-        """Value, gradient, Hessian."""
-        return self.function.expand(self._plan(point))
 
     def _values(self, point: bytes) -> list[Array]:
         """-f and g."""
-        plan = self._plan(point)
-        values = self.constraints.values(plan) if self.constraints.rows else np.empty(0)
-        return [np.array([-self.function.value(plan)]), values]
-
-    def _objective(self, x: Array, *_: Array) -> list[Array]:
-        return self.values(x.tobytes())
+        plan = self._of_bytes(point)
+        walls = self.walls.values(plan).ravel() if self.problem.constraints else np.empty(0)
+        return [np.array([-self.function.value(plan)]), walls]
 
     def _gradient(self, x: Array, *_: Array) -> list[Array]:
         value, slope, _hessian = self.expand(x.tobytes())
         return [np.array([-value]), -slope]
 
     def _jacobian(self, x: Array, *_: Array) -> list[Array]:
-        plan = self.postures(x)
-        return [self.constraints.values(plan), self.constraints.jacobian(plan)]
+        """g and its derivatives in the order of CasADi's columns: run, joint, constraint."""
+        values, first = self.walls.first(self.postures(x))
+        return [values.ravel(), np.swapaxes(first, 1, 2).ravel()]
 
     def _hessian(self, x: Array, _p: Array, factor: Array, multipliers: Array) -> list[Array]:
-        hessian = -float(factor[0]) * self.expand(x.tobytes())[2] + self.constraints.hessian(
-            self.postures(x), multipliers
-        )
+        hessian = -float(factor[0]) * self.expand(x.tobytes())[2]
+        if multipliers.size:
+            blocks = hessian.reshape(self.runs, len(self.joints), self.runs, len(self.joints))
+            runs = np.arange(self.runs)
+            blocks[runs, :, runs, :] += self.walls.bend(self.postures(x), multipliers.reshape(self.runs, -1))
         columns, rows = np.tril_indices(len(hessian))  # CasADi stores the upper triangle column by column
         return [hessian[rows, columns]]
+
+    def _stop(self, *_: Array) -> list[Array]:
+        return [np.array([float(self.interrupted or self.budget.out_of_time)])]
+
+
+class NumpyFunction(ca.Callback):
+    """A numpy function as a CasADi function. Failures become NaN, which IPOPT answers by a shorter step."""
+
+    def __init__(
+        self,
+        name: str,
+        inputs: dict[str, ca.Sparsity],
+        outputs: dict[str, ca.Sparsity],
+        function: Callable[..., list[Array]],
+    ) -> None:
+        ca.Callback.__init__(self)
+        self.inputs, self.outputs, self.function = list(inputs.items()), list(outputs.items()), function
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self.inputs)
+
+    def get_n_out(self) -> int:
+        return len(self.outputs)
+
+    def get_name_in(self, i: int) -> str:
+        return self.inputs[i][0]
+
+    def get_name_out(self, i: int) -> str:
+        return self.outputs[i][0]
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return self.inputs[i][1]
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return self.outputs[i][1]
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
+        try:
+            values = self.function(*(np.asarray(a).ravel() for a in arguments))
+            return [ca.DM(sparsity, value) for (_, sparsity), value in zip(self.outputs, values, strict=True)]
+        except np.linalg.LinAlgError:
+            return [ca.DM(sparsity, np.nan) for _, sparsity in self.outputs]

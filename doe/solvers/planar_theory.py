@@ -1,29 +1,44 @@
 """D-optimal plans from theory, where the joint limits and the number of runs allow any: no search.
 
-One group of m elements (`doe.solvers.planar_characters`), or smaller groups, each with its own phases, that make up
-m. With no limits the plan of a group of m is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random
-phases: any columns of the DFT matrix (doe/README.md, "Information matrix"), in shuffled order, since the plan f_j = j
-hides missing effects (identification/README.md, "Lessons"). With all ranges below pi it is the two-level factorial,
+Number the b runs of such a plan by the elements of a group Z_2^t x Z_(b / 2^t), and write z_j in C^b for the column of
+exp(i theta_j). The planar theorem (doe/README.md) says when the bound is attained: every new column, less
+its projection on its neighbor, is orthogonal to all columns so far. Going from any link to the left or to the right,
+
+- *wide* joint (range pi or more): the new column itself is orthogonal. It is tried as a character times any earlier
+  column, and taken where the angles it asks of the joint fit into the range; their common phase stays free.
+- *narrow* joint: always at one of its limits, exp(i q_j) = exp(i middle) (cos h + i s sin h), 2 h the range, with the
+  signs s a character of order two such that s times the neighbor is orthogonal.
+
+A phase of a wide joint changes no |H_jk| and leaves H_jk = 0 across that joint. So a plan is of one group of m
+elements, or of smaller groups, each with its own phases, that make up m: the mean of their matrices H is optimal again.
+With no limits the plan of one group is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random phases:
+any columns of the DFT matrix (doe/README.md, "Information matrix"), in shuffled order, since the plan f_j = j hides
+missing effects (identification/README.md, "Lessons"). With all ranges below pi it is the two-level factorial,
 2^(joints) runs or a multiple.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
-from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from doe.bounds.planar_theorem import applies, chain_joints
-from doe.plan.replicate_spacing import beside_earlier, free_values, replicates_allowed, too_near
-from doe.problem.problem import DesignProblem
+from doe.plan.replicate_spacing import free_values, neighbor_counts, replicates_allowed, too_near
+from doe.problem.problem import DesignProblem, Stop, never
 from doe.solvers.exchange import Exchange
-from doe.solvers.planar_characters import CharacterPlan, character_plans, halves
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
+from identification.errors import JobError
 
+Columns = NDArray[np.complex128]
+Pattern = tuple[Array, Array]  # (b, J) angles above the lower limits [rad] and (J,) their free phase [rad]
+ROUNDING = 1e-9  # [rad] by which a range may fall short; and of a mean product of columns that counts as zero
+ALL, SAMPLE = 64, 32  # runs up to which all characters are tried; number tried of a larger group
+TURN = 2.0 * np.pi
 WHOLE = 2048  # runs up to which one group is tried
 SMALL = 48  # runs of the plans that are put together, or as many as the factorial of all joints has
 PATTERNS = 16  # different plans of one size, and times that those too near others are placed anew
@@ -37,10 +52,6 @@ class Analytic:
 
     tries: int = 60
     name: str = "analytic"
-    without_plan: ClassVar[str] = (
-        "solver: analytic has no plan for this criterion, these limits and this number of runs, allowed: leave "
-        "--solver out"
-    )
 
     def starts_for(self, problem: DesignProblem) -> int:
         """One: any such plan is optimal."""
@@ -49,23 +60,27 @@ class Analytic:
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
     ) -> Iterator[Offer]:
-        """One plan per start, as long as any is found."""
-        if not applies(problem) or problem.constraints:
-            return
-        composed = GroupedPlans(problem, runs, self.tries, generator, budget.ended)
-        while (plan := composed.plan()) is not None:
-            yield Offer(generator.permutation(plan), 1)
+        """One plan per start. Raises `JobError` where there is none."""
+        number = 0
+        for plan in optimal_plans(problem, runs, generator, self.tries, budget.ended):
+            number += 1
+            yield Offer(plan, 1)
+        if not number:
+            raise JobError(
+                "solver: analytic has no plan for this criterion, these limits and this number of runs, allowed: leave "
+                "--solver out"
+            )
 
 
-def nearly_analytic(
+def nearly_optimal(
     problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
 ) -> Iterator[Offer]:
     """A plan from theory of a few runs less, the others chosen by exchange, before and after; nothing without one."""
     exchange = Exchange()
     for fewer in range(runs - 1, max(runs - NEARLY, problem.fewest_runs) - 1, -1):
-        known = next(Analytic(tries=12).offers(problem, fewer, generator, budget), None)
-        if known is not None:
-            plan = np.vstack([known.postures, exchange.begin(problem, 1, runs - fewer, generator)[0]])
+        optimal = next(optimal_plans(problem, fewer, generator, 12, budget.ended), None)
+        if optimal is not None:
+            plan = np.vstack([optimal, exchange.begin(problem, 1, runs - fewer, generator)[0]])
             yield Offer(plan)
             yield Offer(exchange.improve(problem, plan[None], generator, budget)[0][0], 1)
             return
@@ -73,81 +88,79 @@ def nearly_analytic(
             return
 
 
-class GroupedPlans:
-    """Plans of groups found so far for one number of runs; `stop` ends the search for more sizes of groups."""
+def optimal_plans(
+    problem: DesignProblem, runs: int, generator: np.random.Generator, tries: int = 60, stop: Stop = never
+) -> Iterator[Array]:
+    """Random plans (m, n) that attain the closed-form bound, without repeats as far as a few attempts find one.
 
-    def __init__(
-        self, problem: DesignProblem, runs: int, tries: int, generator: np.random.Generator, stop: Callable[[], bool]
-    ) -> None:
-        self.problem, self.joints = problem, list(chain_joints(problem))
-        self.lower, self.upper = problem.lower[self.joints], problem.upper[self.joints]
-        self.runs, self.tries, self.generator, self.stop = runs, tries, generator, stop
-        self.whole = runs <= WHOLE  # until proven otherwise
-        self.patterns: dict[int, list[CharacterPlan]] | None = None
-        no_free_joint = replicates_allowed(problem) == 1.0
-        self.apart = problem.minimum_distance if no_free_joint else 0.0  # [rad]
+    tries : random constructions of a group;  stop : ends the search for more sizes of groups
+    """
+    if not applies(problem) or problem.constraints:
+        return
+    joints = list(chain_joints(problem))
+    lower, upper = problem.lower[joints], problem.upper[joints]
+    whole, small = runs <= WHOLE, None
+    apart = problem.minimum_distance if replicates_allowed(problem) == 1.0 else 0.0  # where no joint is free
 
-    def plan(self) -> Array | None:
-        """(m, n) a random plan, None where none is found; without repeats, as far as a few attempts find one."""
-        for _ in range(ATTEMPTS if self.whole else 0):
-            plan = self._of_one_group()
-            if plan is None:
-                self.whole = False
+    def placed(pattern: Pattern) -> Array:
+        """(b, J) joint angles with random phases."""
+        return np.minimum(lower + pattern[0] + generator.uniform(0.0, pattern[1]), upper)
+
+    while True:
+        angles, crowded = np.empty((0, len(joints))), True
+        for _ in range(ATTEMPTS if whole else 0):
+            pattern = next(character_plans(upper - lower, runs, tries, generator), None)
+            if pattern is None:
+                whole = False
                 break
-            if not len(too_near(self.problem, plan)):
-                return plan
-        return self._of_many()
-
-    def _of_one_group(self) -> Array | None:
-        found = next(self._character_plans(self.runs), None)
-        return None if found is None else self._full(found.placed(self.lower, self.upper, self.generator))
-
-    def _of_many(self) -> Array | None:
-        if self.patterns is None:
-            self.patterns = self._small_groups()
-        if not self.patterns:
-            return None
-        sizes = composed(list(self.patterns), self.runs, self.generator)
-        edges = np.cumsum([0, *sizes])
-        angles = np.concatenate([self._drawn(size) for size in sizes])
-        for _ in range(PATTERNS if self.apart > 0.0 else 0):
-            crowded = np.unique(np.searchsorted(edges, beside_earlier(angles, self.apart), side="right")) - 1
-            if not len(crowded):
+            angles = placed(pattern)
+            crowded = len(too_near(problem, full_plan(problem, joints, angles))) > 0
+            if not crowded:
                 break
-            for group in crowded.tolist():
-                angles[edges[group] : edges[group + 1]] = self._drawn(sizes[group])
-        return self._full(angles)
+        if crowded:
+            small = small_groups(upper - lower, runs, tries, generator, stop) if small is None else small
+            if not small:
+                return
+            sizes = random_sizes(list(small), runs, generator)
+            groups = [placed(drawn(small[size], generator)) for size in sizes]
+            edges = np.cumsum([0, *sizes])
+            for _ in range(PATTERNS if apart > 0.0 else 0):
+                near = np.flatnonzero(neighbor_counts(np.concatenate(groups), apart))
+                for group in np.unique(np.searchsorted(edges, near, side="right") - 1).tolist():
+                    groups[group] = placed(drawn(small[sizes[group]], generator))
+            angles = np.concatenate(groups)
+        yield generator.permutation(full_plan(problem, joints, angles))
 
-    def _drawn(self, size: int) -> Array:
-        """(b, J) a random one of the patterns at random phases."""
-        patterns = (self.patterns or {})[size]
-        return patterns[self.generator.integers(len(patterns))].placed(self.lower, self.upper, self.generator)
 
-    def _full(self, angles: Array) -> Array:
-        """(m, n) postures whose other joints stay in the middle."""
-        plan = np.tile(free_values(self.problem), (len(angles), 1))
-        plan[:, self.joints] = angles
-        return plan
+def full_plan(problem: DesignProblem, joints: list[int], angles: Array) -> Array:
+    """(m, n) postures with these angles (m, J) whose other joints stay in the middle."""
+    plan = np.tile(free_values(problem), (len(angles), 1))
+    plan[:, joints] = angles
+    return plan
 
-    def _character_plans(self, size: int) -> Iterator[CharacterPlan]:
-        return character_plans(self.upper - self.lower, size, self.tries, self.generator)
 
-    def _small_groups(self) -> dict[int, list[CharacterPlan]]:
-        """Size -> plans of groups, the smallest sizes that make up the number of runs; empty where none do."""
-        found: dict[int, list[CharacterPlan]] = {}
-        if halves(self.upper - self.lower) and self.runs % 2:
-            return found
-        for size in range(len(self.lower) + 1, min(self.runs // 2, max(SMALL, 2 ** len(self.lower))) + 1):
-            if found and size % np.gcd.reduce(list(found)) == 0:
-                continue  # nothing that the smaller sizes cannot make, but for the smallest multiples
-            if self.stop():
-                break
-            some = list(islice(self._character_plans(size), PATTERNS))
-            if some:
-                found[size] = some
-            if found and reachable_sums(list(found), self.runs)[self.runs]:
-                return found
-        return {}
+def drawn(patterns: list[Pattern], generator: np.random.Generator) -> Pattern:
+    """A random one."""
+    return patterns[generator.integers(len(patterns))]
+
+
+def small_groups(
+    widths: Array, runs: int, tries: int, generator: np.random.Generator, stop: Stop
+) -> dict[int, list[Pattern]]:
+    """Size -> plans of groups, the smallest sizes that make up the number of runs; empty where none do."""
+    groups: dict[int, list[Pattern]] = {}
+    if halves(widths) and runs % 2:
+        return groups
+    for size in range(len(widths) + 1, min(runs // 2, max(SMALL, 2 ** len(widths))) + 1):
+        if groups and size % np.gcd.reduce(list(groups)) == 0:
+            continue  # nothing that the smaller sizes cannot make, but for the smallest multiples
+        if stop():
+            break
+        if patterns := list(islice(character_plans(widths, size, tries, generator), PATTERNS)):
+            groups[size] = patterns
+        if groups and reachable_sums(list(groups), runs)[runs]:
+            return groups
+    return {}
 
 
 def reachable_sums(sizes: list[int], runs: int) -> list[bool]:
@@ -158,11 +171,89 @@ def reachable_sums(sizes: list[int], runs: int) -> list[bool]:
     return made
 
 
-def composed(sizes: list[int], runs: int, generator: np.random.Generator) -> list[int]:
+def random_sizes(sizes: list[int], runs: int, generator: np.random.Generator) -> list[int]:
     """Random sizes that add up to the number of runs, which they can make."""
-    made, chosen, left = reachable_sums(sizes, runs), [], runs
+    made, chosen, left = reachable_sums(sizes, runs), list[int](), runs
     while left:
         fitting = [size for size in sizes if size <= left and made[left - size]]
         chosen.append(fitting[generator.integers(len(fitting))])
         left -= chosen[-1]
     return chosen
+
+
+# -- plans of one group ------------------------------------------------------------------------------------------------
+def character_plans(widths: Array, size: int, tries: int, generator: np.random.Generator) -> Iterator[Pattern]:
+    """Those of a number of random constructions that come to their end; widths (J,) of the joints' ranges [rad]."""
+    twos = (size & -size).bit_length() - 1
+    groups = [(2,) * t + (size // 2**t,) for t in range(twos + 1)]  # Z_2^t x Z_(b / 2^t), as lists of moduli
+    room = 2 ** (len(groups) - 1) if np.all(widths < np.pi - ROUNDING) else size  # dimension that columns may have
+    if room <= len(widths) or (halves(widths) and size % 2):  # as many orthogonal columns as links
+        return
+    for k in range(tries):
+        pattern = constructed(widths, groups[k % len(groups)], generator)
+        if pattern is not None:
+            yield pattern
+
+
+def halves(widths: Array) -> bool:
+    """True if half the runs must stand at each limit of some joint: their number is even."""
+    return bool(np.any(widths < np.pi - ROUNDING))
+
+
+def constructed(widths: Array, group: tuple[int, ...], generator: np.random.Generator) -> Pattern | None:
+    """One random choice of directions and characters; None in a dead end."""
+    moduli, elements = np.array(group), np.indices(group).reshape(len(group), -1).T
+    angles, free_phase = np.empty((len(elements), len(widths))), np.zeros(len(widths))
+    left = right = int(generator.integers(len(widths) + 1))
+    columns = np.ones((len(elements), 1), dtype=complex)  # of links left..right
+    while right - left < len(widths):
+        to_right = left == 0 or (right < len(widths) and generator.random() < 0.5)
+        joint, neighbor = (right, columns[:, -1]) if to_right else (left - 1, columns[:, 0])
+        wide = widths[joint] >= np.pi - ROUNDING
+        if wide:
+            offered = (characters(elements, moduli, generator)[:, :, None] * columns[:, None, :]).reshape(
+                len(columns), -1
+            )
+        else:
+            signs = characters_of_order_two(elements, moduli)
+            offered = neighbor[:, None] * signs.astype(complex)
+        products = np.abs(columns.conj().T @ offered).max(axis=0)
+        for k in generator.permutation(np.flatnonzero(products < ROUNDING * len(columns))).tolist():
+            if wide:
+                column = offered[:, k]
+                angles[:, joint], needed = arc(np.angle(column / neighbor if to_right else neighbor / column))
+                free_phase[joint] = max(widths[joint] - needed, 0.0)
+            else:
+                column, needed = neighbor * np.exp(0.5j * widths[joint] * signs[:, k]), widths[joint]
+                angles[:, joint] = np.where((signs[:, k] > 0) == to_right, widths[joint], 0.0)
+            if needed <= widths[joint] + ROUNDING:
+                break
+        else:
+            return None
+        columns = np.column_stack([columns, column] if to_right else [column, columns])
+        left, right = (left, right + 1) if to_right else (left - 1, right)
+    return angles, free_phase
+
+
+def characters(elements: NDArray[np.intp], moduli: NDArray[np.intp], generator: np.random.Generator) -> Columns:
+    """(b, k) characters of the group: all of a small one, else a random choice."""
+    chosen = elements if len(elements) <= ALL else elements[generator.integers(len(elements), size=SAMPLE)]
+    return np.exp(TURN * 1j * (elements @ (chosen / moduli).T % 1.0))
+
+
+def characters_of_order_two(elements: NDArray[np.intp], moduli: NDArray[np.intp]) -> Array:
+    """(b, k) characters that are +1 and -1."""
+    even = moduli % 2 == 0
+    bits = np.arange(1, min(2 ** int(even.sum()), SAMPLE * ALL))
+    chosen = (bits[:, None] >> np.arange(int(even.sum()))) & 1
+    return 1.0 - 2.0 * (elements[:, even] @ chosen.T % 2)
+
+
+def arc(angles: Array) -> tuple[Array, float]:
+    """Angles counted from the start of the shortest arc that holds them, and its length [rad]."""
+    turned = np.sort(np.mod(angles, TURN))
+    gaps = np.concatenate([turned[1:], turned[:1] + TURN]) - turned
+    last = int(np.argmax(gaps))
+    start = turned[(last + 1) % len(turned)]
+    above = np.mod(angles, TURN) - start
+    return np.where(above < 0.0, above + TURN, above), float(TURN - gaps[last])

@@ -1,22 +1,43 @@
-"""The solvers by name: ours, and those of installed packages."""
+"""The solvers by name: ours, and those of installed packages; and random plans, common practice to compare with."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
 
-from doe.solvers.exchange import Exchange
-from doe.solvers.exchange_ipopt import ExchangeIpopt
-from doe.solvers.fedorov import Fedorov
-from doe.solvers.gradient import Gradient
+import numpy as np
+
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from doe.solvers.exchange import Exchange, Fedorov
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic
-from doe.solvers.random import Random
-from doe.solvers.relaxation_rounding import RelaxRound
-from doe.solvers.solver import Solver
+from doe.solvers.polished import ExchangeIpopt, Gradient, RelaxRound
+from doe.solvers.solver import Budget, Offer, Solver
 from identification.errors import InputError, nearest
 from identification.installed import additions
+
+
+@dataclass(frozen=True)
+class Random:
+    """Plans uniform within the joint limits, the best of `count`. One: a random plan."""
+
+    count: int = 1
+    name: str = "random"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """Number of random plans."""
+        return self.count
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """One random plan per start."""
+        while True:
+            yield Offer(random_postures(problem, runs, generator), 1)
+
 
 SOLVERS: dict[str, Solver] = {
     "analytic": Analytic(),
@@ -43,7 +64,7 @@ def available_solvers() -> Mapping[str, Solver]:
 @cache
 def installed_solvers() -> dict[str, Solver]:
     """Name -> solver of the entry points, loaded once."""
-    found: dict[str, Solver] = {}
+    loaded: dict[str, Solver] = {}
     for name, where, made in additions("armcal.solvers"):
         try:
             solver = made() if isinstance(made, type) else made
@@ -51,8 +72,8 @@ def installed_solvers() -> dict[str, Solver]:
             raise InputError(f"{where}: {error}, allowed: a class that needs no arguments") from None
         if not callable(getattr(solver, "offers", None)):
             raise InputError(f"{where}, allowed: a solver with offers()")
-        found[name] = solver
-    return found
+        loaded[name] = solver
+    return loaded
 
 
 def solver_named(name: str) -> Solver:

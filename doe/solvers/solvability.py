@@ -8,11 +8,10 @@ import numpy as np
 
 from doe.design import Design
 from doe.plan.expected_accuracy import plan_jacobians
-from doe.plan.replicate_spacing import replicates_allowed
+from doe.plan.replicate_spacing import allowed_value, replicates_allowed
 from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.solvers.driver import allowed
 from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.information import identifiability
@@ -29,48 +28,30 @@ def check_solvable(
     begin : (m, n) a plan to begin with; where it has an allowed posture, none is looked for
     """
     check_runs(problem, runs)
-    if every_parameter:
-        check_parameters(problem)
+    if every_parameter and (names := problem.without_effect):
+        raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(names)}")
     if begin is None or not problem.feasible(begin).any():
         random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
 
 
 def check_runs(problem: DesignProblem, runs: int) -> None:
-    """Raises `InputError` for fewer equations than unknowns, and for an invalid number of runs."""
+    """Raises `InputError` for fewer equations than unknowns, and for an invalid number of runs.
+
+    No more postures fit into the joint limits at the minimum distance than boxes of half the distance's side around
+    them: one axis holds width / distance + 1.
+    """
     if isinstance(runs, bool) or not isinstance(runs, int | np.integer):
         raise InputError(f"runs: {runs!r:.40}, allowed: a whole number")
     if runs < problem.fewest_runs:
         raise InputError(
             f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"
         )
-    kept = len(problem.kept)
-    if runs + kept > (capacity := most_postures(problem, runs)):
-        found = f"{runs + kept} postures {problem.spacing} apart"
-        raise InputError(f"runs: {found}, allowed: at most {capacity:.0f} in the limits")
-
-
-def most_postures(problem: DesignProblem, runs: int) -> float:
-    """No more postures than this fit into the joint limits at the minimum distance; infinite where that is zero.
-
-    Boxes of half the distance's side around the postures do not overlap, and one axis holds width / distance + 1.
-    """
-    alike = replicates_allowed(problem)
-    if alike >= runs:
-        return np.inf
-    joints = list(problem.searched_joints)
-    width = problem.comparable(problem.upper - problem.lower)[joints]
-    return alike * float(np.prod(np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0))
-
-
-def check_parameters(problem: DesignProblem) -> None:
-    """Raises `JobError` where a parameter moves the tip at no posture: no search can help."""
-    if names := problem.without_effect:
-        raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(names)}")
-
-
-def identifies_all(design: Design) -> bool:
-    """True if the plan identifies all parameters."""
-    return bool(np.isfinite(design.value))
+    if (alike := replicates_allowed(problem)) < runs:
+        width = problem.comparable(problem.upper - problem.lower)[list(problem.searched_joints)]
+        most = alike * float(np.prod(np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0))
+        if runs + len(problem.kept) > most:
+            postures = f"{runs + len(problem.kept)} postures {problem.spacing} apart"
+            raise InputError(f"runs: {postures}, allowed: at most {most:.0f} in the limits")
 
 
 def judged_identifiable(design: Design, *, throw: bool) -> Design:
@@ -78,34 +59,26 @@ def judged_identifiable(design: Design, *, throw: bool) -> Design:
 
     throw : raise `JobError` with the reason instead, and where the plan is not allowed
     """
-    if throw:
-        require_solved(design)
-    return design if identifies_all(design) else replace(design, status=Status.not_identifiable)
-
-
-def require_solved(design: Design) -> None:
-    """Raises `JobError` with the reason unless the plan is allowed and identifies all parameters."""
-    problem = design.problem
-    if not identifies_all(design):
+    problem, identified = design.problem, bool(np.isfinite(design.value))
+    if throw and not identified:
         raise JobError(_not_identifiable(design))
-    if not allowed(problem, design.plan.postures):
+    if throw and not np.isfinite(allowed_value(problem, design.plan.postures)):
         apart = f"postures {problem.spacing} apart"
         raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
+    return design if identified else replace(design, status=Status.not_identifiable)
 
 
 def _not_identifiable(design: Design) -> str:
     problem, p = design.problem, design.problem.parameters
     message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
-    if problem.choices is not None:
+    if problem.choices is None:
+        many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
+    else:
         many = listed_candidates(problem, problem.choices).postures
-        whatever = f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
-        return whatever if _aliases(problem, many) else message
-    many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
-    aliases = _aliases(problem, many)
-    return f"{message}; {NEUTRAL}: {'; '.join(aliases)}" if aliases else message
-
-
-def _aliases(problem: DesignProblem, postures: Array) -> tuple[str, ...]:
-    """Combinations of parameters that these postures, all together, do not identify."""
-    jacobians, names = plan_jacobians(problem, postures), problem.model.parameters.names
-    return identifiability(jacobians, names, np.ones(problem.parameters)).combinations
+    jacobians, names = plan_jacobians(problem, many), problem.model.parameters.names
+    aliases = identifiability(jacobians, names, np.ones(p)).combinations
+    if not aliases:
+        return message
+    if problem.choices is not None:
+        return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
+    return f"{message}; {NEUTRAL}: {'; '.join(aliases)}"

@@ -1,4 +1,4 @@
-"""What a solver is: a small frozen settings object whose one method offers plans. The driver does everything else."""
+"""What a solver is: a small frozen settings object whose one method offers plans. `solve` does everything else."""
 
 from __future__ import annotations
 
@@ -42,11 +42,6 @@ class Budget:
     may_agree: bool = True
     began: float = field(default_factory=perf_counter)
 
-    @classmethod
-    def of(cls, starts: int | None, usual: int, limit: float | None, began: float) -> Budget:
-        """So many starts, or the `usual` number, fewer if they agree; `limit` [s] from `began` on, None: no limit."""
-        return cls(starts or usual, None if limit is None else began + limit, may_agree=starts is None, began=began)
-
     @property
     def remaining(self) -> float:
         """Seconds left; infinite without a time limit."""
@@ -56,8 +51,8 @@ class Budget:
         """Starts used, or the fraction of the time limit used times the number of starts, whichever is more."""
         if self.deadline is None:
             return starts
-        given = max(self.deadline - self.began, 1e-9)
-        return max(starts, self.starts * min(1.0, (perf_counter() - self.began) / given))
+        limit = max(self.deadline - self.began, 1e-9)
+        return max(starts, self.starts * min(1.0, (perf_counter() - self.began) / limit))
 
     @property
     def out_of_time(self) -> bool:
@@ -79,7 +74,7 @@ def time_limit(runs: int, starts: int | None, seconds: float | None) -> float | 
 
 
 class Solver(Protocol):
-    """Settings, a name, and one method that offers plans, better and better or not; the driver keeps the best.
+    """Settings, a name, and one method that offers plans, better and better or not; `solve` keeps the best.
 
     A solver need not clip, certify, count or watch for Ctrl-C. It should look at `budget.out_of_time` between steps of
     more than a few milliseconds, and yield whenever it has a plan that may be the best. It must be deterministic given

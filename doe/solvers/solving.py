@@ -1,36 +1,43 @@
-"""`solve`, the only entry point to the exact solvers."""
+"""`solve`, the only entry point to the exact solvers, and the search loop that all of them share.
+
+A solver offers plans and no numbers. The loop clips them to the joint limits, keeps postures apart, recomputes the
+criterion from the stored problem, keeps the best, and ends when the bound is reached, the budget is used up or the user
+presses Ctrl-C.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from itertools import chain
+from dataclasses import dataclass, replace
+from itertools import islice
 from time import perf_counter
 
 import numpy as np
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.bound import Bound
+from doe.bounds.equivalence import REACHED
 from doe.bounds.planar_theorem import applies
 from doe.design import Design
-from doe.plan.ascent import climbs
-from doe.plan.constrained_ascent import ascent
+from doe.plan.ascent import PlanAscent
+from doe.plan.plan import Plan
+from doe.plan.replicate_spacing import allowed_value, separated, spread_free_joints
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.solvers.driver import SearchResult, design_of, feasible_value, run_search
-from doe.solvers.fedorov import Fedorov
-from doe.solvers.planar_theory import Analytic, nearly_analytic
-from doe.solvers.random import Random
+from doe.solvers.exchange import Fedorov
+from doe.solvers.planar_theory import nearly_optimal, optimal_plans
 from doe.solvers.registry import SOLVERS, solver_named
 from doe.solvers.solvability import check_solvable, judged_identifiable
 from doe.solvers.solver import LONG_PLAN, Budget, Offer, Solver, time_limit
 from identification.arrays import Array
-from identification.errors import InputError
+from identification.errors import InputError, JobError
 from identification.progress import Progress, silent
 from identification.status import Status
 from identification.threads import single_thread
 
 HALF = 0.5  # of the time: for what comes first, the search or the bound
+AGREEMENT = 10  # independent local searches that end at the best value
+AGREES = 1e-7  # difference of criterion values that counts as none
 
 
 def solve(
@@ -63,20 +70,28 @@ def solve(
     chosen = chosen_solver(problem, solver)
     check_solvable(problem, runs, seed, begin, every_parameter=throw)
     with single_thread():
-        whole = Budget.of(starts, chosen.starts_for(problem), time_limit(runs, starts, seconds), began)
-        # such a bound takes seconds, which are no part of the search's time; that of a theorem takes none
-        first, late = whole.part(HALF), bound is None and climbs(problem) and not applies(problem)
+        limit = time_limit(runs, starts, seconds)
+        deadline = None if limit is None else began + limit
+        whole = Budget(starts or chosen.starts_for(problem), deadline, may_agree=starts is None, began=began)
+        # a bound for many parameters takes seconds, which are no part of the search's time; a theorem takes none
+        first, late = whole.part(HALF), bound is None and problem.many_parameters and not applies(problem)
         known = None if late else bound or best_known_bound(problem, runs, first.ended)
-        result = from_theory(problem, runs, known, seed, accepted, whole) if solver is None else None
-        chosen = chosen if result is None else Analytic()
-        if result is None:
-            budget = first if late else whole
-            offers = offers_of(problem, runs, chosen, budget, seed, theory_first=solver is None)
-            offers = offers if begin is None else chain(climbing_from(problem, begin, budget), offers)
-            result = run_search(problem, offers, budget, known, progress, accepted)
-            result, chosen = spread_out(problem, runs, seed, result, chosen)
+        budget = first if late else whole
+        offers = named_offers(problem, runs, chosen, budget, seed, begin, theory_first=solver is None)
+        search = PlanSearch(problem, known, accepted)
+        search.run(offers, budget, progress)
+        if search.postures is None and search.status is Status.interrupted:
+            raise KeyboardInterrupt
+        if search.postures is None:
+            none = f"no plan that identifies all {problem.parameters} parameters was found by {chosen.name}"
+            raise JobError(f"design: {none}")
         known = best_known_bound(problem, runs, whole.ended) if late else known
-        design = design_of(problem, result, chosen, known, began, seed)
+        postures = search.postures
+        if np.isfinite(search.value):  # else the plan is refused, and no room for it may be left
+            postures = spread_free_joints(problem, postures, np.random.default_rng([seed, runs]))
+        plan = Plan(problem.clip(postures), joint_types=problem.model.joint_types, fit=problem.fit)
+        name = search.solver or chosen.name
+        design = Design(problem, plan, known, search.status, name, search.starts, perf_counter() - began)
         if bound is None:
             held = bound_that_holds(problem, known, design.plan.postures, design.value, whole.ended)
             design = replace(design, bound=held)
@@ -88,57 +103,82 @@ def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver
     if isinstance(solver, str):
         solver = solver_named(solver)
     if solver is None:
-        return SOLVERS[
-            "fedorov" if problem.choices is not None else "gradient" if climbs(problem) else "exchange_ipopt"
-        ]
+        listed, many = problem.choices is not None, problem.many_parameters
+        return SOLVERS["fedorov" if listed else "gradient" if many else "exchange_ipopt"]
     if problem.choices is not None and not isinstance(solver, Fedorov):
         raise InputError(f"solver: {solver.name} cannot choose from a list of postures, allowed: fedorov")
     return solver
 
 
-def from_theory(
+def named_offers(
     problem: DesignProblem,
     runs: int,
-    known: Bound | None,
+    solver: Solver,
+    budget: Budget,
     seed: int,
-    accepted: Callable[[Array], bool],
-    whole: Budget,
-) -> SearchResult | None:
-    """A plan from theory that attains the bound and is accepted, None without one."""
-    if known is None or problem.choices is not None:
-        return None
-    budget = replace(whole, starts=1, may_agree=False)
-    offers = Analytic().offers(problem, runs, np.random.default_rng(seed), budget)
-    result = run_search(problem, offers, budget, known, silent)
-    reached = result.status is Status.bound_reached and result.postures is not None
-    return result if reached and accepted(np.asarray(result.postures)) else None
+    begin: Array | None,
+    *,
+    theory_first: bool,
+) -> Iterator[tuple[str, Offer]]:
+    """Plans, each with the name of the solver that offers it: the plan to begin with, as it is and climbed from there;
+    where `theory_first` one from theory and, of many runs, one that is nearly so; then the solver's."""
+    free, generator = problem.choices is None, np.random.default_rng(seed)
+    if begin is not None:
+        yield solver.name, Offer(begin)
+        if free and problem.searched_joints:
+            yield solver.name, Offer(PlanAscent(problem)(begin, stop=budget.ended))
+    if theory_first and free:
+        optimal = optimal_plans(problem, runs, np.random.default_rng(seed), stop=budget.ended)
+        yield from (("analytic", Offer(plan, 1)) for plan in islice(optimal, 1))
+        if runs > LONG_PLAN:
+            yield from ((solver.name, offer) for offer in nearly_optimal(problem, runs, generator, budget))
+            # good postures are few: time may end before those of better plans are moved apart
+            yield "random", Offer(random_postures(problem, runs, np.random.default_rng([seed, runs])))
+    yield from ((solver.name, offer) for offer in solver.offers(problem, runs, generator, budget))
 
 
-def spread_out(
-    problem: DesignProblem, runs: int, seed: int, result: SearchResult, solver: Solver
-) -> tuple[SearchResult, Solver]:
-    """What a search found, and its solver; a random plan where all that it found of very many runs came too near each
-    other: good postures are few, and time ends before they are moved apart."""
-    if runs <= LONG_PLAN or problem.choices is not None or result.postures is None or np.isfinite(result.value):
-        return result, solver
-    spread = random_postures(problem, runs, np.random.default_rng([seed, runs]))
-    value = feasible_value(problem, spread)
-    return (replace(result, postures=spread, value=value), Random()) if np.isfinite(value) else (result, solver)
+@dataclass
+class PlanSearch:
+    """The best plan so far (m, n), its value and solver, starts used, and how the search ended.
 
+    After the first plan only those that are `accepted` take its place.
+    """
 
-def climbing_from(problem: DesignProblem, plan: Array, budget: Budget) -> Iterator[Offer]:
-    """A plan as it is and, where postures may be chosen freely, climbed from there."""
-    yield Offer(plan)
-    if problem.choices is None and problem.searched_joints:
-        yield Offer(ascent(problem)(plan[None], stop=budget.ended)[0])
+    problem: DesignProblem
+    bound: Bound | None
+    accepted: Callable[[Array], bool]
+    postures: Array | None = None
+    value: float = -np.inf
+    solver: str = ""
+    starts: int = 0
+    status: Status = Status.solver_failed
 
+    def run(self, offers: Iterator[tuple[str, Offer]], budget: Budget, progress: Progress) -> None:
+        """Takes offers until there is a reason to stop."""
+        agreeing, ended = 0, None
+        try:
+            for name, offer in offers:
+                postures = separated(self.problem, self.problem.clip(offer.postures))
+                value = allowed_value(self.problem, postures)
+                self.starts += offer.starts
+                if self.postures is None or (value > self.value and self.accepted(postures)):
+                    agreeing = 0 if value > self.value + AGREES else agreeing
+                    self.postures, self.value, self.solver = postures, value, name
+                agreeing += offer.independent and abs(value - self.value) <= AGREES
+                progress(budget.used(self.starts), budget.starts, f"best {self.value:.7g}")
+                if (ended := self._reason_to_stop(budget, agreeing)) is not None:
+                    break
+        except KeyboardInterrupt:
+            ended = Status.interrupted
+        if self.postures is not None or ended is not None:
+            self.status = ended or Status.starts_finished
 
-def offers_of(
-    problem: DesignProblem, runs: int, solver: Solver, budget: Budget, seed: int, *, theory_first: bool
-) -> Iterator[Offer]:
-    """The solver's plans; those of many runs after a plan that is nearly one of theory, where that is asked for."""
-    generator = np.random.default_rng(seed)
-    offers = solver.offers(problem, runs, generator, budget)
-    if theory_first and runs > LONG_PLAN and problem.choices is None:
-        return chain(nearly_analytic(problem, runs, generator, budget), offers)
-    return offers
+    def _reason_to_stop(self, budget: Budget, agreeing: int) -> Status | None:
+        criterion, p = self.problem.criterion, self.problem.parameters
+        if self.bound is not None and criterion.efficiency(self.value, self.bound.value, p) >= REACHED:
+            return Status.bound_reached
+        if self.starts >= budget.starts:
+            return Status.starts_finished
+        if budget.may_agree and agreeing >= AGREEMENT:
+            return Status.agreed
+        return Status.time_limit if budget.out_of_time else None

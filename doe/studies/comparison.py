@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import polars as pl
 
 from doe.criteria import criterion
 from doe.jobs.isolated import call
@@ -31,8 +32,6 @@ from identification.model import Model
 from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
-    import polars
-
     from doe.design import Design
 
 Subject = str | DesignProblem  # text of an arm file, or the problem of another model
@@ -45,15 +44,8 @@ PROBLEM = ("arm", "arm_hash", "criterion", "runs")
 CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
 SETTING = ("solver", "starts")
 OWN = 0  # in the column `starts`: the solver's own number
-COLUMNS = {
-    "value": "Float64",
-    "bound": "Float64",
-    "efficiency": "Float64",
-    "parameters": "Int64",
-    "correct": "Boolean",
-    "seconds": "Float64",
-    "peak_memory_mb": "Float64",
-}
+COLUMNS: dict[str, Any] = {"parameters": pl.Int64, "correct": pl.Boolean}
+COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds", "peak_memory_mb"), pl.Float64)
 
 
 @dataclass(frozen=True)
@@ -109,26 +101,13 @@ class Comparison:
     @property
     def keys(self) -> list[Key]:
         """One key per run of a solver."""
+        names = ("arm", "arm_hash", "criterion", "runs", "solver", "settings", "starts", "limit_s", "repeat")
+        subjects = [(name, digest) for digest, (name, _) in self.subjects.items()]
+        solvers = [(name, s if isinstance(s, str) else repr(s)) for name, s in self.by_name.items()]
+        grid = product(subjects, self.criteria, self.runs, solvers, self.starts, range(self.repeats))
         return [
-            {
-                "arm": subject,
-                "arm_hash": digest,
-                "criterion": criterion,
-                "runs": runs,
-                "solver": name,
-                "settings": solver if isinstance(solver, str) else repr(solver),
-                "starts": starts or OWN,
-                "limit_s": self.seconds,
-                "repeat": repeat,
-            }
-            for (digest, (subject, _)), criterion, runs, (name, solver), starts, repeat in product(
-                self.subjects.items(),
-                self.criteria,
-                self.runs,
-                self.by_name.items(),
-                self.starts,
-                range(self.repeats),
-            )
+            dict(zip(names, (*subject, by, runs, *solver, starts or OWN, self.seconds, repeat), strict=True))
+            for subject, by, runs, solver, starts, repeat in grid
         ]
 
 
@@ -146,7 +125,7 @@ def compare(
     *,
     seed: int = 0,
     progress: Progress = silent,
-) -> polars.DataFrame:
+) -> pl.DataFrame:
     """One row per run: the key's columns, `status`, `outcome` (the solver's own), `value`, `claimed` (the solver's),
     `bound`, `efficiency`, `correct`, `violation`, `seconds`, `peak_memory_mb`, `error`.
 
@@ -174,8 +153,8 @@ def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> lis
 def solve_and_evaluate(task: Task, key: dict[str, Any], seed: int) -> Row:
     """Runs the solver in this process; `seconds` is the search alone."""
     subject, solver = task
-    given = arm_from_tables(tomllib.loads(subject)) if isinstance(subject, str) else subject
-    problem = compared_problem(given, key["criterion"])
+    arm = arm_from_tables(tomllib.loads(subject)) if isinstance(subject, str) else subject
+    problem = compared_problem(arm, key["criterion"])
     design = solve(problem, key["runs"], solver, seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
     return evaluated(problem, key["runs"], design)
 
@@ -187,11 +166,17 @@ def compared_problem(subject: Arm | DesignProblem, name: str) -> DesignProblem:
 
 
 def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
-    """A design evaluated on the stored problem, independently of the solver's claims."""
-    postures = design.plan.postures
-    value, violation = problem.objective(postures), violation_of(problem, postures)
-    bound = design.bound
-    efficiency = None if bound is None else problem.criterion.efficiency(value, bound.value, problem.parameters)
+    """A design evaluated on the stored problem, independently of the solver's claims.
+
+    `violation` : how far the worst posture is outside limits and constraints, 0 if all are inside
+    """
+    postures, bound = design.plan.postures, design.bound
+    value = problem.objective(postures)
+    outside = [np.max(problem.lower - postures), np.max(postures - problem.upper)]
+    outside += [-np.min(constraint.margin(postures)) for constraint in problem.constraints]
+    violation = float(max(0.0, *outside))
+    correct = len(postures) == runs and design.plan.weights is None and violation <= FEASIBLE
+    correct &= bool(np.isclose(value, design.value, rtol=0.0, atol=AGREES))
     return {
         "outcome": design.status.name,
         "starts_done": design.starts,
@@ -199,35 +184,20 @@ def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
         "claimed": design.value if np.isfinite(design.value) else None,
         "bound": None if bound is None else bound.value,
         "bound_source": None if bound is None else bound.source,
-        "efficiency": efficiency,
+        "efficiency": None if bound is None else problem.criterion.efficiency(value, bound.value, problem.parameters),
         "parameters": problem.parameters,
         "violation": violation,
-        "correct": bool(
-            len(postures) == runs
-            and design.plan.weights is None
-            and violation <= FEASIBLE
-            and np.isclose(value, design.value, rtol=0.0, atol=AGREES)
-            and (bound is None or value <= bound.value + AGREES)
-        ),
+        "correct": correct and (bound is None or bool(value <= bound.value + AGREES)),
         "seconds": design.seconds,
     }
 
 
-def violation_of(problem: DesignProblem, postures: np.ndarray) -> float:
-    """How far the worst posture is outside limits and constraints, 0 if all are inside."""
-    outside = [np.max(problem.lower - postures), np.max(postures - problem.upper)]
-    outside += [-np.min(constraint.margin(postures)) for constraint in problem.constraints]
-    return float(max(0.0, *outside))
-
-
-def summary(rows: polars.DataFrame) -> polars.DataFrame:
+def summary(rows: pl.DataFrame) -> pl.DataFrame:
     """One row per problem and setting, best value first.
 
     `hit_rate` : fraction of all runs (failed ones too) that found the best value known of the problem
     `seconds_to_hit` : expected time until a hit when runs are repeated, total seconds / hits [s]; null without a hit
     """
-    import polars as pl
-
     good, value = pl.col("good"), pl.when(pl.col("good")).then(pl.col("value"))
     hits, first = pl.col("hit").sum(), [False] * len(PROBLEM)
     return (
@@ -248,16 +218,14 @@ def summary(rows: polars.DataFrame) -> polars.DataFrame:
     )
 
 
-def with_hits(rows: polars.DataFrame) -> polars.DataFrame:
+def with_hits(rows: pl.DataFrame) -> pl.DataFrame:
     """The rows with `good` (done and correct), `loss` of efficiency against the best value known of the problem, and
     `hit`. Columns that no row has are added, empty.
 
     For every criterion the ratio of two efficiencies against one bound is the efficiency against the best plan; D
     needs no bound for it.
     """
-    import polars as pl
-
-    rows = with_columns(rows, {name: getattr(pl, kind) for name, kind in COLUMNS.items()})
+    rows = with_columns(rows, COLUMNS)
     if "criterion" not in rows.columns:
         rows = rows.with_columns(pl.lit("D").alias("criterion"))
     good = (pl.col("status") == "done") & pl.col("correct").fill_null(value=False) & pl.col("value").is_not_null()

@@ -45,7 +45,8 @@ def working_postures(low: Array, high: Array) -> Array:
 
 def tip_of(found: Identification, *, measured: bool) -> float | None:
     """`expected_tip` of a fit over the joint limits, whatever they are, or over further postures like those measured
-    [mm]; None where something is not identifiable, without deviations, and of other models than an arm's.
+    [mm], with the error of its own that the prior says each posture has; None where something is not identifiable,
+    without deviations, and of other models than an arm's.
 
     Real postures fill no box of joint angles. What the fit is uncertain by at its own postures is less than at others
     drawn as they were by 1 - p / N, the share of the N numbers that p parameters leave over (G. H. Golub, M. Heath,
@@ -59,14 +60,26 @@ def tip_of(found: Identification, *, measured: bool) -> float | None:
         return None
 
     def over(postures: Array) -> float:
-        return expected_tip(found.model, found.parameters, found.covariance, postures)
+        return float(
+            np.hypot(expected_tip(found.model, found.parameters, found.covariance, postures), own_error(found))
+        )
 
     if not measured:
         return over(working_postures(arm.lower, arm.upper))
     numbers = len(own) * found.residuals_after.shape[1]
     share = max(numbers - found.determined, 1.0) / numbers
-    among = over(own[:: max(len(own) // POSES, 1)]) / float(np.sqrt(share))
+    few = own[:: max(len(own) // POSES, 1)]
+    among = expected_tip(found.model, found.parameters, found.covariance, few) / float(np.sqrt(share))
+    among = float(np.hypot(among, own_error(found)))
     return min(among, over(working_postures(own.min(axis=0), own.max(axis=0))))
+
+
+def own_error(found: Identification) -> float:
+    """Root mean square distance [mm] by which a posture's own error moves the tip, as the prior of a fit says."""
+    model = found.model
+    if found.prior is None or not isinstance(getattr(model, "arm", None), Arm):
+        return 0.0
+    return found.prior.own_error * float(np.sqrt(2 if model.arm.chain is None else 3))
 
 
 def size_left_open(arm: Arm) -> str:
@@ -81,9 +94,12 @@ def size_left_open(arm: Arm) -> str:
 def hardly_determined(found: Identification) -> list[str]:
     """What is doubtful about a fit that leaves the tip uncertain, beyond the noise of one measurement: by over half of
     what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits."""
-    inside, anywhere = found.expected_tip_measured, found.expected_tip
-    if inside is None or anywhere is None:
+    if found.expected_tip_measured is None or found.expected_tip is None:
         return base_and_tool(found, None)
+    own = own_error(found) ** 2  # which no further rows help against
+    inside, anywhere = (
+        float(np.sqrt(max(error**2 - own, 0.0))) for error in (found.expected_tip_measured, found.expected_tip)
+    )
     equations = found.residuals_before.size
     spare = equations - len(places := placing(found.model.parameters))
     off = found.rms_before if len(places) < len(found.names) else found.rms_after  # its place says nothing of the arm

@@ -9,7 +9,7 @@ regression; A. E. Hoerl, R. W. Kennard, 1970).
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -70,15 +70,13 @@ class Prior(ByValue):
 
     deviations : parameter name -> standard deviation > 0 [API unit]; parameters that are not named are free, names
         that a model does not have do not matter
-    alternatives : name -> K > 1, of parameters that stand for one effect of which only one of K settings is expected:
-        the deviation is that of the effect times K^(-1/2)
-    together : how many of the K are there at once; the deviations are larger by its root, see `with_together`
+    own_error : standard deviation [mm] of one coordinate of a posture's own error, of which other postures say nothing:
+        to a fit it is noise
     """
 
     deviations: Mapping[str, float]
     earlier: Earlier | None = None
-    alternatives: Mapping[str, int] = field(default_factory=dict)
-    together: float = 1.0
+    own_error: float = 0.0
 
     def __post_init__(self) -> None:
         for name, deviation in self.deviations.items():
@@ -87,13 +85,6 @@ class Prior(ByValue):
         first = () if self.earlier is None else self.earlier.names
         own = {name: deviation for name, deviation in self.deviations.items() if name not in first}
         object.__setattr__(self, "deviations", MappingProxyType(own))
-        object.__setattr__(self, "alternatives", MappingProxyType(dict(self.alternatives)))
-
-    def with_together(self, together: float) -> Prior:
-        """The prior of one setting of each effect, where so many, at most all K, are there at once."""
-        sizes = {name: np.sqrt(min(together, k)) for name, k in self.alternatives.items()}
-        deviations = {name: own * float(sizes.get(name, 1.0)) for name, own in self.deviations.items()}
-        return replace(self, deviations=deviations, together=together)
 
     @property
     def names(self) -> frozenset[str]:

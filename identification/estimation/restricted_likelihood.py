@@ -1,15 +1,29 @@
-"""Marginal likelihood of noise and of the sizes of effects, the parameters without a prior integrated out (restricted
+"""Marginal likelihood of noise and of the sizes of a prior, the parameters without a prior integrated out (restricted
 maximum likelihood, H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal",
-1971)."""
+1971), from a problem that is linear about its solution.
+
+Sizes are tried from a few values each: factors on those of the machining and of the zeros of joints.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.estimation.checks import Noise
+from identification.estimation.prior import Prior
+from identification.estimation.problem import Problem
+from identification.kinematics.parameters import JOINT_OFFSET
 
+WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
+ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
+CREDIBLE = 4.0  # difference of -2 log likelihood from the sizes as stated: chi2 of one degree of freedom, 5 %
+ENOUGH = 3000  # equations: of more, rows show the same misfits again, and widths are chosen as from so many
 GRID = 33  # values of the noise at once, on a logarithmic scale: each pass finds it 16 times as closely
 FINE = 1e-4  # of its logarithm, where the likelihood is a parabola
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
@@ -37,48 +51,116 @@ class Restricted:
         spare = len(target) - free.shape[1] if spare is None else spare
         basis = np.linalg.qr(free)[0]
         target, effects = target - basis @ (basis.T @ target), effects - basis @ (basis.T @ effects)
-        if effects.shape[0] >= effects.shape[1]:
-            return cls.of_normal(effects.T @ effects, effects.T @ target, float(target @ target), spare)
-        values, vectors = _largest(effects @ effects.T, spare)  # of the two normal matrices this has the values too
-        return cls._of(values, (vectors.T @ target) ** 2, float(target @ target), spare)
-
-    @classmethod
-    def of_normal(cls, normal: Array, moment: Array, square: float, spare: int) -> Restricted:
-        """Of E^T E (e, e), E^T r (e,) and r^T r of residuals r and effects E that are orthogonal to the columns without
-        a prior, with as many equations to spare."""
-        values, vectors = _largest(normal, spare)
-        return cls._of(values, (vectors.T @ moment) ** 2 / values, square, spare)
-
-    @classmethod
-    def _of(cls, values: Array, along: Array, square: float, spare: int) -> Restricted:
+        square, many = float(target @ target), effects.shape[0] < effects.shape[1]
+        normal = effects @ effects.T if many else effects.T @ effects  # both have the same values, but for zeros
+        values, vectors = np.linalg.eigh(normal)
+        kept = np.flatnonzero(values > 1e-12 * max(values.max(initial=0.0), 1e-300))[-spare:]  # no rounding
+        values, vectors = values[kept], vectors[:, kept]
+        along = (vectors.T @ target) ** 2 if many else (vectors.T @ (effects.T @ target)) ** 2 / values
         return cls(values, along, max(square - float(along.sum()), 0.0), spare - len(values))
 
-    def minus_log(self, noise: Array, size: Array) -> Array:
-        """-2 log of the likelihood, up to a constant;  size : factors on the deviations of the effects."""
-        total = size[..., None] ** 2 * self.values + noise[..., None] ** 2
+    def minus_log(self, noise: Array) -> Array:
+        """(...) -2 log of the likelihood of values of the noise, up to a constant."""
+        total = self.values + np.square(noise)[..., None]
         own = np.sum(np.log(total) + self.squares / total, axis=-1)
         return np.asarray(own + self.count * 2.0 * np.log(noise) + self.rest / noise**2)
 
-    def likeliest(self, least: float, largest: float, size: Array, given: bool = False) -> Array:
-        """(2, w) least -2 log of the likelihood for factors (w,) on the deviations of the effects, and the noise there,
-        between two values;  given : the noise is the least."""
-        low, high = (np.full(len(size), np.log(value)) for value in (least, least if given else largest))
-        places = np.arange(GRID)[:, None]
-        while np.max(high - low) > FINE:
-            step = (high - low) / (GRID - 1)
-            lowest = np.argmin(self.minus_log(np.exp(low + places * step), size), axis=0)
-            low, high = low + np.maximum(lowest - 1, 0) * step, low + np.minimum(lowest + 1, GRID - 1) * step
-        ends = np.stack([low, 0.5 * (low + high), high])
-        first, middle, last = self.minus_log(np.exp(ends), size)
+    def likeliest(self, least: float, largest: float) -> tuple[float, float]:
+        """Least -2 log of the likelihood, and the noise there, between two values."""
+        low, high = np.log(least), np.log(largest)
+        while high - low > FINE:
+            grid = np.linspace(low, high, GRID)
+            lowest = int(np.argmin(self.minus_log(np.exp(grid))))
+            low, high = grid[max(lowest - 1, 0)], grid[min(lowest + 1, GRID - 1)]
+        first, middle, last = self.minus_log(np.exp([low, 0.5 * (low + high), high]))
         bend = first - 2.0 * middle + last  # the vertex of a parabola: a last digit cannot turn it
-        share = np.divide(first - last, bend, out=np.zeros_like(bend), where=bend > 0.0)
-        vertex = ends[1] + 0.25 * (high - low) * share
+        vertex = 0.5 * (low + high) + (0.25 * (high - low) * (first - last) / bend if bend > 0.0 else 0.0)
         noise = np.exp(np.clip(vertex, low, high))
-        return np.stack([self.minus_log(noise, size), noise])
+        return float(self.minus_log(noise)), float(noise)
 
 
-def _largest(normal: Array, most: int) -> tuple[Array, Array]:
-    """(v,) eigenvalues of a normal matrix that are not rounding, `most` of them at most, and their (n, v) vectors."""
-    values, vectors = np.linalg.eigh(normal)
-    kept = np.flatnonzero(values > 1e-12 * max(values.max(initial=0.0), 1e-300))[-most:]
-    return values[kept], vectors[:, kept]
+class Widths(NamedTuple):
+    """What the likelihood says of the sizes of a prior.
+
+    machining : factor on those of the machining;  zeros : one more on those of joint zeros
+    """
+
+    machining: float = 1.0
+    zeros: float = 1.0
+
+
+AS_STATED = Widths()
+
+
+class LinearizedProblem(NamedTuple):
+    """A problem without its prior, linear about values x of its parameters, in as few rows as say the same.
+
+    target : (N,) weighted residuals if all parameters with a prior were at its center;  jacobian : (N, p)
+    equations : of the data;  factor : (p, r) of the prior's covariance, see `Prior.factor`
+    machined : (p,) those with the prior of the machining;  zeros : (p,) joint offsets among them
+    """
+
+    target: Array
+    jacobian: Array
+    equations: int
+    factor: Array
+    machined: NDArray[np.bool_]
+    zeros: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, problem: Problem, x: Array, residual: Array, jacobian: Array) -> LinearizedProblem:
+        """About x (p,), where the problem without its prior has these residuals (N,) and this Jacobian (N, p)."""
+        parameters, prior = problem.model.parameters, problem.prior
+        factor = np.zeros((len(parameters), 0)) if prior is None else prior.factor(parameters)
+        target = residual + jacobian @ np.where(factor.any(axis=1), x - problem.prior_center, 0.0)
+        equations = problem.model.dimension * int(np.count_nonzero(problem.weights))
+        own = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
+        machined = np.array([name in own for name in parameters.names])
+        zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
+        return cls(target, jacobian, equations, factor, machined, zeros)
+
+    @property
+    def free(self) -> Array:
+        """(N, f) columns without a prior."""
+        return self.jacobian[:, ~self.factor.any(axis=1)]
+
+    @property
+    def spare(self) -> int:
+        """Equations that are left over by the parameters without a prior."""
+        return self.equations - self.free.shape[1]
+
+
+def likeliest(problem: LinearizedProblem, noise: Noise, given: bool) -> tuple[float, Widths]:
+    """Noise, no less than a given one (`given`: that one), and the widths of the prior of the largest likelihood."""
+    basis = np.linalg.qr(problem.free)[0]
+    target, jacobian = (a - basis @ (basis.T @ a) for a in (problem.target, problem.jacobian))
+    known = noise.sigma is not None or given
+    scatter = float(np.linalg.norm(target)) / np.sqrt(max(problem.spare, 1))  # without all that has a prior
+    unit = 1.0 if known else max(scatter, 1e-12)
+    if problem.spare == 0:
+        return unit, AS_STATED
+
+    def fitted(widths: Widths, share: float) -> tuple[float, float]:
+        """-2 log of the likelihood, and the noise, from a share of the rows."""
+        times = np.where(problem.zeros, widths.zeros, 1.0) * np.where(problem.machined, widths.machining, 1.0)
+        effects, root = (jacobian * times) @ problem.factor, np.sqrt(share)
+        spare = max(round(share * problem.spare), 1)
+        found = Restricted.of(root * target, effects[:, :0], root * effects, spare)
+        value, scale = found.likeliest(unit if known else unit / LARGEST, unit if given else LARGEST * unit)
+        return value + CREDIBLE * sum(width != 1.0 for width in widths), scale
+
+    widths = WIDTHS if problem.machined.any() else WIDTHS[:1], ZERO_WIDTHS if problem.zeros.any() else ZERO_WIDTHS[:1]
+    several = [Widths(*both) for both in product(*widths)]
+    share = min(1.0, ENOUGH / problem.equations)
+    best = several[0] if len(several) == 1 else min(several, key=lambda one: fitted(one, share)[0])
+    return fitted(best, 1.0)[1], best
+
+
+def widened(problem: Problem, widths: Widths) -> Prior | None:
+    """The problem's prior with the sizes of the machining so many times as large."""
+    if problem.prior is None or widths == AS_STATED:
+        return problem.prior
+    prior, machined = problem.prior, problem.model.prior
+    zeros = {p.name for p in problem.model.parameters if p.kind == JOINT_OFFSET}
+    factors = {name: widths.machining * (widths.zeros if name in zeros else 1.0) for name in machined}
+    return replace(prior, deviations={name: own * factors.get(name, 1.0) for name, own in prior.deviations.items()})

@@ -296,12 +296,12 @@ class Identification:
         return "Closed form, the exact global minimum." if closed else self.status.value
 
     def __str__(self) -> str:
-        return shown.text(self)
+        return str(shown.document(self))
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return shown.document(self)._repr_html_()
 
 
 _OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")

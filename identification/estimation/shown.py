@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from identification.html_tables import html_facts, html_lines, html_table, in_symbols
-from identification.numbers_in_text import to_significant_digits
+from identification.document import Document, Facts, Sheet
+from identification.numbers_in_text import number, to_significant_digits
 
 if TYPE_CHECKING:
     from identification.estimation.result import Identification
@@ -39,51 +39,36 @@ def misfit_sentence(found: Identification, p_value: float, times: float) -> str:
     return f"{scatter}: {cause}. The intervals {follows}; {do}"
 
 
-def text(found: Identification) -> str:
-    """All of it, for a terminal."""
-    name, *figures, unit = HEADINGS
-    widths = (12, 10, 12, 12)
-    lines = [f"{name:<32} {' '.join(f'{h:>{w}}' for h, w in zip(figures, widths, strict=True))}  {unit}"]
-    for name, *cells, unit in table_rows(found):
-        lines.append(f"{name:<32} {' '.join(f'{c:>{w}}' for c, w in zip(cells, widths, strict=True))}  {unit}")
-    return "\n".join([*found.warnings, *lines, *(f"{name} {said}" for name, said in remarks(found))])
-
-
-def html(found: Identification) -> str:
-    """The same as tables: the parameters, rounded by their standard deviations, and what else was found."""
+def document(found: Identification) -> Document:
+    """All of it: the parameters, rounded by their standard deviations, and what else was found."""
     rows = [
         [name, *(to_significant_digits(row[key], row["std"]) for key in COLUMNS), row["unit"]]
         for name, row in zip(found.shown_names, found.rows(), strict=True)
     ]
-    facts = ((in_symbols(name.removesuffix(":")), in_symbols(said)) for name, said in remarks(found))
-    return html_lines(map(in_symbols, found.warnings), strong=True) + html_table(HEADINGS, rows) + html_facts(facts)
+    open_ones = [("not identifiable", combination) for combination in found.not_identifiable]
+    return Document(
+        "Identification", [], [Sheet(HEADINGS, rows), Facts([*open_ones, *facts(found)])], (), found.warnings
+    )
 
 
-def table_rows(found: Identification) -> list[list[str]]:
-    """Name, figures and unit of each parameter."""
-    rows = zip(found.shown_names, found.rows(), strict=True)
-    return [[name, *(_cell(row[key]) for key in COLUMNS), row["unit"]] for name, row in rows]
-
-
-def remarks(found: Identification) -> list[tuple[str, str]]:
-    """What, and what is said of it: parameters not distinguishable, sigma, intervals, errors before and after, and how
-    the fit ended."""
-    lines = [("not identifiable:", combination) for combination in found.not_identifiable]
+def facts(found: Identification) -> list[tuple[str, str | None]]:
+    """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
     known = "given" if found.sigma_known else "estimated"
-    sigma = "unknown" if found.sigma is None else f"{found.sigma:.4g} mm ({known})"
-    chi2 = "" if found.p_value is None else f", chi2 {found.chi2:.4g}, {p_value_in_words(found.p_value)}"
-    lines.append(("sigma", f"{sigma}, {found.dof} degrees of freedom{chi2}"))
-    lines.append(("95 % intervals:", found.uncertainty.sentence))
-    lines.append(("RMS", f"{found.rms_before:.4g} -> {found.rms_after:.4g} mm"))
-    lines.append(("max", f"{found.max_before:.4g} -> {found.max_after:.4g} mm"))
+    sigma = "unknown" if found.sigma is None else f"{found.sigma:.4g} mm per axis ({known})"
+    chi2 = None if found.p_value is None else f"{found.chi2:.4g}, {p_value_in_words(found.p_value)}"
+    doubt = "; but chi2 says that it is not" if found.misfit else ""
+    tip = None
     if found.expected_tip is not None:
-        measured = f"{found.expected_tip_measured:.4g} mm at postures like those measured"
-        anywhere = f"{found.expected_tip:.4g} mm over the joint limits (RMS)"
-        lines.append(("expected error of the tip", f"{measured}, {anywhere}"))
-    if found.rms_angles is not None:
-        lines.append(("orientations, RMS", "{:.4g} -> {:.4g} deg".format(*np.degrees(found.rms_angles))))
-    return [*lines, (f"{found.method}:", found.outcome)]
-
-
-def _cell(value: Any) -> str:
-    return "-" if value is None else format(value, ".6g")
+        measured = f"{found.expected_tip_measured:.4g} mm at the tip at postures like those measured"
+        tip = f"{measured}, {found.expected_tip:.4g} mm over the joint limits (RMS), if the model is right{doubt}"
+    angles = None if found.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(found.rms_angles))
+    return [
+        ("method", f"{found.method}: {found.outcome}"),
+        ("RMS", f"{found.rms_before:.4g} -> {found.rms_after:.4g} mm"),
+        ("largest", f"{found.max_before:.4g} -> {found.max_after:.4g} mm"),
+        ("orientations, RMS", angles),
+        ("expected error", tip),
+        ("sigma", f"{sigma}, {found.dof} degrees of freedom"),
+        ("chi2", chi2 and f"{chi2}: the residuals scatter {number(found.scatter, 5)} mm"),
+        ("95 % intervals", found.uncertainty.sentence),
+    ]

@@ -22,8 +22,8 @@ from identification.estimation.levenberg_marquardt import ITERATIONS, Index, Lea
 from identification.estimation.methods import starts
 from identification.estimation.outcome import Spread, identification
 from identification.estimation.prior import Prior, effective_count
-from identification.estimation.prior_sizes import LinearizedProblem, Widths, likeliest, widened
 from identification.estimation.problem import Problem
+from identification.estimation.restricted_likelihood import LinearizedProblem, Widths, likeliest, widened
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import FittedRows, uncertainty
 from identification.information import Spectrum, spectrum

@@ -1,4 +1,5 @@
-"""Arm files, writing: `Arm` -> TOML in millimetres and degrees; effects and calibrations into a user's own text."""
+"""Arm files, writing: `Arm` -> TOML in millimetres and degrees; effects and calibrations into a user's own text, whose
+comments and order stay as they are."""
 
 from __future__ import annotations
 
@@ -11,20 +12,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tomlkit
+from tomlkit.items import AoT, Comment, Item, Table, Whitespace
 
-from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.arrays import Array
-from identification.errors import InputError, nearest
-from identification.files.arm import arm_from_tables
-from identification.files.arm_effects import GEOMETRY_KEY, FileName, built, curve_name, file_names
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.errors import InputError, JobError, nearest
+from identification.files.arm import GEOMETRY_KEY, FileName, arm_from_tables, built, curve_name, file_names
 from identification.files.io import PathLike, read_toml
-from identification.files.joint_counting import joints_table
-from identification.files.toml import Plain, append_tables, replace_table
 from identification.kinematics.parameters import GEOMETRY, chain_parameters
-from identification.workspace import ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.workspace import (
+    ColumnLimits,
+    KeepOutCircle,
+    KeepOutCylinder,
+    LineOfSight,
+    WorkspaceBox,
+    WorkspaceConstraint,
+)
 
 if TYPE_CHECKING:
     from identification.effects import Effect
+
+Plain = dict[str, Any]
 
 
 def dump_arm(arm: Arm) -> str:
@@ -35,23 +42,31 @@ def dump_arm(arm: Arm) -> str:
     """
     calibration = arm.calibration
     if arm.chain is None:
-        tables: Plain = {"name": arm.name, "links_mm": arm.lengths.tolist()}
-        limits = arm.column_limits
+        tables: Plain = {"name": arm.name, "links_mm": _in_file(arm.lengths)}
+        limits = np.stack(arm.column_limits)
         if np.all(np.isfinite(limits)):
-            tables["joint_limits_deg"] = {"lower": _degrees(limits[0]), "upper": _degrees(limits[1])}
+            tables["joint_limits_deg"] = dict(zip(("lower", "upper"), _degrees(limits), strict=True))
         elif np.any(np.abs([arm.lower, arm.upper]) != np.pi):
-            found = "limits of coupled joints, none of which is the controller's"
-            raise InputError(f"arm {arm.name}: {found}, allowed: with a constraint ColumnLimits for each")
+            tied = "limits of coupled joints, none of which is the controller's"
+            raise InputError(f"arm {arm.name}: found {tied}, allowed: with a constraint ColumnLimits for each")
     else:
-        from identification.files.arm_text_spatial import calibration_with_places, chain_tables
+        from identification.files.arm_chain import chain_tables, with_places
 
-        tables, calibration = chain_tables(arm, arm.chain), calibration_with_places(arm.chain, calibration)
-    tables |= {} if arm.counting is None else {"joints": joints_table(arm.counting)}
-    tables |= {} if arm.gear_ratios is None else {"gear_ratio": _floats(arm.gear_ratios)}
+        tables, calibration = chain_tables(arm, arm.chain), with_places(arm.chain, calibration)
+    if (counting := arm.counting) is not None:
+        signs = {"sign": list(counting.sign), "coupled_to": list(counting.coupled_to)}
+        tables["joints"] = signs | {"zero_deg": _degrees(counting.zero)}
+    if arm.gear_ratios is not None:
+        tables["gear_ratio"] = _in_file(arm.gear_ratios)
     if arm.sigma is not None:
         tables.setdefault("measurement", {})["sigma_mm"] = float(arm.sigma)
-    if arm.gravity is not None:
-        tables["gravity"] = _gravity_table(arm.gravity)
+    if (gravity := arm.gravity) is not None:
+        tables["gravity"] = {
+            "acceleration_m_s2": _in_file(gravity.acceleration),
+            "link_masses_kg": _in_file(gravity.link_masses),
+            "center_of_mass": _in_file(gravity.center_of_mass),
+            "payload_kg": float(gravity.payload),
+        } | ({} if gravity.payload_at is None else {"payload_at_mm": _in_file(gravity.payload_at)})
     if constraints := [each for each in arm.constraints if not isinstance(each, ColumnLimits)]:
         tables["constraints"] = [_constraint_table(constraint) for constraint in constraints]
     text = with_effects(tomlkit.dumps(tables), arm.effects)
@@ -67,11 +82,12 @@ def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".")
     folder : where the files are that the text names
     """
     text, _, arm = _parsed(text, folder)
-    there = {effect.label for _, effect in built(arm.effects, arm.links, arm.dimension)}
+    before = built(arm.effects, arm.links, arm.dimension)
+    labels = {effect.label for _, effect in before}
     wanted = built(specs, arm.links, arm.dimension)
     geometry = chain_parameters(arm.lengths) if arm.chain is None else arm.chain.every_parameter
-    names = {name.api: name for name in file_names(geometry, [*built(arm.effects, arm.links, arm.dimension), *wanted])}
-    tables = [_effect_table(spec, effect, names) for spec, effect in wanted if effect.label not in there]
+    names = {name.api: name for name in file_names(geometry, [*before, *wanted])}
+    tables = [_effect_table(spec, effect, names) for spec, effect in wanted if effect.label not in labels]
     return append_tables(text, "effects", tables) if tables else text
 
 
@@ -94,8 +110,8 @@ def urdf_beside(path: PathLike, out: PathLike | None) -> dict[PathLike, bytes]:
     name = read_toml(path).get("urdf")
     if out is None or name is None or name.lstrip().startswith("<"):
         return {}
-    here, there = Path(path).parent / name, Path(out).parent / name
-    return {} if there.exists() and there.read_bytes() == here.read_bytes() else {there: here.read_bytes()}
+    source, copy = Path(path).parent / name, Path(out).parent / name
+    return {} if copy.exists() and copy.read_bytes() == source.read_bytes() else {copy: source.read_bytes()}
 
 
 def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm]:
@@ -105,125 +121,93 @@ def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm]:
     return text, tables, arm_from_tables({key: value for key, value in tables.items() if key != "calibration"}, folder)
 
 
-# -- tables, as plain Python in file units --------------------------------------------------------------------
-def _floats(values: Any) -> list[float]:
-    return [float(value) for value in values]
-
-
-def _tidy(value: float) -> float:
-    """The value to 15 significant digits: 30 rather than 29.999999999999996; the same angle in radians to rounding."""
-    return float(f"{value:.15g}")
+# -- tables, as plain Python in file units -----------------------------------------------------------------------------
+def _in_file(values: Any, factor: float = 1.0) -> Any:
+    """A number or numbers in file units, to 15 significant digits where they are converted: 30 rather than
+    29.999999999999996, the same angle in radians to rounding."""
+    if np.ndim(values):
+        return [_in_file(value, factor) for value in values]
+    return float(values) if factor == 1.0 else float(f"{values * factor:.15g}")
 
 
 def _degrees(radians: Any) -> Any:
-    """One angle, or a list of them."""
-    return _tidy(np.degrees(radians)) if np.ndim(radians) == 0 else [_tidy(value) for value in np.degrees(radians)]
+    return _in_file(radians, math.degrees(1.0))
 
 
-def _gravity_table(gravity: Gravity) -> Plain:
-    return {
-        "acceleration_m_s2": _floats(gravity.acceleration),
-        "link_masses_kg": _floats(gravity.link_masses),
-        "center_of_mass": _floats(gravity.center_of_mass),
-        "payload_kg": float(gravity.payload),
-    } | ({} if gravity.payload_at is None else {"payload_at_mm": _floats(gravity.payload_at)})
-
-
-def _constraint_table(constraint: WorkspaceBox | KeepOutCircle | KeepOutCylinder | LineOfSight) -> Plain:
+def _constraint_table(constraint: WorkspaceConstraint) -> Plain:
     """`[[constraints]]`, of the plane or of space."""
     if isinstance(constraint, WorkspaceBox):
         sides = zip("xyz", (constraint.x, constraint.y, constraint.z), strict=True)
-        return {"kind": "workspace_box"} | {f"{axis}_mm": _floats(side) for axis, side in sides if side is not None}
+        return {"kind": "workspace_box"} | {f"{axis}_mm": _in_file(side) for axis, side in sides if side is not None}
     if isinstance(constraint, KeepOutCircle):
         kind = "keep_out_circle" if len(constraint.center) == 2 else "keep_out_sphere"
-        return {"kind": kind, "center_mm": _floats(constraint.center), "radius_mm": float(constraint.radius)}
+        return {"kind": kind, "center_mm": _in_file(constraint.center), "radius_mm": float(constraint.radius)}
     if isinstance(constraint, KeepOutCylinder):
-        ends = {"start_mm": _floats(constraint.start), "end_mm": _floats(constraint.end)}
+        ends = {"start_mm": _in_file(constraint.start), "end_mm": _in_file(constraint.end)}
         return {"kind": "keep_out_cylinder", **ends, "radius_mm": float(constraint.radius)}
-    found: Plain = {
+    assert isinstance(constraint, LineOfSight)
+    table: Plain = {
         "kind": "line_of_sight",
-        "tracker_mm": _floats(constraint.tracker),
-        "half_angle_deg": _tidy(math.degrees(constraint.half_angle)),
-        "toward_mm": _floats(constraint.toward),
+        "tracker_mm": _in_file(constraint.tracker),
+        "half_angle_deg": _degrees(constraint.half_angle),
+        "toward_mm": _in_file(constraint.toward),
     }
     if constraint.reach is not None:
-        found["range_mm"] = _floats(constraint.reach)
+        table["range_mm"] = _in_file(constraint.reach)
     if constraint.facing is not None:
-        found |= {"facing": _floats(constraint.facing), "acceptance_deg": _tidy(math.degrees(constraint.acceptance))}
-    return found
+        table |= {"facing": _in_file(constraint.facing), "acceptance_deg": _degrees(constraint.acceptance)}
+    return table
 
 
 def _effect_table(spec: EffectSpec, effect: Effect, names: Mapping[str, FileName]) -> Plain:
-    entry: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
+    table: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
     parameters = {p.short: p for p in effect.parameters}
     for short, value in spec.values.items():
         if short in parameters:
-            entry[parameters[short].toml_key] = _in_file(value, parameters[short].to_file)
+            table[parameters[short].toml_key] = _in_file(value, parameters[short].to_file)
         else:  # a setting
-            entry[short] = int(value) if value == int(value) else float(value)
+            table[short] = int(value) if value == int(value) else float(value)
     if (curve := spec.curve) is not None:
-        entry |= {
-            "from_deg": _degrees(curve.start),
-            "to_deg": _degrees(curve.stop),
-            "values_deg": _degrees(curve.values),
-        }
+        ends = {"from_deg": _degrees(curve.start), "to_deg": _degrees(curve.stop)}
+        table |= ends | {"values_deg": _degrees(curve.values)}
         tied = {curve_name(api, names, spec.key): value for api, value in curve.geometry.items()}
-        entry |= {GEOMETRY_KEY: {n.file: _in_file(v, n.factor) for n, v in tied.items()}} if tied else {}
-    return entry
-
-
-def _in_file(value: float, factor: float) -> float:
-    return float(value) if factor == 1.0 else _tidy(float(value) * factor)
+        table |= {GEOMETRY_KEY: {n.file: _in_file(v, n.factor) for n, v in tied.items()}} if tied else {}
+    return table
 
 
 def _calibration_table(arm: Arm, calibration: Calibration) -> Plain:
     chain = None if arm.chain is None else replace(arm.chain, tools=calibration.tools or arm.chain.tools)
     geometry = chain_parameters(arm.lengths) if chain is None else chain.parameters()
-    names = file_names(geometry, built(arm.effects, arm.links, arm.dimension))
-    by_api = {name.api: name for name in names}
-    _require_known((*calibration.effects, *calibration.parameter_names), by_api)
-    tables: Plain = _planar_errors(calibration) if chain is None else _spatial_errors(calibration, by_api)
+    by_api = {name.api: name for name in file_names(geometry, built(arm.effects, arm.links, arm.dimension))}
+    values = calibration.values if chain is not None else calibration.effects
+    for name in (*values, *calibration.parameter_names):
+        if name not in by_api:
+            raise InputError(f"calibration: unknown parameter {name!r}, {nearest(name, by_api)}")
+    in_file = {name: _in_file(value, by_api[name].factor) for name, value in values.items()}
+    if chain is None:
+        tables: Plain = {
+            "length_errors_mm": _in_file(calibration.length_errors),
+            "joint_offsets_deg": _degrees(calibration.joint_offsets),
+        }
+    else:
+        from identification.files.arm_chain import place_tables
+
+        tables = {"values": {name: value for name, value in in_file.items() if GEOMETRY.fullmatch(name)}}
+        tables |= place_tables(calibration)
     order = [by_api[api] for api in calibration.parameter_names]
     if order:
         tables["parameters"] = [name.file for name in order]
-    if calibration.covariance is not None:
-        tables["covariance"] = _covariance(calibration.covariance, [name.factor for name in order])
+    if (covariance := calibration.covariance) is not None:
+        rows = zip(order, covariance, strict=True)
+        tables["covariance"] = [
+            [_in_file(v, row.factor * column.factor) for column, v in zip(order, values, strict=True)]
+            for row, values in rows
+        ]
     if effects := calibration.effects:
-        tables["effects"] = {by_api[api].file: _in_file(value, by_api[api].factor) for api, value in effects.items()}
+        tables["effects"] = {by_api[api].file: in_file[api] for api in effects}
     if calibration.provenance:
         tables["provenance"] = _plain(calibration.provenance)
     return tables
-
-
-def _planar_errors(calibration: Calibration) -> Plain:
-    return {
-        "length_errors_mm": _floats(calibration.length_errors),
-        "joint_offsets_deg": _degrees(calibration.joint_offsets),
-    }
-
-
-def _spatial_errors(calibration: Calibration, by_api: Mapping[str, FileName]) -> Plain:
-    from identification.kinematics.frames import pose_table, tool_tables
-
-    geometry = {name: value for name, value in calibration.values.items() if GEOMETRY.fullmatch(name)}
-    _require_known(geometry, by_api)
-    tables: Plain = {"values": {name: _in_file(value, by_api[name].factor) for name, value in geometry.items()}}
-    if calibration.base is not None:
-        tables["base"] = pose_table(calibration.base)
-    if calibration.tools:
-        tables["tools"] = tool_tables(calibration.tools, calibration.tool_axes)
-    return tables
-
-
-def _require_known(names: Iterable[str], allowed: Mapping[str, FileName]) -> None:
-    for name in names:
-        if name not in allowed:
-            raise InputError(f"calibration: unknown parameter {name!r}, {nearest(name, allowed)}")
-
-
-def _covariance(covariance: Array, factors: list[float]) -> list[list[float]]:
-    rows = zip(factors, covariance, strict=True)
-    return [[_in_file(v, f * g) for g, v in zip(factors, row, strict=True)] for f, row in rows]
 
 
 def _plain(value: Any) -> Any:
@@ -235,6 +219,82 @@ def _plain(value: Any) -> Any:
         return _plain(value.tolist())
     if isinstance(value, list | tuple):
         return [item for item in map(_plain, value) if item is not None]
-    if isinstance(value, float) and math.isnan(value):
-        return None
-    return value
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+# -- into a user's text ------------------------------------------------------------------------------------------------
+def append_tables(text: str, key: str, entries: list[Plain]) -> str:
+    """`text` with `entries` added to the array of tables `[[key]]`, which is made if it is not there."""
+    before = tomllib.loads(text)
+    document = tomlkit.parse(text if text.endswith("\n") else text + "\n")
+    existing = document.get(key)
+    if isinstance(existing, AoT):
+        trivia = _pop_trailing(existing[-1])
+        for entry in entries:
+            _extend(existing[-1], [Whitespace("\n")])
+            existing.append(_filled(tomlkit.table(), entry))
+        _extend(existing[-1], trivia)
+    elif existing is not None:  # key = [{...}], in one line
+        existing.extend(entries)
+    else:
+        document[key] = AoT([_filled(tomlkit.table(), entry) for entry in entries])
+    return _checked(document, {**before, key: [*before.get(key, ()), *entries]})
+
+
+def replace_table(text: str, key: str, entry: Plain) -> str:
+    """`text` with the table `[key]` replaced where it stands, or added at the end."""
+    before = tomllib.loads(text)
+    document = tomlkit.parse(text if text.endswith("\n") else text + "\n")
+    old = document.get(key)
+    if type(old) is Table:
+        trivia = _pop_trailing(old)
+        for name in [name for name in old if name not in entry or isinstance(old[name], dict)]:
+            old.remove(name)
+        _extend(_filled(old, entry), trivia)
+    else:  # not there, in one line, or in several places
+        if old is not None:
+            document.remove(key)
+        document[key] = _filled(tomlkit.table(), entry)
+    return _checked(document, {**before, key: entry})
+
+
+def _filled(table: Table, entry: Plain) -> Table:
+    """The table with these keys: plain values first, because what follows a sub-table's header belongs to that."""
+    for key, value in sorted(entry.items(), key=lambda item: isinstance(item[1], dict)):
+        if isinstance(value, dict):
+            table[key] = _filled(tomlkit.table(), value)
+        elif isinstance(value, list) and value and isinstance(value[0], list):
+            matrix = tomlkit.array()
+            matrix.extend(value)
+            table[key] = matrix.multiline(True)  # a row per line
+        else:
+            table[key] = value
+    return table
+
+
+def _last_table(table: Table) -> Table:
+    """The table that the text just before the next header belongs to."""
+    last = table.value.body[-1][1] if table.value.body else None
+    return _last_table(last) if type(last) is Table else table
+
+
+def _pop_trailing(table: Table) -> list[Item]:
+    """Remove and return trailing blank lines and comments: they belong to the table that follows, not to this one."""
+    body = _last_table(table).value.body
+    trivia: list[Item] = []
+    while body and body[-1][0] is None and isinstance(body[-1][1], Comment | Whitespace):
+        trivia.insert(0, body.pop()[1])
+    return trivia
+
+
+def _extend(table: Table, trivia: list[Item]) -> None:
+    _last_table(table).value.body.extend((None, item) for item in trivia)
+
+
+def _checked(document: tomlkit.TOMLDocument, wanted: Plain) -> str:
+    """The text, after a second parser has read exactly the intended tables from it: a user's file is never damaged."""
+    text = tomlkit.dumps(document)
+    if tomllib.loads(text) != wanted:
+        message = "write its tables as [table] and [[table]], each in one place"
+        raise JobError(f"the TOML file's layout is too unusual to be extended: {message}")
+    return text

@@ -82,10 +82,8 @@ class Table:
                 others = [name for name in self.columns if not KNOWN.fullmatch(name)]
                 close = close_names(column, others) or [name for name in others if _of_same_joint(name, column)]
                 hint = suggestion(close[:1]).replace("did you mean", "did you mean to rename")
-                found = ", ".join(self.columns)
-                raise InputError(
-                    f"{self.path}: column {column!r} is missing, found: {found}; {hint}allowed: a column of that name"
-                )
+                state = f"column {column!r} is missing, found: {', '.join(self.columns)}"
+                raise InputError(f"{self.path}: {state}; {hint}allowed: a column of that name")
 
     def place(self, row: int, column: str) -> str:
         """`data.csv: row 3 (line 4), column x_mm`; `row` counts from 0."""
@@ -110,8 +108,8 @@ class Table:
             values, good = np.where(blank, empty, values), good | blank
         if not good.all():
             row = int(np.argmin(good))
-            found = "an empty cell" if text[row] is None else repr(text[row])
-            raise InputError(f"{self.place(row, column)}: found {found}, allowed: {allowed}")
+            cell = "an empty cell" if text[row] is None else repr(text[row])
+            raise InputError(f"{self.place(row, column)}: found {cell}, allowed: {allowed}")
         return values
 
     def texts(self, column: str) -> NDArray[np.str_]:
@@ -149,44 +147,37 @@ def read_table(path: PathLike) -> Table:
     fit the rows (ragged rows), bytes that are not UTF-8, and quoted numbers whose commas may separate thousands.
     """
     content = read_bytes(path)
+    sha256 = hashlib.sha256(content).hexdigest()
     if content.startswith(PARQUET):
-        return _of_parquet(path, content)
+        try:
+            frame = pl.read_parquet(io.BytesIO(content))
+        except (pl.exceptions.PolarsError, OSError):
+            raise InputError(f"{path}: not a whole Parquet file, allowed: CSV or Parquet") from None
+        return replace(table_of_frame(frame, str(path)), sha256=sha256)
     if content.startswith(SPREADSHEETS):
         raise InputError(f"{path}: found a spreadsheet, allowed: CSV or Parquet; save it as CSV")
-    sha256 = hashlib.sha256(content).hexdigest()
     content, above, fit = _without_comments(path, content)
     separator, header = _header(path, content, above)
-    frame = _frame(path, content, above, header, separator)
+    try:
+        frame = pl.read_csv(io.BytesIO(content), infer_schema=False, separator=separator)
+    except pl.exceptions.PolarsError as error:
+        _raise_for_ragged_row(path, content, above, len(header), separator)
+        raise InputError(f"{path}: not a valid CSV file: {str(error).splitlines()[0]}, allowed: {QUOTED}") from None
+    # short rows are filled up with nulls: a null in the last column asks for a closer look
+    if frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
+        _raise_for_ragged_row(path, content, above, len(header), separator)
+    frame.columns = [name or f"\n{k}" for k, name in enumerate(header)]  # a name that no header can have
     lines = pl.arange(above + 2, above + frame.height + 2, eager=True, dtype=pl.Int64)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
     frame, lines = frame.filter(filled), lines.filter(filled)
     if frame.height == 0:
         raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
-    frame = _without_unnamed(path, frame, above)
+    for k in (k for k, name in enumerate(header) if not name):  # empty ones are what spreadsheets leave behind
+        if frame[f"\n{k}"].null_count() < frame.height:
+            raise InputError(f"{path}: column {k + 1} has no name in line {above + 1}, allowed: a name")
+        frame = frame.drop(f"\n{k}")
     commas = separator != "," or (b'"' in content and _decimal_commas(path, frame))
     return Table(str(path), frame, lines.to_numpy(), sha256, decimal_commas=commas, fit=fit)
-
-
-def _decimal_commas(path: PathLike, frame: pl.DataFrame) -> bool:
-    """Whether numbers in quotation marks have decimal commas: none has a point, and not each three digits behind the
-    comma, which may be thousands (`InputError`)."""
-    texts = (frame[name].drop_nulls() for name in frame.columns if KNOWN.fullmatch(name) and name not in NAMES)
-    cells = pl.concat([pl.Series("", [], dtype=pl.String), *(text.alias("") for text in texts)]).str.strip_chars()
-    commas = cells.filter(cells.str.contains(WITH_COMMA))
-    if commas.is_empty() or cells.str.contains(WITH_POINT).any():
-        return False
-    if commas.str.contains(THOUSANDS).all():
-        allowed = "decimal points, or semicolons between the columns"
-        raise InputError(f"{path}: found {commas[0]!r}, a decimal comma or one of thousands, allowed: {allowed}")
-    return True
-
-
-def _of_parquet(path: PathLike, content: bytes) -> Table:
-    try:
-        frame = pl.read_parquet(io.BytesIO(content))
-    except (pl.exceptions.PolarsError, OSError):
-        raise InputError(f"{path}: not a whole Parquet file, allowed: CSV or Parquet") from None
-    return replace(table_of_frame(frame, str(path)), sha256=hashlib.sha256(content).hexdigest())
 
 
 def table_of_frame(frame: Any, name: str = "frame") -> Table:
@@ -243,39 +234,13 @@ def _header(path: PathLike, content: bytes, above: int) -> tuple[str, list[str]]
         header = [cell.strip() for cell in next(csv.reader([first], delimiter=separator, strict=True))]
     except csv.Error as error:  # a quotation mark that never ends, a name of 131,072 characters
         raise InputError(f"{path}: {line}: {error}, allowed: the names of the columns, {QUOTED}") from None
-    _check_names(f"{path}: {line}", path, header)
-    return separator, header
-
-
-def _check_names(place: str, path: PathLike, header: list[str]) -> None:
-    for cell in header:
-        if _is_number(cell):
-            raise InputError(f"{place} has the number {cell!r}, allowed: the names of the columns")
+    cells = pl.Series(header, dtype=pl.String)
+    for cell in cells.filter(cells.cast(pl.Float64, strict=False).is_not_null()):
+        raise InputError(f"{path}: {line} has the number {cell!r}, allowed: the names of the columns")
     for cell in filter(None, header):
         if header.count(cell) > 1:
             raise InputError(f"{path}: column {cell!r} is there {header.count(cell)} times, allowed: once")
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _frame(path: PathLike, content: bytes, above: int, header: list[str], separator: str) -> pl.DataFrame:
-    """All rows as strings. Polars fills short rows up with nulls: a null in the last column asks for a closer look."""
-    try:
-        frame = pl.read_csv(io.BytesIO(content), infer_schema=False, separator=separator)
-    except pl.exceptions.PolarsError as error:
-        _raise_for_ragged_row(path, content, above, len(header), separator)
-        raise InputError(f"{path}: not a valid CSV file: {str(error).splitlines()[0]}, allowed: {QUOTED}") from None
-    if frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
-        _raise_for_ragged_row(path, content, above, len(header), separator)
-    # an unnamed column gets a name that no header can have
-    frame.columns = [name or f"\n{k}" for k, name in enumerate(header)]
-    return frame
+    return separator, header
 
 
 def _raise_for_ragged_row(path: PathLike, content: bytes, above: int, columns: int, separator: str) -> None:
@@ -283,34 +248,32 @@ def _raise_for_ragged_row(path: PathLike, content: bytes, above: int, columns: i
     reader = csv.reader(io.StringIO(decode(path, content), newline=""), delimiter=separator, strict=True)
     row, line = -1, above  # the header
     try:
-        for cells in reader:
-            if not any(cell.strip() for cell in cells):
-                continue
+        for cells in (cells for cells in reader if any(cell.strip() for cell in cells)):
             row, line = row + 1, above + reader.line_num
-            if len(cells) != columns:
-                allowed = f"{columns}, as in the header{_hint(cells, columns, separator)}"
-                raise InputError(f"{path}: row {row} (line {line}): found {len(cells)} cells, allowed: {allowed}")
+            if len(cells) == columns:
+                continue
+            hint = ""
+            if others := [
+                s for s in SEPARATORS if s != separator and sum(c.count(s) for c in cells) >= columns - 1 > 0
+            ]:
+                hint = f"; the header is separated by {SEPARATORS[separator]}, this row by {SEPARATORS[others[0]]}"
+            if separator == "," and len(cells) > columns and all(WHOLE.fullmatch(cell) for cell in cells):
+                hint = "; with decimal commas separate the columns by semicolons"
+            allowed = f"{columns}, as in the header{hint}"
+            raise InputError(f"{path}: row {row} (line {line}): found {len(cells)} cells, allowed: {allowed}")
     except csv.Error as error:
         raise InputError(f"{path}: row {row + 1} (from line {line + 1}): {error}, allowed: {QUOTED}") from None
 
 
-def _hint(cells: list[str], columns: int, separator: str) -> str:
-    """What is wrong with a row that is too long, or cut at other places than its header."""
-    if separator == "," and len(cells) > columns and all(WHOLE.fullmatch(cell) for cell in cells):
-        return "; with decimal commas separate the columns by semicolons"
-    others = [
-        other for other in SEPARATORS if other != separator and sum(cell.count(other) for cell in cells) >= columns - 1
-    ]
-    if others and columns > 1:
-        return f"; the header is separated by {SEPARATORS[separator]}, this row by {SEPARATORS[others[0]]}"
-    return ""
-
-
-def _without_unnamed(path: PathLike, frame: pl.DataFrame, above: int) -> pl.DataFrame:
-    """The frame without unnamed empty columns, which spreadsheets leave behind; unnamed data are an error."""
-    for k, column in enumerate(frame.columns):
-        if column.startswith("\n"):
-            if frame[column].null_count() < frame.height:
-                raise InputError(f"{path}: column {k + 1} has no name in line {above + 1}, allowed: a name")
-            frame = frame.drop(column)
-    return frame
+def _decimal_commas(path: PathLike, frame: pl.DataFrame) -> bool:
+    """Whether numbers in quotation marks have decimal commas: none has a point, and not each three digits behind the
+    comma, which may be thousands (`InputError`)."""
+    texts = (frame[name].drop_nulls() for name in frame.columns if KNOWN.fullmatch(name) and name not in NAMES)
+    cells = pl.concat([pl.Series("", [], dtype=pl.String), *(text.alias("") for text in texts)]).str.strip_chars()
+    commas = cells.filter(cells.str.contains(WITH_COMMA))
+    if commas.is_empty() or cells.str.contains(WITH_POINT).any():
+        return False
+    if commas.str.contains(THOUSANDS).all():
+        allowed = "decimal points, or semicolons between the columns"
+        raise InputError(f"{path}: found {commas[0]!r}, a decimal comma or one of thousands, allowed: {allowed}")
+    return True

@@ -57,8 +57,8 @@ def decode(path: PathLike, content: bytes) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        found = f"byte 0x{content[error.start]:02x} on line {line}"
-        raise InputError(f"{path}: not a text file in UTF-8: found {found}, allowed: UTF-8") from None
+        byte = f"byte 0x{content[error.start]:02x} on line {line}"
+        raise InputError(f"{path}: not a text file in UTF-8: found {byte}, allowed: UTF-8") from None
 
 
 def read_text(path: PathLike) -> str:
@@ -69,8 +69,8 @@ def read_text(path: PathLike) -> str:
 def read_toml(path: PathLike) -> dict[str, Any]:
     """The tables of a TOML file. Raises `InputError` as `read_text` does; a syntax error has line and column."""
     text = read_text(path)
-    if found := TOO_LONG_KEY.search(text):
-        line = text.count("\n", 0, found.start()) + 1
+    if key := TOO_LONG_KEY.search(text):
+        line = text.count("\n", 0, key.start()) + 1
         reason = f"line {line} has a key of more than {PARTS} parts"
         raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0, less nested")
     try:

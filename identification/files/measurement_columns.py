@@ -14,27 +14,29 @@ from numpy.typing import NDArray
 
 from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array
+from identification.conditions import gaps_of
 from identification.errors import InputError, suggestion
 from identification.files.csv import KNOWN, Table, Test
-from identification.files.length_columns import SURFACE, lengths_of, read_lengths, session_of_rows, unit_of
-from identification.files.order_columns import order_columns, read_gaps, read_order
-from identification.files.orientation import angle_columns, orientation_columns_of, read_orientations
 from identification.kinematics.counting import counting_in, in_columns, in_joints
-from identification.kinematics.parameters import PRISMATIC, REVOLUTE
+from identification.kinematics.parameters import PRISMATIC
 from identification.spelling import close_names
 
 if TYPE_CHECKING:
-    from identification.kinematics.spatial import SpatialChain
+    from identification.kinematics.instrument import Instrument
     from identification.measurements import Measurements
 
-_JOINT = re.compile(r"q([1-9]\d*)_(deg|rad|mm|m)")
-_UNITS = {REVOLUTE: ("deg", "rad"), PRISMATIC: ("mm", "m")}  # of a joint's column, the one to write first
 JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that turn; None: as many as the table has
-_COMMANDED = re.compile(r"commanded[1-9]")
-_DIRECTION = re.compile(r"direction([1-9]\d*)")
-_OPTIONAL = ("order", "time_s", "temperature_C", "payload_kg", "posture", "session", "sigma_mm")
-_OF_PLANS = ("run",)  # a plan with the positions added is a measurement file
+LENGTH, ANGLE = "length", "angle"
+# units that a column may have, the one to write first -> factor to [mm] or [rad]; and the largest value then
+UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}}
+MOST = {LENGTH: LARGEST_LENGTH, ANGLE: float(np.radians(LARGEST_ANGLE))}
+QUATERNION = ("qw", "qx", "qy", "qz")
+NEARLY_ONE = 0.01  # by which a quaternion's length may be off: files have few digits
 _WHOLE = 2.0**53  # above it a float cannot count
+_JOINT = re.compile(r"q([1-9]\d*)_(deg|rad|mm|m)")
+_DIRECTION = re.compile(r"direction([1-9]\d*)")
+_COMMANDED = re.compile(r"commanded[1-9]")
+_ORIENTATION = re.compile(r"r[xyz]_(deg|rad)|q[wxyz]")
 
 
 def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str, Any]:
@@ -45,46 +47,46 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     """
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
     chain = links.chain if isinstance(links, Arm) else None
-    instrument = None if chain is None or chain.instrument.whole else chain.instrument
-    axes = ("x", "y") if chain is None else ("x", "y", "z") if instrument is None else lengths_of(instrument)
+    probe = None if chain is None or chain.instrument.whole else chain.instrument
+    axes = "xy" if chain is None else "xyz"
     postures = read_postures(table, types)
     n = postures.shape[1]
     poses = chain is not None and chain.angle_scale is not None
-    found: dict[str, Any] = {
+    session = _session(table, probe)
+    order = _order(table)
+    asked = any(_COMMANDED.match(column) for column in table.columns)
+    fields: dict[str, Any] = {
         "postures": postures,
-        "positions": read_lengths(table, instrument)
-        if instrument is not None
-        else np.column_stack([millimetres(table, axis) for axis in axes]),
-        "order": (order := read_order(table)),
+        "positions": read_positions(table, axes) if probe is None else _lengths(table, probe),
+        "order": order,
         **read_conditions(table, n if types is None else types),
-        "sigma": _sigma(table),
+        "sigma": None,
         "repeats": _repeats(table),
-        "session": (session := session_of_rows(table, instrument)),
-        "gaps": read_gaps(table, session) if order is not None and "order" in table else None,
+        "session": session,
+        "gaps": _gaps(table, session) if "order" in table else None,
         "marker": table.texts("marker") if chain is not None and "marker" in table else None,
         "orientations": read_orientations(table) if poses else None,
-        "commanded": _commanded(table, types, n),
+        "commanded": _joints(table, "commanded", n, types) if asked else None,
         "fit": table.fit,
         "provenance": MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
     }
-    _warn_unused(table, types, axes, chain)
-    return found
-
-
-def _warn_unused(table: Table, types: JointTypes, axes: Sequence[str], chain: SpatialChain | None) -> None:
-    """One warning for the columns of measurements that are not used."""
-    spatial, n = chain is not None, len(joint_columns(table, types))
-    poses = chain is not None and chain.angle_scale is not None
-    lengths = [f"{name}_{unit}" for name in (*axes, "sigma") for unit in ("mm", "m")]
-    optional = [*_OPTIONAL, *(["marker"] if spatial else []), *_OF_PLANS, *(f"direction{j}" for j in range(1, n + 1))]
-    optional += orientation_columns_of(table) if poses else []
-    optional += [SURFACE] if chain is not None and chain.instrument.contact else []
-    optional += [column for column in table.columns if _COMMANDED.match(column)]
-    wanted = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
-    hint = wanted if spatial and len(axes) == 3 and not poses and orientation_columns_of(table) else ""
-    if chain is not None and not chain.instrument.whole and "x_mm" in table:
-        hint = f"[instrument] {chain.instrument.kind} of the arm file reads no positions; for a tracker leave it out"
-    warn_unknown(table, [*joint_columns(table, types), *lengths, *optional], hint)
+    if any(f"sigma_{unit}" in table for unit in UNITS[LENGTH]):
+        fields["sigma"] = read_column(table, "sigma", LENGTH, SIGMA_RANGE)
+    lengths = [*(axes if probe is None else [] if probe.contact else ["distance"]), "sigma"]
+    used = [f"{name}_{unit}" for name in lengths for unit in UNITS[LENGTH]]
+    used += ["order", "time_s", "temperature_C", "payload_kg", "posture", "session", "run"]
+    used += [*joint_columns(table, types), *(f"direction{j}" for j in range(1, n + 1))]
+    used += [column for column in table.columns if _COMMANDED.match(column)]
+    used += ["marker"] if chain is not None else []
+    used += ["surface"] if probe is not None and probe.contact else []
+    used += orientation_columns_of(table) if poses else []
+    hint = ""
+    if probe is None and chain is not None and not poses and orientation_columns_of(table):
+        hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
+    if probe is not None and "x_mm" in table:
+        hint = f"[instrument] {probe.kind} of the arm file reads no positions; for a tracker leave it out"
+    warn_unknown(table, used, hint)
+    return fields
 
 
 def measurement_columns(measurements: Measurements, joint_types: JointTypes = None) -> dict[str, NDArray[np.generic]]:
@@ -101,12 +103,14 @@ def measurement_columns(measurements: Measurements, joint_types: JointTypes = No
         asked = posture_columns(measurements.commanded, joint_types)
         columns |= {name.replace("q", "commanded", 1): column for name, column in asked.items()}
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
-    columns |= order_columns(measurements)
-    directions = () if measurements.directions is None else _signs_of_columns(measurements.directions, joint_types).T
+    columns |= _order_columns(measurements)
+    directions, counting = measurements.directions, counting_in(joint_types)
+    if directions is not None and counting is not None:
+        directions = counting.signs_of_columns(directions)
     optional = {
         "temperature_C": measurements.temperature,
         "payload_kg": measurements.payload,
-        **{f"direction{j}": column for j, column in enumerate(directions, start=1)},
+        **{f"direction{j}": column for j, column in enumerate(() if directions is None else directions.T, start=1)},
         "posture": measurements.repeats,
         "session": measurements.session,
         "marker": measurements.marker,
@@ -115,68 +119,225 @@ def measurement_columns(measurements: Measurements, joint_types: JointTypes = No
     return columns | {name: values for name, values in optional.items() if values is not None}
 
 
-# -- columns shared with plans ----------------------------------------------------------------------------------------
+# -- reading -----------------------------------------------------------------------------------------------------------
+def read_column(table: Table, name: str, kind: str, bounds: tuple[float, float] | None = None) -> Array:
+    """(m,) lengths [mm] or angles [rad] of a column `name` in one of the `UNITS` of its kind.
+
+    bounds : smallest and largest value, in [mm] or [rad]; None: any that is finite, up to `MOST`
+    """
+    columns = [f"{name}_{unit}" for unit in UNITS[kind]]
+    present = [column for column in columns if column in table] or columns[:1]
+    if len(present) > 1:
+        raise InputError(f"{table.path}: found both {' and '.join(columns)}, allowed: one of them")
+    unit = present[0].removeprefix(f"{name}_")
+    factor = UNITS[kind][unit]
+    low, high = bounds or (-MOST[kind], MOST[kind])
+    allowed = f"a finite {kind}, up to {high / factor:g}"
+    if bounds is not None:
+        allowed = f"a number > 0 [{unit}], {low / factor:g} to {high / factor:g}"
+    return table.floats(present[0], allowed, lambda v: (v * factor >= low) & (v * factor <= high)) * factor
+
+
+def read_positions(table: Table, axes: str) -> Array:
+    """(m, d) [mm] of columns `x_mm`, or `x_m` converted, ..."""
+    return np.column_stack([read_column(table, axis, LENGTH) for axis in axes])
+
+
+def _lengths(table: Table, probe: Instrument) -> Array:
+    """(m, 1) distances of the measured point from the center, those of a sphere's surface, heights above a plane."""
+    if probe.contact:
+        return np.full((len(table), 1), probe.radius or 0.0)
+    return read_column(table, "distance", LENGTH, (np.nextafter(0.0, 1.0), LARGEST_LENGTH))[:, None]
+
+
 def joint_columns(table: Table, types: JointTypes = None) -> tuple[str, ...]:
     """The columns of joint positions a table has, `q1_deg` or `q1_rad`, in the order of the joints; of a prismatic
     joint `q1_mm` or `q1_m`."""
-    found = [match for column in table.columns if (match := _JOINT.fullmatch(column))]
-    own = [match for match in found if match.group(2) in _units(types, int(match.group(1)))]
-    return tuple(match.group() for match in sorted(own, key=lambda match: int(match.group(1))))
+    matches = [match for column in table.columns if (match := _JOINT.fullmatch(column))]
+    columns = [(int(match[1]), match.group()) for match in matches if match[2] in UNITS[_kind(types, int(match[1]))]]
+    return tuple(column for _, column in sorted(columns, key=lambda item: item[0]))
 
 
-def _units(types: JointTypes, joint: int) -> tuple[str, str]:
-    """Units that the column of a joint, counted from 1, may have."""
-    several = types is not None and not isinstance(types, int) and joint <= len(types)
-    return _UNITS[types[joint - 1] if several else REVOLUTE]  # type: ignore[index]
+def _kind(types: JointTypes, joint: int) -> str:
+    """What the column of a joint, counted from 1, holds."""
+    slides = isinstance(types, Sequence) and joint <= len(types) and types[joint - 1] == PRISMATIC
+    return LENGTH if slides else ANGLE
 
 
 def read_postures(table: Table, types: JointTypes = None) -> Array:
     """(m, n) joint positions [rad, mm] of the columns, which are as the controller counts (`JointKinds`); n as `types`
     say, or what the table has. Raises `InputError` for anything else."""
-    columns = joint_columns(table, types)
-    joints = [int(column[1:].partition("_")[0]) for column in columns]
-    n = max(joints, default=1) if types is None else types if isinstance(types, int) else len(types)
-    wanted = [f"q{j}_{_units(types, j)[0]}" for j in range(1, n + 1)]
-    if not columns:
-        table.require(wanted[:1])
-    for column, joint, following in zip(columns, joints, [*joints[1:], 0], strict=True):
-        if joint == following:
-            names = " and ".join(f"q{joint}_{unit}" for unit in _units(types, joint))
-            raise InputError(f"{table.path}: found both {names}, allowed: one of them")
+    columns = {column: int(column[1:].partition("_")[0]) for column in joint_columns(table, types)}
+    n = max(columns.values(), default=1) if types is None else types if isinstance(types, int) else len(types)
+    for column, joint in columns.items():
         if joint > n:
-            found = f"found column {column}, but the arm has {n} links"
-            raise InputError(f"{table.path}: {found}, allowed: {wanted[0]} to {wanted[-1]}")
-    if n > MAX_LINKS:
-        raise InputError(f"{table.path}: found column {columns[-1]}, allowed: 1 to {MAX_LINKS} joints")
-    table.require(wanted[j - 1] for j in range(1, n + 1) if j not in joints)
-    return in_joints(np.column_stack([_joint_positions(table, column) for column in columns]), types)
+            first, last = (f"q{j}_{next(iter(UNITS[_kind(types, j)]))}" for j in (1, n))
+            state = f"found column {column}, but the arm has {n} links"
+            raise InputError(f"{table.path}: {state}, allowed: {first} to {last}")
+        if joint > MAX_LINKS:
+            raise InputError(f"{table.path}: found column {column}, allowed: 1 to {MAX_LINKS} joints")
+    return _joints(table, "q", n, types)
 
 
-def _joint_positions(table: Table, column: str) -> Array:
-    """(m,) column `q1_rad` or `q1_mm`, or `q1_deg` or `q1_m` converted."""
-    unit = column.rpartition("_")[2]
-    if unit in _UNITS[PRISMATIC]:
-        factor = 1000.0 if unit == "m" else 1.0
-        return up_to(table, column, "a finite length", LARGEST_LENGTH / factor) * factor
-    if unit == "rad":
-        return up_to(table, column, "a finite angle", np.radians(LARGEST_ANGLE))
-    return np.radians(up_to(table, column, "a finite angle", LARGEST_ANGLE))
+def _joints(table: Table, name: str, n: int, types: JointTypes) -> Array:
+    """(m, n) [rad, mm] of columns `name` 1 to n."""
+    columns = [read_column(table, f"{name}{joint}", _kind(types, joint)) for joint in range(1, n + 1)]
+    return in_joints(np.column_stack(columns), types)
 
 
-def up_to(table: Table, column: str, allowed: str, most: float) -> Array:
-    """(m,) finite numbers of at most this absolute value."""
-    return table.floats(column, f"{allowed}, up to {most:g}", lambda values: np.abs(values) <= most)
+def orientation_columns_of(table: Table) -> list[str]:
+    """The columns of an orientation that a table has."""
+    return [column for column in table.columns if _ORIENTATION.fullmatch(column)]
 
 
+def read_orientations(table: Table) -> Array | None:
+    """(m, 3, 3) axes of the measured frame, from `rx_deg, ry_deg, rz_deg` (about own axes, x, then y, then z; or in
+    `_rad`) or from a quaternion `qw, qx, qy, qz`; None if the table has none of these columns."""
+    if not (columns := orientation_columns_of(table)):
+        return None
+    from identification.kinematics.orientations import from_angles, from_quaternions  # CasADi, which few files need
+
+    if len({column[0] + column[2:] if column[0] == "r" else "q" for column in columns}) > 1:
+        state = f"found {', '.join(columns)}"
+        raise InputError(f"{table.path}: {state}, allowed: three angles of one unit, or a quaternion")
+    if columns[0].startswith("r"):
+        unit = columns[0].partition("_")[2]
+        table.require(f"r{axis}_{unit}" for axis in "xyz")
+        return from_angles(np.column_stack([read_column(table, f"r{axis}", ANGLE) for axis in "xyz"]))
+    table.require(QUATERNION)
+    quaternions = np.column_stack([table.floats(name) for name in QUATERNION])
+    lengths = np.linalg.norm(quaternions, axis=1)
+    if (bad := np.abs(lengths - 1.0) > NEARLY_ONE).any():
+        row = int(np.argmax(bad))
+        state = f"found a quaternion of length {lengths[row]:.4g}, allowed: length 1 to {NEARLY_ONE:g}"
+        raise InputError(f"{table.place(row, 'qw..qz')}: {state}")
+    return from_quaternions(quaternions)
+
+
+def read_conditions(table: Table, types: int | Sequence[str]) -> dict[str, Array | None]:
+    """`payload` (m,) [kg], `temperature` (m,) [deg C] and `directions` (m, n) of the joints, each None if the table has
+    none."""
+
+    def optional(column: str, allowed: str, test: Test) -> Array | None:
+        return table.floats(column, f"a number {allowed}", test) if column in table else None
+
+    most = f">= 0 [kg], up to {LARGEST_MASS:g}"
+    return {
+        "payload": optional("payload_kg", most, lambda v: (v >= 0.0) & (v <= LARGEST_MASS)),
+        "temperature": optional("temperature_C", ">= -273.15 [deg C]", lambda v: v >= -273.15),
+        "directions": _directions(table, types),
+    }
+
+
+def _directions(table: Table, types: int | Sequence[str]) -> Array | None:
+    """(m, n) +1 or -1 of the joints, NaN where the cell is empty: unknown; or where coupled joints leave it open."""
+    n, counting = types if isinstance(types, int) else len(types), counting_in(types)
+    columns = [column for column in table.columns if _DIRECTION.fullmatch(column)]
+    if not columns:
+        return None
+    wanted = [f"direction{j}" for j in range(1, n + 1)]
+    table.require(wanted)
+    if beyond := [column for column in columns if column not in wanted]:
+        state = f"found column {beyond[0]}, but there are {n} joints"
+        raise InputError(f"{table.path}: {state}, allowed: direction1 to direction{n}")
+    allowed = "+1 or -1, empty: unknown"
+    signs = [table.floats(column, allowed, lambda v: np.abs(v) == 1.0, empty=np.nan) for column in wanted]
+    directions = np.column_stack(signs)
+    return directions if counting is None else counting.signs_of_joints(directions)
+
+
+def _repeats(table: Table) -> NDArray[np.int64] | None:
+    """(m,) whole numbers that are equal for repeats of a posture."""
+    if "posture" not in table:
+        return None
+    whole = table.floats("posture", "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < _WHOLE))
+    return whole.astype(np.int64)
+
+
+def _session(table: Table, probe: Instrument | None) -> NDArray[np.str_] | None:
+    """(m,) names of the sessions; each surface that is touched has a place of its own, as each session has."""
+    columns = ["session", "surface"] if probe is not None and probe.contact else ["session"]
+    names = [table.texts(column) for column in columns if column in table]
+    return np.array(["/".join(parts) for parts in zip(*names, strict=True)]) if names else None
+
+
+def _order(table: Table) -> Array | None:
+    """(m,) `time_s` or `order`; of both, the time says more, if it says the same."""
+    order, time = (table.floats(c) if c in table else None for c in ("order", "time_s"))
+    if order is None or time is None:
+        return time if order is None else order
+    by_order, by_time = np.argsort(order, kind="stable"), np.argsort(time, kind="stable")
+    if np.array_equal(by_order, by_time):
+        return time
+    place = table.place(int(by_time[np.argmax(by_order != by_time)]), "time_s")
+    state = "order and time_s put the rows in different orders"
+    raise InputError(f"{place}: {state}, allowed: the same order, or one column")
+
+
+def _gaps(table: Table, session: NDArray[np.str_] | None) -> NDArray[np.bool_] | None:
+    """(m,) True where whole numbers of `order` are left out, in each session; None where nothing is, or nothing
+    counts."""
+    order = table.floats("order")
+    if not np.all(order == np.round(order)):
+        return None
+    gaps = np.zeros(len(order), dtype=bool)
+    for name in (None,) if session is None else np.unique(session):
+        rows = np.ones(len(order), dtype=bool) if name is None else session == name
+        gaps[rows] = gaps_of(order[rows])
+    return gaps if gaps.any() else None
+
+
+def warn_unknown(table: Table, known: Iterable[str], hint: str = "") -> None:
+    """One `UserWarning` for all columns that are not `known`, with the nearest known one where there is one.
+
+    hint : what else to say
+    """
+    known = list(known)
+    free = [k for k in known if k not in table and not k.endswith(("_m", "_rad"))]  # the units to write first
+    unknown = []
+    for column in (column for column in table.columns if column not in known):
+        near = "" if KNOWN.fullmatch(column) else suggestion(close_names(column, free)).strip()
+        unknown.append(f"{column!r} ({near})" if near else f"{column!r}")
+    if unknown:
+        columns = "column is" if len(unknown) == 1 else "columns are"
+        message = "; ".join(filter(None, [f"{columns} not used: {', '.join(unknown)}", hint]))
+        warnings.warn(f"{table.path}: {message}", UserWarning, stacklevel=3)
+
+
+# -- writing -----------------------------------------------------------------------------------------------------------
 def posture_columns(postures: Array, types: JointTypes = None) -> dict[str, NDArray[np.generic]]:
     """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) joint positions [rad, mm]; `q1_mm` for a prismatic
     joint."""
-    found: dict[str, NDArray[np.generic]] = {}
+    columns: dict[str, NDArray[np.generic]] = {}
     for j, column in enumerate(in_columns(postures, types).T, start=1):
-        unit = _units(types, j)[0]
+        unit = next(iter(UNITS[_kind(types, j)]))
         # 30 rather than 29.999999999999996; 12 decimals are 2e-14 rad;  + 0: no -0
-        found[f"q{j}_{unit}"] = (np.round(np.degrees(column), 12) if unit == "deg" else column) + 0.0
-    return found
+        columns[f"q{j}_{unit}"] = (np.round(np.degrees(column), 12) if unit == "deg" else column) + 0.0
+    return columns
+
+
+def angle_columns(orientations: Array) -> dict[str, NDArray[np.generic]]:
+    """Columns `rx_deg, ry_deg, rz_deg` of orientations (m, 3, 3)."""
+    from identification.kinematics.orientations import to_angles
+
+    angles = np.round(np.degrees(to_angles(orientations)), 12) + 0.0
+    return {f"r{axis}_deg": column for axis, column in zip("xyz", angles.T, strict=True)}
+
+
+def _order_columns(measurements: Measurements) -> dict[str, NDArray[np.generic]]:
+    """`order` or `time_s`; both where the order, read again, would not have the same gaps."""
+    if (order := measurements.order) is None:
+        return {}
+    gaps = np.zeros(len(order)) if measurements.gaps is None else measurements.gaps
+    again, counts = np.zeros(len(order), dtype=bool), np.empty(len(order))
+    for rows in measurements.session_rows:
+        again[rows] = gaps_of(order[rows])
+        sequence = rows[np.argsort(order[rows], kind="stable")]
+        counts[sequence] = np.arange(len(rows)) + np.cumsum(gaps[sequence])
+    if np.all(order == np.round(order)) and np.array_equal(again, gaps > 0.0):
+        return {"order": order}
+    columns: dict[str, NDArray[np.generic]] = {"time_s": order}
+    return columns | ({"order": counts} if gaps.any() else {})
 
 
 def csv_text(columns: dict[str, NDArray[np.generic]], fit: str = "") -> str:
@@ -186,101 +347,8 @@ def csv_text(columns: dict[str, NDArray[np.generic]], fit: str = "") -> str:
     """
     series = []
     for name, values in columns.items():
-        counts = name == "order" or _DIRECTION.fullmatch(name)
-        small = counts and bool(np.all(np.abs(values) < _WHOLE))
-        if values.dtype.kind == "U":
-            series.append(pl.Series(name, values.tolist()))
-        elif counts and np.isnan(values).any():
-            series.append(pl.Series(name, values).fill_nan(None).cast(pl.Int64))
-        else:
-            series.append(pl.Series(name, values.astype(np.int64) if small else np.ascontiguousarray(values)))
+        column = pl.Series(name, values.tolist() if values.dtype.kind == "U" else np.ascontiguousarray(values))
+        if (name == "order" and np.all(np.abs(values) < _WHOLE)) or _DIRECTION.fullmatch(name):
+            column = column.fill_nan(None).cast(pl.Int64)
+        series.append(column)
     return (f"# fit: {fit}\n" if fit else "") + pl.DataFrame(series).fill_nan(None).write_csv()
-
-
-def warn_unknown(table: Table, known: Iterable[str], hint: str = "") -> None:
-    """One `UserWarning` for all columns that are not `known`, with the nearest known one where there is one.
-
-    hint : what else to say
-    """
-    known = list(known)
-    unknown = []
-    for column in table.columns:
-        if column not in known:
-            free = [k for k in known if k not in table and not k.endswith(("_m", "_rad"))]  # the units to write first
-            near = "" if KNOWN.fullmatch(column) else suggestion(close_names(column, free)).strip()
-            unknown.append(f"{column!r} ({near})" if near else f"{column!r}")
-    if unknown:
-        columns = "column is" if len(unknown) == 1 else "columns are"
-        more = f"; {hint}" if hint else ""
-        warnings.warn(f"{table.path}: {columns} not used: {', '.join(unknown)}{more}", UserWarning, stacklevel=3)
-
-
-def read_conditions(table: Table, types: int | Sequence[str]) -> dict[str, Array | None]:
-    """`payload` (m,) [kg], `temperature` (m,) [deg C] and `directions` (m, n) of the joints, each None if the table has
-    none."""
-    return {
-        "payload": _optional(
-            table, "payload_kg", f">= 0 [kg], up to {LARGEST_MASS:g}", lambda v: (v >= 0.0) & (v <= LARGEST_MASS)
-        ),
-        "temperature": _optional(table, "temperature_C", ">= -273.15 [deg C]", lambda v: v >= -273.15),
-        "directions": _directions(table, types),
-    }
-
-
-# -- columns of measurements ------------------------------------------------------------------------------------------
-def millimetres(table: Table, name: str) -> Array:
-    """(m,) column `x_mm`, or `x_m` converted."""
-    unit, factor = unit_of(table, name)
-    return up_to(table, f"{name}_{unit}", "a finite length", LARGEST_LENGTH / factor) * factor
-
-
-def _sigma(table: Table) -> Array | None:
-    (unit, factor), (low, high) = unit_of(table, "sigma"), SIGMA_RANGE
-    allowed = f"> 0 [{unit}], {low / factor:g} to {high / factor:g}"
-    values = _optional(table, f"sigma_{unit}", allowed, lambda v: (v * factor >= low) & (v * factor <= high))
-    return None if values is None else values * factor
-
-
-def _optional(table: Table, column: str, allowed: str, test: Test) -> Array | None:
-    return table.floats(column, f"a number {allowed}", test) if column in table else None
-
-
-def _signs_of_columns(directions: Array, types: JointTypes) -> Array:
-    """(m, n) signs of the columns' motions, of those of the joints."""
-    counting = counting_in(types)
-    return directions if counting is None else counting.signs_of_columns(directions)
-
-
-def _directions(table: Table, types: int | Sequence[str]) -> Array | None:
-    """(m, n) +1 or -1 of the joints, NaN where the cell is empty: unknown; or where coupled joints leave it open."""
-    n, counting = types if isinstance(types, int) else len(types), counting_in(types)
-    columns = [column for column in table.columns if _DIRECTION.fullmatch(column)]
-    if not columns:
-        return None
-    table.require(f"direction{j}" for j in range(1, n + 1))
-    for column in columns:
-        if int(column.removeprefix("direction")) > n:
-            allowed = f"direction1 to direction{n}"
-            raise InputError(f"{table.path}: found column {column}, but there are {n} joints, allowed: {allowed}")
-    allowed = "+1 or -1, empty: unknown"
-    signs = [table.floats(f"direction{j}", allowed, lambda v: np.abs(v) == 1.0, empty=np.nan) for j in range(1, n + 1)]
-    found = np.column_stack(signs)
-    return found if counting is None else counting.signs_of_joints(found)
-
-
-def _commanded(table: Table, types: JointTypes, n: int) -> Array | None:
-    """(m, n) [rad, mm] of `commanded1_deg..`, for all joints or for none."""
-    if not any(_COMMANDED.match(column) for column in table.columns):
-        return None
-    pairs = [[f"commanded{joint}_{unit}" for unit in _units(types, joint)] for joint in range(1, n + 1)]
-    table.require(first for first, other in pairs if other not in table)
-    found = [_joint_positions(table, other if other in table else first) for first, other in pairs]
-    return in_joints(np.column_stack(found), types)
-
-
-def _repeats(table: Table) -> NDArray[np.int64] | None:
-    """(m,) whole numbers that are equal for repeats of a posture."""
-    if "posture" not in table:
-        return None
-    whole = table.floats("posture", "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < _WHOLE))
-    return whole.astype(np.int64)

@@ -15,14 +15,16 @@ from identification.files.csv import read_table
 from identification.files.io import PathLike
 from identification.files.measurement_columns import (
     JointTypes,
+    angle_columns,
     csv_text,
     joint_columns,
-    millimetres,
+    orientation_columns_of,
     posture_columns,
+    read_orientations,
+    read_positions,
     read_postures,
     warn_unknown,
 )
-from identification.files.orientation import angle_columns, orientation_columns_of, read_orientations
 
 
 @dataclass(frozen=True)
@@ -46,19 +48,19 @@ def load_targets(path: PathLike, links: int | Arm) -> Targets:
     Raises `InputError` with file, row and column.
     """
     table = read_table(path)
-    types, dimension = (links.joint_types, links.dimension) if isinstance(links, Arm) else (links, 2)
-    columns = [f"{axis}_mm" for axis in "xyz"[:dimension]]
-    given = [f"{axis}_{unit}" for axis in "xyz"[:dimension] for unit in ("mm", "m")]
-    has_positions, joints = any(column in table for column in given), joint_columns(table, types)
+    types, axes = (links.joint_types, "xyz"[: links.dimension]) if isinstance(links, Arm) else (links, "xy")
+    lengths = [f"{axis}_{unit}" for axis in axes for unit in ("mm", "m")]
+    has_positions, joints = any(column in table for column in lengths), joint_columns(table, types)
     if not has_positions and not joints:
         count = types if isinstance(types, int) else len(types)
-        allowed = f"{', '.join(columns[:-1])} and {columns[-1]}, or q1_deg..q{count}_deg"
+        columns = " and ".join(", ".join(f"{axis}_mm" for axis in axes).rsplit(", ", 1))
+        allowed = f"{columns}, or q1_deg..q{count}_deg"
         raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
-    positions = np.column_stack([millimetres(table, axis) for axis in "xyz"[:dimension]]) if has_positions else None
+    positions = read_positions(table, axes) if has_positions else None
     postures = read_postures(table, types) if joints else None
-    spatial = has_positions and dimension == 3
-    warn_unknown(table, ["run", *given, *joints, *(orientation_columns_of(table) if spatial else ())])
-    return Targets(positions, postures, read_orientations(table) if spatial else None)
+    poses = has_positions and len(axes) == 3
+    warn_unknown(table, ["run", *lengths, *joints, *(orientation_columns_of(table) if poses else ())])
+    return Targets(positions, postures, read_orientations(table) if poses else None)
 
 
 def commands_text(

@@ -53,29 +53,29 @@ class Urdf:
 
     def masses(self, base: str, tip: str) -> tuple[float, ...]:
         """[kg] of what each moving joint of a chain carries up to the next one, zero where the file gives none."""
-        masses = {str(link.get("name")): link.find("inertial/mass") for link in self.robot.findall("link")}
-        found: list[float] = []
+        of_links = {str(link.get("name")): link.find("inertial/mass") for link in self.robot.findall("link")}
+        masses: list[float] = []
         for element in self.elements(base, tip):
             if element.get("type") != FIXED:
-                found.append(0.0)
-            mass = masses.get(self._attribute(element, "child", "link"))
-            if found and mass is not None:
-                found[-1] += self._number("mass", str(mass.get("value")))
-        return tuple(found)
+                masses.append(0.0)
+            mass = of_links.get(self._attribute(element, "child", "link"))
+            if masses and mass is not None:
+                masses[-1] += self._number("mass", str(mass.get("value")))
+        return tuple(masses)
 
     def elements(self, base: str, tip: str) -> list[ElementTree.Element]:
         """The joints from a base link to a tip link. Raises `InputError` where there is no such way."""
         for link in (base, tip):
             if link not in self.links:
                 raise InputError(f"{self.path}: there is no link {link!r}, {nearest(link, self.links)}")
-        found: list[ElementTree.Element] = []
+        joints: list[ElementTree.Element] = []
         link = tip
         while link != base:
-            if link not in self.by_child or len(found) > len(self.by_child):
+            if link not in self.by_child or len(joints) > len(self.by_child):
                 raise InputError(f"{self.path}: link {tip!r} is not below {base!r}, allowed: a tip below the base")
-            found.append(self.by_child[link])
-            link = self._attribute(found[-1], "parent", "link")
-        return found[::-1]
+            joints.append(self.by_child[link])
+            link = self._attribute(joints[-1], "parent", "link")
+        return joints[::-1]
 
     def chain(self, base: str, tip: str, limited: Collection[str] = ()) -> SpatialChain:
         """The chain of moving joints; fixed joints between them belong to the next one's origin.
@@ -104,12 +104,9 @@ class Urdf:
         axis = self._numbers(element, "axis", "xyz", (1.0, 0.0, 0.0))
         if not np.any(axis):
             raise InputError(f"{self.path}: joint {name!r}: axis 0 0 0, allowed: a direction")
-        return Joint(name, origin, axis, MOVING[kind], *self._limits(element, kind, MOVING[kind] in limited))
-
-    def _limits(self, element: ElementTree.Element, kind: str, elsewhere: bool) -> tuple[float, float]:
-        if kind == "continuous" or elsewhere:
-            return -np.pi, np.pi
-        name, limit = element.get("name"), element.find("limit")
+        if kind == "continuous" or MOVING[kind] in limited:
+            return Joint(name, origin, axis, MOVING[kind], -np.pi, np.pi)
+        limit = element.find("limit")
         if limit is None or limit.get("lower") is None or limit.get("upper") is None:
             missing = "limit, lower or upper is missing"
             raise InputError(f"{self.path}: joint {name!r}: {missing}, allowed: both for a {kind} joint")
@@ -117,7 +114,7 @@ class Urdf:
         if lower >= upper:
             raise InputError(f"{self.path}: joint {name!r}: limits {lower:g} to {upper:g}, allowed: lower < upper")
         unit = METER if kind == "prismatic" else 1.0
-        return lower * unit, upper * unit
+        return Joint(name, origin, axis, MOVING[kind], lower * unit, upper * unit)
 
     def _origin(self, element: ElementTree.Element) -> Array:
         """(4, 4) [mm]."""
@@ -169,8 +166,8 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
     Raises `InputError` for text that is no XML or has a document type, links or joints of equal names, links with two
     parents.
     """
-    if found := re.search(r"<!(DOCTYPE|ENTITY)", text):
-        raise InputError(f"{path}: found {found.group()}, allowed: XML without document types and entities")
+    if declared := re.search(r"<!(DOCTYPE|ENTITY)", text):
+        raise InputError(f"{path}: found {declared.group()}, allowed: XML without document types and entities")
     try:
         root = ElementTree.fromstring(_declared_first(text))
     except ElementTree.ParseError as error:
@@ -179,27 +176,23 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
         raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")
     links = tuple(str(link.get("name")) for link in root.findall("link"))
     by_child: dict[str, ElementTree.Element] = {}
-    found_file = Urdf(str(path), text, by_child, links, root)
+    urdf = Urdf(str(path), text, by_child, links, root)
     for joint in root.findall("joint"):
-        child = found_file._attribute(joint, "child", "link")
+        child = urdf._attribute(joint, "child", "link")
         if child in by_child:
             raise InputError(f"{path}: link {child!r} hangs on two joints, allowed: one")
         by_child[child] = joint
-    _check_once(path, "joint", [str(joint.get("name")) for joint in by_child.values()])
-    _check_once(path, "link", links)
-    return found_file
+    for what, names in (("joint", [str(joint.get("name")) for joint in by_child.values()]), ("link", links)):
+        for name, times in Counter(names).items():
+            if times > 1:
+                raise InputError(f"{path}: {what} {name!r} is there {times} times, allowed: once")
+    return urdf
 
 
 def _declared_first(text: str) -> str:
     """The text for a parser of XML, which allows nothing before its declaration: where blank lines are before it, it is
     blank too, so that places in the text stay the same."""
-    return re.sub(r"\A\s+<\?xml\b[^>]*>", lambda found: re.sub(r"[^\s]", " ", found[0]), text)
-
-
-def _check_once(path: PathLike, what: str, names: Sequence[str]) -> None:
-    for name, times in Counter(names).items():
-        if times > 1:
-            raise InputError(f"{path}: {what} {name!r} is there {times} times, allowed: once")
+    return re.sub(r"\A\s+<\?xml\b[^>]*>", lambda before: re.sub(r"[^\s]", " ", before[0]), text)
 
 
 def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> str:
@@ -225,20 +218,20 @@ def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> s
 def urdf_text(chain: SpatialChain, name: str) -> str:
     """A URDF file of bare links and joints for a chain that comes from no such file; links `base_link`, `link_1`, ..,
     `tip`."""
-    lines = ['<?xml version="1.0"?>', f'<robot name="{_attribute(name)}">', f'  <link name="{BASE_LINK}"/>']
+    lines = ['<?xml version="1.0"?>', f'<robot name="{_escaped(name)}">', f'  <link name="{BASE_LINK}"/>']
     before, n = BASE_LINK, len(chain)
     for j, joint in enumerate(chain.joints, start=1):
         unit = METER if joint.type == PRISMATIC else 1.0
         axis = " ".join(f"{float(x):.17g}" for x in joint.axis)
         limits = f'lower="{joint.lower / unit:.17g}" upper="{joint.upper / unit:.17g}" effort="0" velocity="0"'
         inner = f'{_origin_element(joint.origin, True)}<axis xyz="{axis}"/><limit {limits}/>'
-        lines += _link(f"link_{j}", _attribute(joint.name), joint.type, before, inner)
+        lines += _link(f"link_{j}", _escaped(joint.name), joint.type, before, inner)
         before = f"link_{j}"
     lines += _link(TIP, f"joint_{n + 1}_fixed", FIXED, before, _origin_element(chain.end, True))
     return "\n".join([*lines, "</robot>\n"])
 
 
-def _attribute(text: str) -> str:
+def _escaped(text: str) -> str:
     """An XML attribute in double quotes, safe inside a TOML string in triple single quotes: no control characters."""
     return escape(printable(text), {'"': "&quot;", "'": "&apos;"})
 
@@ -283,13 +276,5 @@ def _origin_places(text: bytes, names: Mapping[str, Array]) -> Iterator[tuple[in
 
 def _tag_end(text: bytes, start: int) -> int:
     """Index after the `>` that closes the tag that begins at `start`; those inside quotes do not count."""
-    quote = b""
-    for at in range(start, len(text)):
-        byte = text[at : at + 1]
-        if quote:
-            quote = b"" if byte == quote else quote
-        elif byte in (b'"', b"'"):
-            quote = byte
-        elif byte == b">":
-            return at + 1
-    return len(text)
+    tag = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(text, start)
+    return len(text) if tag is None else tag.end()

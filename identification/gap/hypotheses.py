@@ -30,6 +30,7 @@ from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 UNSEEN = 1e-3  # share of the reach
+EFFECT, ORDER = "transmission_ripple", "k"
 ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn: every wave between has a likeness of 0.97 with one
 CLEAR = 8.0  # log likelihood ratio below which a wave of further order is not added
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
@@ -164,6 +165,11 @@ class HypothesisSet:
         arm = self.arm.with_effects(*self.arm.effects, *(h.spec for h in ordered))
         return _modelled(arm, tuple(classes[spec.name] for spec in arm.effects))
 
+    @cached_property
+    def unscanned(self) -> tuple[Hypothesis, ...]:
+        """Hypotheses without a scanned setting that can act on the base model."""
+        return tuple(h for h in self.members if not h.scanned and self.acts(h))
+
     def own_places(self, model: Model) -> list[int]:
         """Indices of the base model's parameters in a model with further effects; similar ones change their names."""
         own = [p.name for effect in self.base.effects for p in effect.parameters]
@@ -275,7 +281,7 @@ def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Seq
     at : fit of the chosen effects;  rows : with any noise model
     """
     arm, known = library.arm, {h.label for h in library.members}
-    if not any(h.effect.name == "transmission_ripple" for h in library.members):
+    if not any(h.effect.name == EFFECT for h in library.members):
         return library
     position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
     levers = at.model.joint_levers(rows.postures, at.values, rows.conditions)
@@ -302,7 +308,7 @@ def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Seq
         if freedom < 3 or -0.5 * freedom * np.log1p(-min(gains[best], 1.0 - 1e-12)) < CLEAR:
             continue
         for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
-            spec = EffectSpec("transmission_ripple", j + 1, {"k": float(order)})
+            spec = EffectSpec(EFFECT, j + 1, {ORDER: float(order)})
             one = Hypothesis.of(arm, spec, RARE / len(ORDERS))
             if one.label not in known:
                 added.append(one)

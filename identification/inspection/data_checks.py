@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from identification.model.placed import one_unnamed, placed_model, tip_frames
 
 PLACED = 6  # numbers of a center, or a plane with three turns, and a measured point
 STANDS = 6  # numbers of where an arm stands, of each session
+IN_PLANE = 3  # numbers of where a planar arm stands
 SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
 LARGE_ANGLE = 7.0  # [rad], more than a turn, above which numbers may be degrees
 ANGLES = {  # factors to radians as read, and what the numbers then were
@@ -52,10 +54,9 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     """
     if measurements.links != arm.links:
         raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
-    bare = _bare(arm, measurements)
-    said = wrong_units(measurements, bare)
-    if said or arm.chain is None or _few(measurements, bare):
-        return said
+    bare, units = _bare(arm, measurements), wrong_units(measurements, arm)
+    if units or arm.chain is None or _few(measurements, bare):
+        return units
     return [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
 
 
@@ -69,16 +70,17 @@ def _few(measurements: Measurements, arm: Arm) -> bool:
     """Whether base and measured points alone might explain the data in any unit."""
     points = 1 if measurements.marker is None else len(measurements.marker_names)
     fitted = PLACED if measurements.dimension == 1 else STANDS + arm.dimension * points
-    return arm.chain is not None and measurements.positions.size < 4 * fitted * len(measurements.session_rows)
+    unknowns = IN_PLANE if arm.chain is None else fitted * len(measurements.session_rows)
+    return measurements.positions.size < 4 * unknowns
 
 
 def gap_notes(measurements: Measurements) -> list[str]:
     """Rows of which nothing says from which side their joints came, in a sentence; none where directions are given."""
     if measurements.gaps is None or measurements.directions is not None:
         return []
-    found = f"before {int(measurements.gaps.sum())} of {len(measurements)} rows numbers of order are left out"
+    left_out = f"before {int(measurements.gaps.sum())} of {len(measurements)} rows numbers of order are left out"
     how = "keep order 1, 2, 3 .. without steps, or give columns direction1, direction2 .."
-    return [f"{found}: from which side the joints came is not known there (play in gears needs it; {how})"]
+    return [f"{left_out}: from which side the joints came is not known there (play in gears needs it; {how})"]
 
 
 def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
@@ -87,11 +89,11 @@ def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
     In the other units the rows are those of the drawing, but for what one may be off by; as read they are far from it
     for how far apart they are.
     """
-    found = _units(measurements, arm)
-    if found.misfit > DRAWN or CERTAINLY * found.relative >= found.relative_as_read:
+    units = _units(measurements, arm)
+    if units.misfit > DRAWN or CERTAINLY * units.relative >= units.relative_as_read:
         return None
-    near = f"read that way, half of the rows agree with the drawing to {100.0 * found.misfit:.2g} % of the reach"
-    return f"{'; '.join(found.sentences)} ({near})"
+    near = f"read that way, half of the rows agree with the drawing to {100.0 * units.misfit:.2g} % of the reach"
+    return f"{'; '.join(units.sentences)} ({near})"
 
 
 def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
@@ -101,7 +103,7 @@ def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
     Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
     are those of the other is measured, and a unit is named where that is a unit's factor (`FITS`).
     """
-    return _units(measurements, arm).sentences
+    return list(_units(measurements, arm).sentences)
 
 
 class _Units(NamedTuple):
@@ -114,9 +116,13 @@ class _Units(NamedTuple):
     relative_as_read: float = 0.0
 
 
+@lru_cache(maxsize=2)  # asked for before a fit, and again for its warnings
 def _units(measurements: Measurements, arm: Arm) -> _Units:
     arm = _bare(arm, measurements)
-    huge = [_huge(arm)] if arm.reach > HUGE else []
+    huge = []
+    if arm.reach > HUGE:
+        how = "lengths that were written in millimetres there come out 1000 times too large"
+        huge = [f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}"]
     if _few(measurements, arm):
         return _Units(huge)
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
@@ -147,18 +153,11 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
         return _Units(huge)
     turned, factor = best
     axes = ("distance",) if measurements.dimension == 1 else "xyz"[: arm.dimension]
-    said = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
-    said += huge
+    sentences = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
+    sentences += huge
     if factor != 1.0:
-        said += [_other_lengths(factor, axes, huge=bool(huge))]
-    return _Units(said, misfits[best] * drawn[turned] / arm.reach, misfits[best], misfits[1.0, 1.0])
-
-
-def _huge(arm: Arm) -> str:
-    return (
-        f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and lengths that were written in "
-        "millimetres there come out 1000 times too large"
-    )
+        sentences += [_other_lengths(factor, axes, huge=bool(huge))]
+    return _Units(sentences, misfits[best] * drawn[turned] / arm.reach, misfits[best], misfits[1.0, 1.0])
 
 
 def _spread(points: Array) -> float:
@@ -178,30 +177,30 @@ def _drawn_tips(arm: Arm, postures: Array) -> Array:
 def _length_factor(misfit: Callable[[float], float], guess: float) -> float:
     """What positions are to be multiplied by to lie nearest to the drawing."""
     near = min(guess * STEPS, key=misfit)
-    found = minimize_scalar(
+    nearest = minimize_scalar(
         lambda k: misfit(float(np.exp(k))), bounds=np.log([near / 2.0, near * 2.0]), options={"xatol": 1e-4}
     )
-    return float(np.exp(found.x))
+    return float(np.exp(nearest.x))
 
 
 def _other_lengths(factor: float, axes: Sequence[str], *, huge: bool) -> str:
     """How many times the lengths of one file are those of the other, and what would make them agree.
 
-    factor : that makes positions what the arm's lengths are;  huge : it is said already that these are too large
+    factor : that makes positions what the arm's lengths are;  huge : another sentence says that these are too large
     """
     small, large = ("measurements", "arm file") if factor > 1.0 else ("arm file", "measurements")
     times = max(factor, 1.0 / factor)
-    said = f"the lengths of the {large} are {times:.4g} times those of the {small}"
+    lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
     if huge and factor > 1.0:
-        return said
+        return lengths
     unit = next((unit for unit in UNITS if abs(times / unit - 1.0) <= FITS), None)
     if unit is None:
-        return f"{said}, which is the factor of no unit: another arm, or a length that is mistyped?"
+        return f"{lengths}, which is the factor of no unit: another arm, or a length that is mistyped?"
     if small == "arm file":
-        return f"{said}: they agree if the arm file's lengths are in {UNITS[unit]} (multiply them by {unit:g})"
+        return f"{lengths}: they agree if the arm file's lengths are in {UNITS[unit]} (multiply them by {unit:g})"
     names, in_metres = (", ".join(f"{axis}_{end}" for axis in axes) for end in ("mm", "m"))
     how = f"name the columns {in_metres} instead of {names}" if unit == 1000.0 else f"multiply {names} by {unit:g}"
-    return f"{said}: they agree if the positions are in {UNITS[unit]} ({how})"
+    return f"{lengths}: they agree if the positions are in {UNITS[unit]} ({how})"
 
 
 def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
@@ -271,10 +270,10 @@ def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
 
 
 def _distances(arm: Arm, measurements: Measurements, kept: NDArray[np.bool_]) -> Array:
-    """(m,) from the nominal arm [mm], base and measured points found from the rows kept, in each session anew."""
-    found = np.empty(len(kept))
+    """(m,) from the nominal arm [mm], base and measured points found from the rows kept, in each session separately."""
+    off = np.empty(len(kept))
     for rows in measurements.session_rows:
         here = measurements.rows(rows)
         placed = placed_model(Model(arm), here.rows(kept[rows]) if kept[rows].any() else here)
-        found[rows] = distances(here.positions - placed.position(here.postures, conditions=here.conditions))
-    return found
+        off[rows] = distances(here.positions - placed.position(here.postures, conditions=here.conditions))
+    return off

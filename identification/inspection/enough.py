@@ -6,7 +6,7 @@ what repeats scatter by; where neither is known, neither is the accuracy.
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,6 @@ from identification.gap.words import of_joints
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, Parameter
 from identification.measurements import POINT, Measurements
 
-LENGTH = "length of"
 GEOMETRY = {LENGTH_ERROR: "length", JOINT_OFFSET: "zero"}
 SOURCES = {"sigma": "for the sigma_mm given", "repeats": "for what repeats scatter by", "residuals": "by the residuals"}
 
@@ -82,23 +81,30 @@ class Sufficiency:
         }
 
 
-def sufficiency(found: Identification, measurements: Measurements, floor: NoiseFloor) -> Sufficiency:
+def sufficiency(fit: Identification, measurements: Measurements, floor: NoiseFloor) -> Sufficiency:
     """What these rows can say of the model that was fitted to them.
 
     floor : what repeats scatter by
     """
-    held = len(found.prior.names) if found.prior is not None else 0
-    parameters, spare = len(found.names), max(found.dof, 0)
-    few = spare < parameters - held
-    judged, source = (_of_known_noise(found, measurements, floor)) if few else (found, _source(found))
-    weak = _weak(judged or found)
+    held = frozenset(fit.prior.names) if fit.prior is not None else frozenset[str]()
+    parameters, spare = len(fit.names), max(fit.dof, 0)
+    judged: Identification | None = fit
+    source = None if fit.expected_tip is None else "sigma" if fit.uncertainty.kind == "given" else "residuals"
+    if spare < parameters - len(held):  # few: the noise has to be known without the fit
+        judged, source = None, None
+        if fit.sigma_known:
+            judged, source = estimate(fit.model, measurements, sigma="given"), "sigma"
+        elif floor.value:
+            sigma = floor.value / float(np.sqrt(fit.residuals_after[:, POINT].shape[1]))
+            judged, source = estimate(fit.model, measurements, sigma=sigma), "repeats"
+    weak = _weak(judged or fit)
     return Sufficiency(
-        numbers=found.residuals_after.size,
+        numbers=fit.residuals_after.size,
         parameters=parameters,
         spare=spare,
-        held=held,
-        found=_in_words(found, {name for name, *_ in weak}),
-        open=found.not_identifiable,
+        held=len(held),
+        found=_in_words(fit, held, {name for name, *_ in weak}),
+        open=fit.not_identifiable,
         weak=weak,
         tip=None if judged is None else judged.expected_tip,
         tip_measured=None if judged is None else judged.expected_tip_measured,
@@ -106,58 +112,37 @@ def sufficiency(found: Identification, measurements: Measurements, floor: NoiseF
     )
 
 
-def _source(found: Identification) -> str | None:
-    return None if found.expected_tip is None else "sigma" if found.uncertainty.kind == "given" else "residuals"
-
-
-def _of_known_noise(
-    found: Identification, measurements: Measurements, floor: NoiseFloor
-) -> tuple[Identification | None, str | None]:
-    """The fit with intervals of noise that is known without it, and from where; None where it is not."""
-    if found.sigma_known:
-        return estimate(found.model, measurements, sigma="given"), "sigma"
-    if floor.value:
-        axes = found.residuals_after[:, POINT].shape[1]
-        return estimate(found.model, measurements, sigma=floor.value / float(np.sqrt(axes))), "repeats"
-    return None, None
-
-
-def _weak(found: Identification) -> tuple[tuple[str, float, str], ...]:
+def _weak(fit: Identification) -> tuple[tuple[str, float, str], ...]:
     """(name, standard deviation, unit) of parameters without a prior, as where base and reflector are, that stay more
     uncertain than the frames of the arm by `UNUSUAL` times, though the machining holds these.
 
     Where nothing is held, such combinations are not estimated at all (`estimation.estimate`).
     """
-    if found.prior is None or found.model.arm.chain is None:
+    if fit.prior is None or fit.model.arm.chain is None:
         return ()
-    machining = found.model.arm.machining
+    machining = fit.model.arm.machining
     far = {"mm": UNUSUAL * machining.translation, "rad": UNUSUAL * machining.rotation}
-    stds = zip(found.model.parameters, found.std.tolist(), strict=True)
-    free = [(p, std) for p, std in stds if p.name not in found.prior.names]
+    stds = zip(fit.model.parameters, fit.std.tolist(), strict=True)
+    free = [(p, std) for p, std in stds if p.name not in fit.prior.names]
     return tuple((p.name, std * p.to_file, p.file_unit) for p, std in free if std > far.get(p.unit, np.inf))
 
 
-def _in_words(found: Identification, weak: Set[str]) -> tuple[str, ...]:
+def _in_words(fit: Identification, held: Set[str], weak: Set[str]) -> tuple[str, ...]:
     """`length of links 1 to 3`, `zero of joints 1 to 3`, `base_offset`: what is determined, by kind; of one that is
     partly weak, what is not: `base (x, y, rx, ry, rz)`."""
-    held = () if found.prior is None else found.prior.names
     kinds: dict[str, list[Parameter]] = {}
-    for parameter, known in zip(found.model.parameters, found.identifiable, strict=True):
-        if known:
+    for parameter, determined in zip(fit.model.parameters, fit.identifiable, strict=True):
+        if determined:
             kind = parameter.name.partition(".")[0].partition(":")[0]
             kind = GEOMETRY.get(kind, "frame, held by [machining]," if parameter.name in held else kind)
             kinds.setdefault(kind, []).append(parameter)
-    return tuple(
-        _of_kind(kind, parameters, weak)
-        for kind, parameters in kinds.items()
-        if not weak >= {p.name for p in parameters}
-    )
-
-
-def _of_kind(kind: str, parameters: Sequence[Parameter], weak: Set[str]) -> str:
-    joints = sorted({p.joint for p in parameters if p.joint is not None})
-    if joints:
-        said = f"{kind} of {of_joints(joints)}"
-        return said.replace("joint", "link") if said.startswith(LENGTH) else said
-    sure = [p.short for p in parameters if p.name not in weak]
-    return kind if len(sure) == len(parameters) else f"{kind} ({', '.join(sure)})"
+    words = []
+    for kind, parameters in kinds.items():
+        sure = [p.short for p in parameters if p.name not in weak]
+        if joints := sorted({p.joint for p in parameters if p.joint is not None}):
+            which = of_joints(joints)
+            name = f"{kind} of {which.replace('joint', 'link') if kind == GEOMETRY[LENGTH_ERROR] else which}"
+        else:
+            name = kind if len(sure) == len(parameters) else f"{kind} ({', '.join(sure)})"
+        words += [name] if sure else []
+    return tuple(words)

@@ -27,8 +27,13 @@ from identification.estimation.shown import MISFIT
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.data_checks import data_warnings, gap_notes, wrong_units
 from identification.inspection.enough import Sufficiency, sufficiency
-from identification.inspection.reading import Readings
-from identification.inspection.readings import as_written, joints_of_unseen_sign, out_of_step, read_differently
+from identification.inspection.readings import (
+    Readings,
+    as_written,
+    joints_of_unseen_sign,
+    out_of_step,
+    read_differently,
+)
 from identification.inspection.sag import Sag, sag
 from identification.inspection.set_up import constant_length, other_base, turned_frame
 from identification.kinematics.counting import in_columns
@@ -127,18 +132,25 @@ class Inspection:
     def problems(self) -> tuple[str, ...]:
         """What should be put right before anything is fitted, in sentences."""
         # a later one may follow from an earlier one
-        zeros = self._offsets()  # several at once, where another reading has one or two
-        said = [*self.units] or ([] if zeros else self.readings.sentences) or [*self.frame] or zeros
-        if self.drawing > ROUGH * self.arm.reach and not said:
+        fit, better, zeros = self.fit, self.readings.better, list[str]()
+        if fit is not None and fit.status is not Status.implausible and (better is None or better.moved_zeros):
+            zeros = far_zeros(fit.model, fit.parameters)  # several at once, where another reading has one or two
+        sentences = [*self.units] or ([] if zeros else self.readings.sentences) or [*self.frame] or zeros
+        if self.drawing > ROUGH * self.arm.reach and not sentences:
             off = f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns"
-            said += self.step or [off]
-        if self.fit is not None and not said:
+            sentences += self.step or [off]
+        if fit is not None and not sentences:
             rows = np.arange(self.rows) + 1
-            unexplained = (np.isin(rows, some) for some in (self.fit.outlier_rows, self.fit.unexplained_rows))
-            said += far_rows(self.fit.residuals_after, *unexplained) or self._unexplained(self.fit)
-        if self.fit is None and not self.other_units:
-            said.append("too few rows for a fit of the geometry")
-        return (*(said or self._few()), *self.rest)
+            unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
+            sentences += far_rows(fit.residuals_after, *unexplained) or self._unexplained(fit)
+        if fit is None and not self.other_units:
+            sentences.append("too few rows for a fit of the geometry")
+        if fit is not None and not sentences and fit.dof <= 0:  # it leaves little whatever the data are
+            numbers, unknowns = fit.residuals_after.size, len(fit.names)
+            sentences = [f"{FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
+        elif fit is not None and not sentences:
+            sentences = [sentence for sentence in hardly_determined(fit) if sentence.startswith((FEW, TOGETHER))]
+        return (*sentences, *self.rest)
 
     def _unexplained(self, fit: Identification) -> list[str]:
         """That no geometry makes the rows those of one arm, where they are far from it and noise is not the reason."""
@@ -149,51 +161,37 @@ class Inspection:
         mixed = "columns, units or markers that changed" if self.markers else "columns or units that changed"
         return [f"{left}, so that no geometry explains these rows: look for {mixed}, or an instrument that moved"]
 
-    def _few(self) -> list[str]:
-        """That a fit leaves little whatever the data are, where the rows are too few."""
-        if self.fit is None:
-            return []
-        if self.fit.dof <= 0:
-            numbers, unknowns = self.fit.residuals_after.size, len(self.fit.names)
-            return [f"{FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
-        return [sentence for sentence in hardly_determined(self.fit) if sentence.startswith((FEW, TOGETHER))]
-
-    def _offsets(self) -> list[str]:
-        """Joints whose zero is another one than the drawing's, where the fit takes that up."""
-        fit, better = self.fit, self.readings.better
-        if fit is None or fit.status is Status.implausible or not (better is None or better.moved_zeros):
-            return []
-        return far_zeros(fit.model, fit.parameters)
-
     @property
     def notes(self) -> tuple[str, ...]:
         """What these data cannot say, in sentences."""
-        still = [str(j.joint) for j in self.joints if j.still]
-        said = [] if self.other_units or not still else [_hardly(still)]
-        said += [*self.turned, *(_unseen(j) for j in self.unseen if str(j) not in still)]
-        if self.fit is not None and self.commanded is not None:
-            said.append(_better_angles(rms_distance(self.fit.residuals_after), self.commanded))
-        if self.fit is not None and not self.problems:
-            said += _misfit(self.fit)
-        if self.fit is not None and self.fit.not_identifiable:
-            said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
+        fit, still, sentences = self.fit, [str(j.joint) for j in self.joints if j.still], list[str]()
+        if still and not self.other_units:
+            hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
+            sentences.append(f"{hardly.format(', '.join(still))} own errors cannot be seen")
+        sentences += self.turned
+        why = "the measured point is on its axis, or so near that the drawing's errors hide it"
+        for j in (j for j in self.unseen if str(j) not in still):
+            sentences.append(f"which way joint {j} turns and where its zero is do not show in these data: {why}")
+        if fit is not None and self.commanded is not None:
+            sentences.append(_better_angles(rms_distance(fit.residuals_after), self.commanded))
+        if fit is not None and not self.problems:  # a fit leaves more than noise, by chi2 or by repeats
+            looks = fit.misfit and f"{fit.misfit.partition('. ')[0]}; armcal diagnose looks for what is missing"
+            sentences += [looks] if looks else [doubt for doubt in fit.doubts if doubt.startswith(MISFIT)]
+        if fit is not None and fit.not_identifiable:
+            sentences.append(f"not estimable separately: {'; '.join(fit.not_identifiable)}")
         if not self.repeated:
-            said.append("no posture is repeated: the arm's repeatability is not known from these data")
-        said += self.gaps
-        if self.sag is not None and self.sag.recommended:
-            said.append(self.sag.sentence)
-        missing = {"temperature": "a column temperature_C", "gravity": "[gravity] in the arm file"}
+            sentences.append("no posture is repeated: the arm's repeatability is not known from these data")
+        sentences += self.gaps
         advised = self.sag is not None and self.sag.recommended
-        there = {*self.given, *(["gravity"] if self.arm.gravity is not None or advised else [])}
-        lacking = [how for what, how in missing.items() if what not in there]
-        return (
-            *said,
-            *(
-                [f"effects of {_list(missing, there)} are not tested without {' and '.join(lacking)}"]
-                if lacking
-                else []
-            ),
-        )
+        if self.sag is not None and advised:
+            sentences.append(self.sag.sentence)
+        untested = {} if "temperature" in self.given else {"temperature": "a column temperature_C"}
+        if self.arm.gravity is None and not advised:
+            untested["gravity"] = "[gravity] in the arm file"
+        if untested:
+            effects, needed = " and ".join(untested), " and ".join(untested.values())
+            sentences.append(f"effects of {effects} are not tested without {needed}")
+        return tuple(sentences)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `check` (identification/files/README.md, "JSON keys")."""
@@ -219,13 +217,6 @@ class Inspection:
         }
 
 
-def _misfit(fit: Identification) -> list[str]:
-    """That a fit leaves more than noise, by chi2 or by repeats."""
-    if fit.misfit:
-        return [fit.misfit.partition(". ")[0] + "; armcal diagnose looks for what is missing"]
-    return [said for said in fit.doubts if said.startswith(MISFIT)]
-
-
 def _better_angles(read: float, commanded: float) -> str:
     """Which angles explain the positions better, by what a fit leaves of them [mm]."""
     figures = f"a fit to the angles read leaves {read:.3g} mm RMS, to those commanded {commanded:.3g} mm"
@@ -234,22 +225,6 @@ def _better_angles(read: float, commanded: float) -> str:
     if read < commanded:
         return f"{figures}: the positions are those of the angles read, which every fit uses"
     return f"{figures}: the positions are those of the angles commanded: give these as q1_deg.. instead"
-
-
-def _hardly(joints: list[str]) -> str:
-    """Which joints hardly move."""
-    if len(joints) == 1:
-        return f"joint {joints[0]} hardly moves: its own errors cannot be seen"
-    return f"joints {', '.join(joints)} hardly move: their own errors cannot be seen"
-
-
-def _unseen(joint: int) -> str:
-    found = f"which way joint {joint} turns and where its zero is do not show in these data"
-    return f"{found}: the measured point is on its axis, or so near that the drawing's errors hide it"
-
-
-def _list(missing: dict[str, str], there: set[str]) -> str:
-    return " and ".join(what for what in missing if what not in there)
 
 
 def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None = None) -> Inspection:
@@ -265,12 +240,19 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
         )
     other_units = bool(wrong_units(measurements, arm))
     fit = None if other_units else _fit(arm, measurements)
-    floor = _floor(fit, measurements)
+    # without a fit nothing says what small differences of the repeats' angles do
+    every = np.ones(len(measurements), dtype=bool)
+    floor = NoiseFloor() if fit is None else noise_floor(fit.residuals_after, measurements, every, None)
     asked, by_command = measurements.commanded, None
     if asked is not None and not other_units and not np.array_equal(asked, measurements.postures):
         by_command = _fit(arm, replace(measurements, postures=asked, commanded=None))
     units = data_warnings(measurements, arm)
     readings = (as_written if other_units else read_differently)(arm, measurements)
+    try:
+        drawing = rms_distance(drawing_residuals(arm, measurements))
+    except InputError:  # too few rows for least squares
+        drawing = readings.written.rms
+    frame = [*another_frame(arm, measurements), *other_base(arm, measurements)] if not other_units else []
     return Inspection(
         arm=arm,
         rows=len(measurements),
@@ -282,13 +264,13 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
         joints=_ranges(arm, measurements.postures),
         floor=floor,
         readings=readings,
-        drawing=_drawing(arm, measurements, readings),
+        drawing=drawing,
         fit=fit,
         enough=None if fit is None else sufficiency(fit, measurements, floor),
         commanded=None if by_command is None else rms_distance(by_command.residuals_after),
         other_units=other_units,
         units=tuple(units),
-        frame=() if other_units else _frame(arm, measurements, fit),
+        frame=(*frame, *([] if other_units else constant_length(arm, measurements, fit))),
         turned=() if other_units else tuple(turned_frame(arm, measurements)),
         unseen=joints_of_unseen_sign(arm, measurements),
         step=tuple(out_of_step(arm, measurements)),
@@ -298,34 +280,13 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     )
 
 
-def _floor(fit: Identification | None, measurements: Measurements) -> NoiseFloor:
-    """What repeats scatter by; not known without a fit, which says what small differences of their angles do."""
-    if fit is None:
-        return NoiseFloor()
-    return noise_floor(fit.residuals_after, measurements, np.ones(len(measurements), dtype=bool), None)
-
-
-def _frame(arm: Arm, measurements: Measurements, fit: Identification | None) -> tuple[str, ...]:
-    """How frame and instrument are set up against the arm file, where that is not as it says."""
-    said = [*another_frame(arm, measurements), *other_base(arm, measurements)]
-    return (*said, *constant_length(arm, measurements, fit))
-
-
 def _fit(arm: Arm, measurements: Measurements) -> Identification | None:
     """The geometry of the arm fitted, None if the rows are too few for it."""
     try:
-        found = estimate(Model(with_sessions(arm, measurements)), measurements)
+        fit = estimate(Model(with_sessions(arm, measurements)), measurements)
     except InputError:
         return None
-    return with_repeats_doubted(found, measurements)
-
-
-def _drawing(arm: Arm, measurements: Measurements, readings: Readings) -> float:
-    """[mm] see `Inspection.drawing`; with too few rows for least squares the closed form's."""
-    try:
-        return rms_distance(drawing_residuals(arm, measurements))
-    except InputError:
-        return readings.written.rms
+    return with_repeats_doubted(fit, measurements)
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:

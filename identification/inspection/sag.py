@@ -101,7 +101,7 @@ def sag(arm: Arm, measurements: Measurements, fit: Identification, masses: Seque
         sagging = estimate(Model(with_sessions(soft, measurements)), measurements)
     except InputError:  # too few rows
         return None
-    left = [left_out_residuals(found, measurements) for found in (fit, sagging)]
+    left = [left_out_residuals(one, measurements) for one in (fit, sagging)]
     distances_left = [distances(residuals) for residuals in left if residuals is not None]
     if len(distances_left) < len(left):
         return None

@@ -33,10 +33,10 @@ def turned_frame(arm: Arm, measurements: Measurements) -> list[str]:
     may be off by, or where the drawing does not explain the positions at any angle."""
     if arm.chain is not None or measurements.links != arm.links:
         return []
-    found = as_written(arm, measurements).written
-    if found.turn is None or abs(found.turn) < FAR_ZERO or found.rms > DRAWN * arm.reach:
+    reading = as_written(arm, measurements).written
+    if reading.turn is None or abs(reading.turn) < FAR_ZERO or reading.rms > DRAWN * arm.reach:
         return []
-    turn = f"{np.degrees(found.turn):.1f} deg"
+    turn = f"{np.degrees(reading.turn):.1f} deg"
     return [
         f"the frame of the positions is turned by {turn} against the arm file, or the zero of joint 1 is, which looks "
         "the same: a fit puts it into the zero of joint 1. Where it is the frame, turn the positions back by "
@@ -52,13 +52,13 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
         return []
     rows = some_of_one_point(measurements)
     try:
-        found = placed_model(Model(anywhere(arm)), rows)
+        placed = placed_model(Model(anywhere(arm)), rows)
     except InputError:  # too few rows to place it
         return []
-    left = rows.positions[:, :3] - found.position(rows.postures, conditions=rows.conditions)[:, :3]
-    if found.arm.chain is None or rms_distance(left) > DRAWN * arm.reach:
+    left = rows.positions[:, :3] - placed.position(rows.postures, conditions=rows.conditions)[:, :3]
+    if placed.arm.chain is None or rms_distance(left) > DRAWN * arm.reach:
         return []
-    base = found.arm.chain.base
+    base = placed.arm.chain.base
     turn, shift = angle_between(chain.base, base), float(np.linalg.norm(base[:3, 3] - chain.base[:3, 3]))
     if turn < FAR_ZERO and shift < AWAY * arm.reach:
         return []
@@ -88,12 +88,12 @@ def constant_length(arm: Arm, measurements: Measurements, fit: Identification | 
     if known or fit is None or fit.dof <= SPARE or rms_distance(fit.residuals_after) < NOTHING:
         return []
     wider = replace(arm, calibration=None).with_effects(*arm.effects, EffectSpec(OFFSET))
-    found = estimate(Model(with_sessions(wider, measurements)), measurements)
-    before, after = (float(np.sum(one.residuals_after**2)) for one in (fit, found))
+    wider_fit = estimate(Model(with_sessions(wider, measurements)), measurements)
+    before, after = (float(np.sum(one.residuals_after**2)) for one in (fit, wider_fit))
     after = max(after, NOTHING**2 * len(measurements))
     if before < HALVED * after or fdtrc(1, fit.dof - 1, (before - after) * (fit.dof - 1) / after) > LEVEL:
         return []
-    value = float(found.parameters[found.names.index(f"{OFFSET}.c")])
+    value = float(wider_fit.parameters[wider_fit.names.index(f"{OFFSET}.c")])
     what = f"all distances look {abs(value):.3g} mm too {'long' if value > 0.0 else 'short'}"
-    fall = f"the RMS falls from {fit.rms_after:.3g} to {found.rms_after:.3g} mm where that is estimated, too"
+    fall = f"the RMS falls from {fit.rms_after:.3g} to {wider_fit.rms_after:.3g} mm where that is estimated, too"
     return [f'{what}, as by the zero of a wire or the length of a bar: {fall}; add [[effects]] name = "{OFFSET}"']

@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
+from identification.document import Document, Section, Sheet
 from identification.errors import InputError, nearest
 from identification.estimation import estimate
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.gap.confirmation import LEVEL, gained_squares
-from identification.html_tables import html_lines, html_table
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
+from identification.numbers_in_text import in_a_sentence, number
 from identification.sessions import placing, with_sessions
 from identification.validate.refit import fresh_points, placed_values, refit_model, refit_parameters
 from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
@@ -154,28 +155,20 @@ class Validation:
             for name, v in values.items()
         ]
 
+    def document(self) -> Document:
+        """What the model is worth, drawing and model over all rows, then block by block."""
+        data = self.to_json()
+        notes = [note for note in self.notes if HARDLY not in note]
+        parts = validation_sections(data, "" if self.arm.chain is None else ", measured points")
+        return Document("Validation", [validation_verdict(data), *notes], parts)
+
     def __str__(self) -> str:
-        lines = [f"{self._heading}; distances [mm]:"]
-        lines.append(f"  {'':<10} {'RMS':>8} {'mean':>8} {'95 %':>8} {'maximum':>8}")
-        for name, figures in self._compared:
-            lines.append(f"  {name:<10} " + " ".join(f"{value:8.4f}" for value in vars(figures).values()))
-        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+        return str(self.document())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        figures = [[name, *(f"{value:.4f}" for value in vars(f).values())] for name, f in self._compared]
-        table = html_table(("distance [mm]", "RMS", "mean", "95 % below", "maximum"), figures)
-        return html_lines([self._heading]) + table + html_lines(f"note: {note}" for note in self.notes)
-
-    @property
-    def _heading(self) -> str:
-        refit = "nothing refitted" if self.refit == "none" else f"{self.refit} refitted"
-        return f"{len(self.residuals)} rows, {refit}"
-
-    @property
-    def _compared(self) -> tuple[tuple[str, Figures], ...]:
-        return ("drawing", self.nominal), ("model", self.model)
+        return self.document()._repr_html_()
 
 
 def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:
@@ -313,3 +306,48 @@ def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) 
                 yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
     if undetermined:
         yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
+
+
+# -- in words ----------------------------------------------------------------------------------------------------------
+def validation_sections(data: Mapping[str, Any], points: str = "") -> list[Section]:
+    """Drawing and model over all rows, and block by block;  points : what is refitted of a spatial arm beside"""
+    keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
+    what = {"base": "position and rotation of the base", "offsets": "joint offsets, position of the base"}
+    said = f"{data['rows']} rows, nothing refitted"
+    if data["refit"] != "none":
+        sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
+        said = f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
+    figures = ("RMS", "mean", "95 %\nbelow", "largest")
+    both = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
+    both.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])
+    blocks = [
+        [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[f"{key}_mm"]) for key in keys)]
+        for b in data["blocks"]
+    ]
+    headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
+    shown = [Section("Validation, distances in mm", [Sheet(("", *figures), both), said])]
+    return shown + ([Section("Validation, block by block, in mm", [Sheet(headings, blocks)])] if blocks else [])
+
+
+def is_better(data: Mapping[str, Any]) -> bool:
+    """Whether the model is better than the drawing, by more than the rows scatter."""
+    return data["rms_mm"] < data["rms_nominal_mm"] and not any(HARDLY in note for note in data["notes"])
+
+
+def validation_verdict(
+    data: Mapping[str, Any], model: str = "the model", rows: str = "other measurements", *, seen: bool = False
+) -> str:
+    """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
+    better;  model, rows : names of files;  seen : it was fitted to these rows"""
+    which = ", which it was fitted to" if seen else ""
+    figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
+    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
+    gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
+    worth = f"{'no better' if gain <= 0.0 else HARDLY} than the drawing"
+    worth = f"{100.0 * gain:.0f} % of the error is removed" if is_better(data) else worth
+    return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
+
+
+def drawing_in_words(rms: float, refit: str = "base") -> str:
+    """What the drawing leaves [mm], and what was fitted of it;  refit : as for `validate`"""
+    return f"{in_a_sentence(rms)} mm (drawing, {DRAWN[refit]})"

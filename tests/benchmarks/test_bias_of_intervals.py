@@ -15,9 +15,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.studies.blind.simulator import session
-from doe.studies.blind.spatial_cells import SpatialCell, arm_of, measured
-from doe.studies.blind.spatial_simulator import SpatialTruth, shift, turn
+from doe.studies.blind.cells import CellSpec, arm_of
+from doe.studies.blind.simulator import TrueArm, measure, session, shift, turn
 from identification.estimation import Identification, estimate
 from identification.model import Model
 
@@ -25,25 +24,22 @@ SETS, MANY = 4, 1000
 SAG = 1e-6  # [rad/(N m)]
 
 
-def palletizer(rng: np.random.Generator) -> SpatialTruth:
+def palletizer(rng: np.random.Generator) -> TrueArm:
     """Axes 2 mrad and 0.5 mm off, encoders 5 mrad."""
-    half, zero = np.pi / 2.0, np.zeros((4, 3))
+    half = np.pi / 2.0
     table = np.array([(280.0, -half, 540.0), (900.0, 0.0, 0.0), (950.0, 0.0, 0.0), (180.0, half, 0.0)])
     lower, upper = np.radians([(-160.0, -130.0, -60.0, -110.0), (160.0, -10.0, 70.0, 110.0)])
     base = shift(rng.uniform(-1500.0, 1500.0, 3))
     base[:3, :3] = turn(rng.normal(0.0, 1.0, 3))
     tool, masses = np.array([[100.0, 0.0, -150.0]]) + rng.normal(0.0, 5.0, (1, 3)), np.array([150.0, 80.0, 60.0, 15.0])
-    arm = SpatialTruth(table, zero, zero, rng.normal(0.0, 5e-3, 4), base, tool, masses, 40.0, lower, upper, 0.08)
-    home = arm.home[:-1]
-    axes = home[:, :3, 2] + 2e-3 * rng.standard_normal(zero.shape)
-    points = home[:, :3, 3] + 0.5 * rng.standard_normal(zero.shape)
-    return replace(arm, axes=axes / np.linalg.norm(axes, axis=1, keepdims=True), points=points)
+    loads = {"masses": masses, "payload": 40.0, "lower": lower, "upper": upper, "sigma": 0.08}
+    return TrueArm.built(table, rng, 2e-3, 0.5, offsets=rng.normal(0.0, 5e-3, 4), base=base, tools=tool, **loads)
 
 
-def fitted(truth: SpatialTruth, model: Model, m: int, rng: np.random.Generator) -> Identification:
+def fitted(truth: TrueArm, model: Model, m: int, rng: np.random.Generator) -> Identification:
     """From random postures."""
-    run = session(truth, rng.uniform(truth.lower, truth.upper, (m, truth.n)), rng)  # type: ignore[arg-type]
-    return estimate(model, measured(truth, SpatialCell(m), run, rng))
+    run = session(truth, rng.uniform(truth.lower, truth.upper, (m, truth.n)), rng)
+    return estimate(model, measure(truth, run, rng))
 
 
 @pytest.mark.benchmark
@@ -54,7 +50,7 @@ def test_intervals_hold_the_best_fit_and_not_the_truth(m: int) -> None:
         rng = np.random.default_rng([8, seed])
         stiff = palletizer(rng)
         soft = replace(stiff, effects=[("joint_compliance", None, {"c": SAG * rng.uniform(0.5, 1.5, stiff.n)})])
-        model = Model(arm_of(SpatialCell(m), stiff, rng))
+        model = Model(arm_of(CellSpec(m, space=True), stiff, rng))
         found = fitted(soft, model, m, rng)
         kinds.add(found.uncertainty.kind)
         own = [k for k, name in enumerate(found.names) if ":" in name]  # of the joints, not of base and tool

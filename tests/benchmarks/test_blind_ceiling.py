@@ -26,6 +26,7 @@ import pytest
 from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells, hidden_effects, simulator
+from doe.studies.blind.simulator import TrueArm, column
 from identification.effects.rare import RARE
 from identification.gap.search import log_odds_of_count
 from identification.model import Model
@@ -37,7 +38,6 @@ STIFFNESSES = 200
 SIZES = 4.0 * 1.5 ** np.arange(6)  # 4 to 30, evenly on a logarithmic scale: what a user knows of the size of an effect
 FAR = 25.0
 PAIRS = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab", "transmission_ripple": "ab"}
-PAIRS |= {"base_offset": "xy", "base_drift": "xy"}
 SAGGING = ("joint_compliance", "gravity_backlash", "link_bending")  # of one sign only
 NAMES = hidden_effects.LIBRARY_JOINT + hidden_effects.LIBRARY_WHOLE
 ONE = {"payload_error": {"d": 1.0}, "gravity_tilt": {"angle": 1.0}}  # wrong loads, of one parameter
@@ -66,25 +66,27 @@ def log_mean(x: np.ndarray) -> float:
     return float(x.max() + np.log(np.mean(np.exp(x - x.max()))))
 
 
-def directions(bare: simulator.TrueArm, run: simulator.RowConditions, name: str, j: int | None) -> Iterator[np.ndarray]:
+def directions(bare: TrueArm, run: simulator.RowConditions, name: str, j: int | None) -> Iterator[np.ndarray]:
     """(2m, S) sampled columns of an effect, one array per order of a ripple."""
 
     def probe(values: dict) -> np.ndarray:
-        return hidden_effects.column(bare, run, (name.rstrip("*"), j, values))
+        return column(bare, run, (name.rstrip("*"), j, values))
 
     if name in ONE:
-        one = hidden_effects.column(bare, run, (name, None, ONE[name]))[:, None]
+        one = column(bare, run, (name, None, ONE[name]))[:, None]
         yield np.hstack([one, -one])
     elif name in PAIRS:
         for k in range(3, 65) if name == "transmission_ripple" else [None]:
             order = {} if k is None else {"k": k}
             both = [probe({c: float(c == one) for c in PAIRS[name]} | order) for one in PAIRS[name]]
             yield np.column_stack(both) @ CIRCLE
+    elif name in ("base_offset", "base_drift"):
+        yield hidden_effects.probed(bare, run, name, None) @ CIRCLE
     elif name == "joint_compliance*":
-        each = [hidden_effects.column(bare, run, ("joint_compliance", i + 1, {"c": 1.0})) for i in range(bare.n)]
+        each = [column(bare, run, ("joint_compliance", i + 1, {"c": 1.0})) for i in range(bare.n)]
         yield np.column_stack(each) @ np.random.default_rng(1).uniform(0.5, 1.5, (bare.n, STIFFNESSES))
     else:
-        one = probe(hidden_effects.directions_of(name, bare.n, np.random.default_rng(0)))[:, None]
+        one = probe(hidden_effects.directions(bare, name, j, np.random.default_rng(0)))[:, None]
         yield one if name in SAGGING else np.hstack([one, -one])
 
 
@@ -98,23 +100,23 @@ def planned(cell: str, seed: int) -> np.ndarray | None:
     return discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
 
 
-def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, simulator.TrueArm]:
+def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, TrueArm]:
     """Whitened residual off the base model (2m,), what might be hidden, lambda and the truth of one data set."""
     spec = cells.CELLS[cell]
     assert spec.lam is not None
-    rng = np.random.default_rng([20261121, list(cells.CELLS).index(cell), seed])
+    rng = cells.generator_of(cell, seed)
     plan = postures = planned(cell, seed // cells.SAME_ARM * cells.SAME_ARM)
     truth = cells.truth_of(spec, rng) if plan is None else cells.shared_truth(cell, seed)
     if postures is None:
         postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
     run = simulator.session(truth, postures, rng)
     if spec.rare:
-        truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
+        truth = replace(truth, modelled=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
     truth = replace(truth, effects=cells.hidden(spec, truth, run, rng))
     bare = replace(truth, effects=[])
-    measured = cells.data_set(cell, seed, plan).measurements.positions @ [1.0, 1.0j]  # the same noise
+    measured = cells.data_set(cell, seed, plan).measurements.positions  # the same noise
     miss = (measured - simulator.position(bare, run)) / truth.sigma
-    basis = np.linalg.qr(hidden_effects.base_jacobian(truth, run))[0]
+    basis = np.linalg.qr(simulator.base_jacobian(truth, run))[0]
 
     def off(columns: np.ndarray) -> np.ndarray:
         return columns - basis @ (basis.T @ columns)
@@ -129,7 +131,7 @@ def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, simu
             prior = -np.log(len(NAMES)) - np.log(len(joints))
             if columns.shape[1]:
                 found.append(Possible(hidden_effects.key(effect), hidden_effects.family(effect), float(prior), columns))
-    return off(np.column_stack([miss.real, miss.imag]).ravel()), found, spec.lam, truth
+    return off(miss.ravel()), found, spec.lam, truth
 
 
 def _unit(columns: np.ndarray, off: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -139,7 +141,7 @@ def _unit(columns: np.ndarray, off: Callable[[np.ndarray], np.ndarray]) -> np.nd
     return seen[:, keep] / norms[keep]
 
 
-def posterior(cell: str, seed: int) -> tuple[dict[tuple[Possible, ...], float], simulator.TrueArm]:
+def posterior(cell: str, seed: int) -> tuple[dict[tuple[Possible, ...], float], TrueArm]:
     """Set of effects -> log posterior (up to a constant) for one data set, and the truth."""
     residual, possible, lam, truth = drawn(cell, seed)
     return among(residual, possible, lam, len(truth.effects)), truth

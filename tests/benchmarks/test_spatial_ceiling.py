@@ -16,12 +16,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.studies.blind import spatial_cells
-from doe.studies.blind.hidden_effects import key
-from doe.studies.blind.simulator import RowConditions
-from doe.studies.blind.spatial_cells import CELLS
-from doe.studies.blind.spatial_hidden_effects import ALL_JOINTS, OF_ARM, OF_JOINT, SEEN, column, directions
-from doe.studies.blind.spatial_simulator import OF_GRAVITY, SpatialTruth, base_jacobian, moments, position
+from doe.studies.blind import cells
+from doe.studies.blind.cells import CELLS
+from doe.studies.blind.hidden_effects import EVERY_JOINT, SEEN, SPACE_JOINT, SPACE_WHOLE, directions, key
+from doe.studies.blind.simulator import OF_GRAVITY, RowConditions, TrueArm, base_jacobian, column, moments, position
+from doe.studies.blind.simulator import session as session_of
 from tests.benchmarks.test_blind_ceiling import CIRCLE, log_mean
 
 CELL = "space, gravity, tilted base"
@@ -30,18 +29,19 @@ PAIRS = ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple
 Columns = Iterator[tuple[str, int | None, np.ndarray]]  # type, joint, (3m, S) sampled columns of effects
 
 
-def drawn(seed: int) -> tuple[SpatialTruth, RowConditions, np.ndarray]:
+def drawn(seed: int) -> tuple[TrueArm, RowConditions, np.ndarray]:
     """The truth of data set number `seed`, its session, and what is measured beside the bare arm [sigma], (3m,)."""
-    spec, rng = CELLS[CELL], np.random.default_rng([20261125, list(CELLS).index(CELL), seed])
-    truth = spatial_cells.leaning(spatial_cells.random_truth(spec, rng), rng)
-    run, _ = (spatial_cells._session(spec, truth, count, rng) for count in (spec.m, spatial_cells.FRESH))
-    spatial_cells.arm_of(spec, truth, rng)
-    hidden = replace(truth, effects=spatial_cells.hidden(spec, truth, run, rng))
-    data = spatial_cells.measured(hidden, spec, run, rng)
-    return hidden, run, (data.positions - position(truth, run)).ravel() / truth.sigma
+    spec, rng = CELLS[CELL], cells.generator_of(CELL, seed)
+    truth = cells.truth_of(spec, rng)
+    q = (rng.uniform(truth.lower, truth.upper, (count, truth.n)) for count in (spec.m, cells.FRESH))
+    run, _ = (session_of(truth, postures, rng) for postures in q)
+    cells.arm_of(spec, truth, rng)
+    hidden = replace(truth, effects=cells.hidden(spec, truth, run, rng))
+    data = cells.data_set(CELL, seed)
+    return hidden, run, (data.measurements.positions - position(truth, run)).ravel() / truth.sigma
 
 
-def lever(truth: SpatialTruth, run: RowConditions, joint: int) -> np.ndarray:
+def lever(truth: TrueArm, run: RowConditions, joint: int) -> np.ndarray:
     """(3m,) derivative of the position by the angle of a joint."""
     h = 1e-6 * np.eye(truth.n)[joint - 1]
     up, down = (position(replace(truth, offsets=truth.offsets + step), run).ravel() for step in (h, -h))
@@ -49,7 +49,7 @@ def lever(truth: SpatialTruth, run: RowConditions, joint: int) -> np.ndarray:
 
 
 def of_gravity(
-    truth: SpatialTruth, run: RowConditions, directions: np.ndarray
+    truth: TrueArm, run: RowConditions, directions: np.ndarray
 ) -> Iterator[tuple[str, int | None, np.ndarray]]:
     """Type, joint and (3m, S) columns of every effect of gravity, for (S, 3) directions of gravity."""
     along = [replace(truth, gravity=axis) for axis in np.eye(3)]
@@ -59,20 +59,20 @@ def of_gravity(
     stiffness = np.random.default_rng(1).uniform(0.5, 1.5, (truth.n, len(directions)))
     for j in range(1, truth.n + 1):
         for name in ("joint_compliance", "bearing_compliance"):
-            parts = np.column_stack([column(one, run, None, (name, j, {"c": 1.0})) for one in along])
+            parts = np.column_stack([column(one, run, (name, j, {"c": 1.0})) for one in along])
             yield name, j, parts @ directions.T
             whole += stiffness[j - 1] * (parts @ directions.T) if name == "joint_compliance" else 0.0
         signs = np.sign(torques[:, j - 1] @ directions.T)
         yield "gravity_backlash", j, lever(truth, run, j)[:, None] * np.repeat(signs, 3, axis=0)
-    yield ALL_JOINTS, None, whole
+    yield EVERY_JOINT, None, whole
 
 
-def others(truth: SpatialTruth, run: RowConditions) -> Columns:
+def others(truth: TrueArm, run: RowConditions) -> Columns:
     """The same of the library's other common effects."""
-    for name in (*OF_JOINT, *OF_ARM):
-        if name in (*OF_GRAVITY, ALL_JOINTS):
+    for name in (*SPACE_JOINT, *SPACE_WHOLE):
+        if name in (*OF_GRAVITY, EVERY_JOINT):
             continue
-        for j in [None] if name in OF_ARM else range(2 if name == "joint_coupling" else 1, truth.n + 1):
+        for j in [None] if name in SPACE_WHOLE else range(2 if name == "joint_coupling" else 1, truth.n + 1):
             if name in PAIRS:
                 joint = j or 1
                 arm = lever(truth, run, joint)[:, None]
@@ -82,10 +82,10 @@ def others(truth: SpatialTruth, run: RowConditions) -> Columns:
                     yield name, j, arm * both @ CIRCLE
             elif name in ("base_drift", "base_rotation_drift"):
                 short = "v" if name == "base_drift" else "w"
-                each = [column(truth, run, None, (name, j, {short: axis})) for axis in np.eye(3)]
+                each = [column(truth, run, (name, j, {short: axis})) for axis in np.eye(3)]
                 yield name, j, np.column_stack(each) @ np.random.default_rng(2).normal(0.0, 1.0, (3, 100))
             else:
-                one = column(truth, run, None, (name, j, directions(name, np.random.default_rng(0))))
+                one = column(truth, run, (name, j, directions(truth, name, j, np.random.default_rng(0))))
                 yield name, j, np.column_stack([one, -one])
 
 
@@ -113,7 +113,7 @@ def test_ceiling_on_a_base_that_leans() -> None:
         residual = miss - basis @ (basis.T @ miss)
         rng = np.random.default_rng([5, seed])
         level = replace(bare, gravity=np.array([0.0, 0.0, -9.81]))
-        leans = np.array([spatial_cells.leaning(level, rng).gravity for _ in range(LEANS)])
+        leans = np.array([cells.leaning(level, rng).gravity for _ in range(LEANS)])
         lam = CELLS[CELL].lam or 0.0
         sagging = scores(residual, basis, of_gravity(bare, run, leans), lam)
         stiff = scores(residual, basis, of_gravity(bare, run, level.gravity[None]), lam)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import io
 import json
 from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from rich.console import Console
-from rich.table import Table
 
 from doe.advise import advise, with_scatter
 from doe.problem.problem import DesignProblem
-from doe.report.advice import advice_sentence, advice_tables, shown_runs, spans
+from doe.report.design import advice_document, advice_sentence, shown_runs, spans
 from identification.arm import Arm, Calibration
+from identification.document import Sheet, as_text
 from identification.errors import InputError
 from identification.model import Model
 from identification.validate.reuse import only
@@ -116,10 +114,9 @@ def test_a_table_of_many_runs_has_a_few_rows_and_the_smallest_for_the_target() -
     assert 20 in shown
     assert len(shown) <= 13
     assert shown_runs(advise(FREE, [5, 4])) == [4, 5]
-    console = Console(width=110, file=io.StringIO())
-    console.print(advice_tables(found)[1])
-    lines = [line.split() for line in console.file.getvalue().splitlines()]
-    assert max(map(len, console.file.getvalue().splitlines())) <= 80
+    text = as_text(advice_document(found).parts[0], 80)
+    lines = [line.split() for line in text.splitlines()]
+    assert max(map(len, text.splitlines())) <= 80
     rows = {int(line[0]): line[1:] for line in lines if line and line[0].isdigit()}
     assert list(rows) == shown
     assert {row[1] for row in rows.values()} == {"*"}  # every plan reaches the bound
@@ -132,10 +129,12 @@ def test_a_diagnosed_arm_has_no_columns_of_effects_that_may_be_missing() -> None
     values = {"encoder_eccentricity:2.a": 1e-3, "encoder_eccentricity:2.b": 0.0}
     arm = replace(FOUR.with_effects(ECCENTRICITY), calibration=Calibration(values))
     for one, columns in ((arm, 6), (replace(arm, calibration=None), 8)):
-        shown = advice_tables(advise(DesignProblem.of(Model(one)), [8], target=1.0, seconds=1.0))
-        assert len(next(part.columns for part in shown if isinstance(part, Table))) == columns
-        assert any("may be missing" in str(part) for part in shown) is (columns == 8)
-        assert ("effects of typical size" in str(shown[0])) is (columns == 8)
+        shown = advice_document(advise(DesignProblem.of(Model(one)), [8], target=1.0, seconds=1.0))
+        table = shown.parts[0]
+        assert isinstance(table, Sheet)
+        assert len(table.headings) == columns
+        assert any("may be missing" in str(part) for part in shown.parts) is (columns == 8)
+        assert ("effects of typical size" in shown.verdict[0]) is (columns == 8)
 
 
 def test_without_a_sigma_the_scatter_of_the_calibration_stands_in() -> None:
@@ -148,5 +147,5 @@ def test_without_a_sigma_the_scatter_of_the_calibration_stands_in() -> None:
     found, said = with_scatter(replace(arm, calibration=Calibration(lengths, provenance={"scatter_mm": 0.254})))
     assert found.sigma == 0.254
     assert "sigma_mm = 0.254, the scatter" in said
-    shown = advice_tables(advise(problem(arm), [4]))
-    assert not any(isinstance(part, Table) and len(part.columns) != 2 for part in shown)
+    shown = advice_document(advise(problem(arm), [4]))
+    assert not any(isinstance(part, Sheet) and len(part.headings) != 2 for part in shown.parts)

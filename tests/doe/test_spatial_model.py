@@ -12,7 +12,6 @@ from itertools import combinations, permutations
 import casadi as ca
 import numpy as np
 import pytest
-from rich.table import Table
 from scipy.stats import norm
 
 from doe.advise import advise
@@ -29,11 +28,12 @@ from doe.plan.order import ordered, travel
 from doe.plan.replicate_spacing import too_near
 from doe.problem.bayesian import deviated_draws, ensemble_problem
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
-from doe.report.design_tables import accuracy_table, design_tables
-from doe.report.pictures import certificate_figure
+from doe.report.design import accuracy, design_document
+from doe.report.figures import certificate_figure
 from doe.solvers import solve
 from doe.studies.comparison import Comparison, compare, evaluated
 from identification.arrays import Array
+from identification.document import Sheet
 from identification.estimation import estimate
 from tests.doe.spatial import (
     LARGE_MODEL,
@@ -287,11 +287,11 @@ def test_postures_in_the_units_of_their_joints() -> None:
     assert data["joint_units"] == ["deg", "deg", "mm", "deg"]
     assert "postures_deg" not in data
     assert "q3 [mm]" in design._repr_html_()
-    shown = accuracy_table(design)
-    assert isinstance(shown, Table)
-    names = [str(cell) for cell in shown.columns[0].cells]
+    shown = accuracy(design)[0]
+    assert isinstance(shown, Sheet)
+    names = [row[0] for row in shown.rows]
     assert names[:3] == ["translation_x:2 [mm]", "translation_z:2 [mm]", "rotation_x:2 [deg]"]
-    assert design_tables(design)
+    assert names[0] in str(design_document(design))
     weighted = relax(spatial(), candidates()[:8])
     row = weighted.to_json()["support"][0]
     np.testing.assert_allclose(row["posture"], weighted.plan.postures[0] * [180 / np.pi, 180 / np.pi, 1, 180 / np.pi])

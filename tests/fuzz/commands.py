@@ -8,8 +8,7 @@ import click
 from hypothesis import strategies as st
 
 from doe.cli import main
-from doe.cli.options import OUTPUTS
-from doe.cli.options import PICTURES as PICTURE_NAMES
+from doe.cli.options import FilePath
 from tests.fuzz.arms import ArmText, arms
 from tests.fuzz.campaigns import campaigns
 from tests.fuzz.tables import measurements, plans, studies, targets
@@ -235,8 +234,8 @@ def with_option(line: list[str], option: str, value: str) -> list[str]:
 
 def value_of(verb: str, name: str, parameter: click.Parameter) -> st.SearchStrategy[str]:
     """Mostly one that makes sense."""
-    if name in OUTPUTS and not (verb == "init" and name == "robot"):
-        return mostly(st.sampled_from(PICTURES if name in PICTURE_NAMES else WRITTEN), st.sampled_from(NO_OUTPUT))
+    if isinstance(parameter.type, FilePath) and parameter.type.written:
+        return mostly(st.sampled_from(PICTURES if parameter.type.picture else WRITTEN), st.sampled_from(NO_OUTPUT))
     right = VALUES.get(f"{verb}.{name}", VALUES.get(name, list(getattr(parameter.type, "choices", ()))))
     wrong = st.sampled_from(NO_INPUT) if isinstance(parameter.type, click.Path) or name == "study" else words
     return mostly(st.sampled_from(right or ["1"]), wrong)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.report.compensation_tables import compensation_tables
+from doe.report.identification import compensation_document
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate import compensate
@@ -138,4 +138,4 @@ def test_target_files(tmp_path: Path) -> None:
     found = compensate(given, wanted.positions, orientations=wanted.orientations)
     text = commands_text(found.commands, found.targets, found.errors, (), found.orientations, found.angles)
     assert text.splitlines()[0].endswith("q6_deg,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,error_mm,error_deg")
-    assert "orientations are those wanted to < 1e-6 deg, by the same model" in compensation_tables(found)[0].plain
+    assert "orientations are those wanted to < 1e-6 deg, by the same model" in compensation_document(found).verdict[0]

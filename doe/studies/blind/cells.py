@@ -1,43 +1,27 @@
-"""The cells of the blind study, and how each of their data sets is drawn. Plain numpy, no model."""
+"""The cells of the blind study, in the plane and in space, and how each of their data sets is drawn. No model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
-from doe.studies.blind.hidden_effects import (
-    OUTSIDE,
-    PHYSICS,
-    base_jacobian,
-    by_library_name,
-    column,
-    family,
-    key,
-    log_uniform,
-    many_effects,
-    outside_effect,
-    parameters_of,
-    physics_effect,
-    place_of,
-    random_effect,
-    settings_of,
-    wave,
-)
-from doe.studies.blind.rare_effects import LOADS, RARE_JOINT, RARE_WHOLE
+from doe.studies.blind import hidden_effects as drawn
+from doe.studies.blind import simulator
+from doe.studies.blind.hidden_effects import LIBRARY_JOINT, LIBRARY_WHOLE, SPACE_JOINT, SPACE_WHOLE
 from doe.studies.blind.simulator import (
     Drawn,
-    G,
     RowConditions,
     TrueArm,
-    measure,
-    measure_more,
+    base_jacobian,
+    column,
     noise,
-    position,
-    random_truth,
-    recorded,
     session,
+    shift,
+    turn,
 )
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
@@ -53,11 +37,11 @@ class DataSet:
         no place is right
     specs : the hidden effects as an arm file has them, to fit the true model
     wrong_rows : outliers, counted from 1
-    values : parameter name -> true value of base and hidden effects [API units], to judge intervals; empty where the
-        arm's maker is wrong about it or the library has no such effect
-    exact : (200, 2) hold-out without noise [mm], where many effects are hidden or one outside the library
+    values : parameter name -> true value of hidden effects and, in the plane, of the base [API units], to judge
+        intervals; empty where the arm's maker is wrong about it or the library has no such effect
+    exact : (200, d) hold-out without noise [mm], where many effects are hidden or one outside the library
     reachable : RMS distance [mm] from `exact` that a model with what is hidden would have, fitted to these data
-    more : (postures, payload or None, directions or None, number) -> the data with further measurements at their end
+    further : (postures, payload or None, directions or None, number) -> the data with further measurements at their end
     """
 
     arm: Arm
@@ -69,138 +53,148 @@ class DataSet:
     specs: tuple[EffectSpec, ...] = ()
     wrong_rows: tuple[int, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
-    more: Callable[[Array, Array | None, Array | None, int], Measurements] | None = None
+    further: Callable[[Array, Array | None, Array | None, int], Measurements] | None = None
     exact: Array | None = None
     reachable: float | None = None
 
 
 @dataclass(frozen=True)
 class CellSpec:
-    """What is drawn in a cell of the study."""
+    """What is drawn in a cell of the study; of the cells in cells.toml.
+
+    m : rows;  rows : one of them is the number of rows instead
+    lam : size of the hidden effects, None: nothing is hidden;  sizes : each lambda is drawn between these instead
+    effects : how many are hidden, of different families;  families : compliance in all joints at once among them
+    rare, outside, physics, gravity : the hidden effect is that rare one, one that the library does not have, that one
+        of `PHYSICS`, one of gravity;  order : a gear ripple of so many periods per turn;  many : see `many_effects`
+    noise : see `noise`;  limits : full, some (narrow joints), paper (the paper's 4-link arm);  links : least and most
+    wrong : what the arm file is wrong about: `masses` of the links (by up to 30 %), the mass of the `tool` (missing, a
+        parameter), how the base leans (1 to 3 degrees, `tilt`), the `place` of the payload (see `loaded`)
+    reflectors : measured points, taking turns;  reads : of each posture, one after another, with an error they share
+    designed : postures of somebody's plan instead of random ones, the same for SAME_ARM sets
+    reported : in the full study; the others can be asked for by name
+    """
 
     m: int
     lam: float | None = None
-    sizes: tuple[float, float] | None = None  # lambda of each effect is drawn between these, instead of `lam`
+    sizes: Sequence[float] = ()
+    space: bool = False
     effects: int = 1
     noise: str = "white"
-    limits: str = "full"  # full, some (narrow joints), paper (the paper's 4-link arm)
+    limits: str = "full"
     outside: bool = False
-    wrong_masses: bool = False
-    reported: bool = True  # in the full study; the others can be asked for by name
-    families: bool = True  # compliance in all joints at once among the hidden effects
-    rare: str = ""  # name of the hidden effect, where the cell is of a rare one
-    order: float = 0.0  # periods per turn of the hidden gear ripple, where the cell is of one
-    many: str = ""  # kind of `many_effects`
-    rows: tuple[int, ...] = ()  # one of them is the number of postures instead of m
-    links: tuple[int, int] = (2, 6)  # the least and the most
-    physics: str = ""  # name of the hidden effect, where it is one of `PHYSICS`
-    reads: int = 1  # of each posture, one after another
-    designed: bool = False  # postures of somebody's plan instead of random ones, the same for SAME_ARM sets
+    wrong: str = ""
+    gravity: bool = False
+    reported: bool = True
+    families: bool = True
+    rare: str = ""
+    order: float = 0.0
+    many: str = ""
+    rows: Sequence[int] = ()
+    links: Sequence[int] = (2, 6)
+    physics: str = ""
+    reads: int = 1
+    reflectors: int = 1
+    designed: bool = False
 
     @property
     def hides(self) -> bool:
         """Whether there is a hidden effect."""
-        return self.lam is not None or self.sizes is not None
+        return self.lam is not None or bool(self.sizes)
 
 
-RARE = RARE_WHOLE + RARE_JOINT
 WALK = "walk"  # the noise that may be reported as a drift in time
-WAVES = (101.0, 202.0, 37.3)
-MANY_SIZES, MANY_ROWS = (8.0, 40.0), (50, 100, 200)
-SMALL_SIZES, SEVERAL_SIZES, PHYSICS_SIZES = (1.5, 12.0), (5.0, 40.0), (10.0, 40.0)
-CELLS = {
-    "none m=20": CellSpec(20),
-    "none m=50": CellSpec(50),
-    "none m=200": CellSpec(200),
-    "none, joint noise": CellSpec(50, noise="joint"),
-    "none, reach noise": CellSpec(50, noise="reach"),
-    "none, serial correlation": CellSpec(50, noise="serial"),
-    "one, lambda 6, m=50": CellSpec(50, 6.0),
-    "one, lambda 6, m=200": CellSpec(200, 6.0),
-    "one, lambda 6, 4 links": CellSpec(50, 6.0, limits="paper"),
-    "one, lambda 6, no family": CellSpec(50, 6.0, families=False, reported=False),
-    "one, lambda 8, m=50": CellSpec(50, 8.0),
-    "one, lambda 8, no family": CellSpec(50, 8.0, families=False, reported=False),
-    "one, lambda 8, m=20": CellSpec(20, 8.0),
-    "one, lambda 20, m=50": CellSpec(50, 20.0),
-    "one, lambda 400, m=50": CellSpec(50, 400.0, reported=False),
-    "one, lambda 8, narrow joints": CellSpec(50, 8.0, limits="some"),
-    "one, lambda 8, wrong masses": CellSpec(50, 8.0, wrong_masses=True),
-    "two, lambda 8": CellSpec(50, 8.0, effects=2),
-    "two, lambda 8, no family": CellSpec(50, 8.0, effects=2, families=False, reported=False),
-    "outside, lambda 7": CellSpec(50, 7.0, outside=True),
-    "outside, lambda 10": CellSpec(50, 10.0, outside=True, reported=False),
-    "three outliers, lambda 8": CellSpec(50, 8.0, noise="outliers"),
-    "one, lambda 6, discriminating plan": CellSpec(50, 6.0, designed=True),
-    "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
-    **{f"{name}, lambda {lam:g}": CellSpec(50, lam, rare=name, reported=False) for name in RARE for lam in (8.0, 10.0)},
-    **{f"wave {k:g}, lambda {lam:g}": CellSpec(50, lam, order=k, reported=False) for k in WAVES for lam in (8.0, 10.0)},
-    "many effects": CellSpec(50, sizes=MANY_SIZES, many="robot", rows=MANY_ROWS),
-    "many effects, harmonics": CellSpec(50, sizes=MANY_SIZES, many="harmonics", rows=MANY_ROWS),
-    **{
-        f"many small effects, m={m}": CellSpec(m, sizes=SMALL_SIZES, many="small", links=(4, 6), reported=False)
-        for m in (50, 100, 300)
-    },
-    **{
-        f"six to nine effects, m={m}": CellSpec(m, sizes=SEVERAL_SIZES, many="several", reported=False)
-        for m in (50, 100, 300)
-    },
-    **{
-        f"outside, {name}": CellSpec(100, sizes=PHYSICS_SIZES, physics=name, rows=(50, 100, 300), reported=False)
-        for name in PHYSICS
-    },
-    **{
-        f"none, {name}": CellSpec(100, noise=kind, reported=False)
-        for name, kind in (("Student t3", "t3"), ("quantized", "quantized"), ("random walk", WALK))
-    },
-    **{f"none, {kind}, m=100": CellSpec(100, noise=kind, reported=False) for kind in ("serial", "reach", "outliers")},
-    "three reads, none": CellSpec(60, noise="posture", reads=3, reported=False),
-    "three reads, six to nine effects": CellSpec(
-        60, sizes=(15.0, 60.0), noise="posture", reads=3, many="several", reported=False
-    ),
-}
+FRESH = 200  # rows of the hold-out
 SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed, which takes time
+TABLE = tomllib.loads(Path(__file__).with_name("cells.toml").read_text())
+PLANE = {name: CellSpec(**spec) for name, spec in TABLE["plane"].items()}
+CELLS = PLANE | {f"space, {name}": CellSpec(**spec, space=True) for name, spec in TABLE["space"].items()}
+
+
+# -- arms --------------------------------------------------------------------------------------------------------------
+def random_truth(rng: np.random.Generator, n: int | None = None, limits: str = "full") -> TrueArm:
+    """A planar arm of n links (None: 2 to 6), its lengths 1 mm and its encoders 8 mrad off."""
+    n = int(rng.integers(2, 7)) if n is None else n
+    lengths = np.round(rng.uniform(80.0, 400.0, n))
+    span, middle = np.full(n, 2 * np.pi), np.zeros(n)
+    if limits == "some":
+        span = np.concatenate([[2 * np.pi], rng.uniform(np.radians(120), np.radians(300), n - 1)])
+        middle = rng.uniform(-0.5, 0.5, n)
+    masses, payload = lengths / 100.0 * rng.uniform(1.0, 5.0, n), float(rng.uniform(1.0, 12.0))
+    sigma = float(rng.choice([0.02, 0.05, 0.1, 0.2]))
+    if limits == "paper":
+        lengths, masses, payload, sigma = (
+            np.array([260.0, 180.0, 120.0, 100.0]),
+            np.array([12.0, 8.0, 5.0, 3.0]),
+            10.0,
+            0.1,
+        )
+    errors = rng.normal(0.0, 1.0, n), rng.normal(0.0, 0.008, n)
+    reach = {"lower": middle - span / 2, "upper": middle + span / 2}
+    return TrueArm.planar(lengths, *errors, masses=masses, payload=payload, sigma=sigma, **reach)
+
+
+def random_six_axes(rng: np.random.Generator) -> TrueArm:
+    """A six-axis arm of one of two common builds, its axes 2 mrad and 0.5 mm off, its encoders 5 mrad."""
+    half, lengths = np.pi / 2.0, np.round(rng.uniform([150, 300, 250, 80, 80, 60], [500, 700, 600, 200, 130, 120]))
+    rise, upper, fore, *wrist = lengths.tolist()
+    if rng.random() < 0.5:  # three parallel axes and an offset wrist
+        rows = [(0.0, half, rise), (-upper, 0.0, 0.0), (-fore, 0.0, 0.0), (0.0, half, wrist[0])]
+        rows += [(0.0, -half, wrist[1]), (0.0, 0.0, wrist[2])]
+    else:  # a wrist whose axes meet
+        rows = [(wrist[0], -half, rise), (upper, 0.0, 0.0), (wrist[1], -half, 0.0), (0.0, half, fore)]
+        rows += [(0.0, -half, 0.0), (0.0, 0.0, wrist[2])]
+    table = np.array(rows)
+    span = rng.uniform(1.5, 2.9, 6)
+    aside = rng.uniform(30.0, 80.0, (2, 2)) * rng.choice([-1.0, 1.0], (2, 2))
+    tools = np.column_stack([aside, rng.uniform(40, 100, 2)])
+    base = shift(rng.uniform(-1500.0, 1500.0, 3))
+    base[:3, :3] = turn(rng.normal(0.0, 1.0, 3))
+    masses = 1.0 + np.hypot(table[:, 0], table[:, 2]) / 100.0 * rng.uniform(1.0, 4.0, 6)
+    loads = {"masses": masses, "payload": float(rng.uniform(2.0, 10.0)), "sigma": float(rng.choice([0.02, 0.05, 0.1]))}
+    offsets = rng.normal(0.0, 5e-3, 6)
+    place = {"base": base, "tools": tools, "lower": -span, "upper": span}
+    return TrueArm.built(table, rng, 2e-3, 0.5, offsets=offsets, **place, **loads)
 
 
 def truth_of(spec: CellSpec, rng: np.random.Generator) -> TrueArm:
-    if spec.limits != "paper":
-        return random_truth(rng, int(rng.integers(spec.links[0], spec.links[1] + 1)), spec.limits)
-    truth = random_truth(rng, 4)
-    return replace(
-        truth,
-        lengths=np.array([260.0, 180.0, 120.0, 100.0]),
-        masses=np.array([12.0, 8.0, 5.0, 3.0]),
-        payload=10.0,
-        sigma=0.1,
-    )
+    """The arm of a data set."""
+    if not spec.space:
+        n = 4 if spec.limits == "paper" else int(rng.integers(spec.links[0], spec.links[1] + 1))
+        return random_truth(rng, n, spec.limits)
+    truth = random_six_axes(rng)
+    truth = replace(truth, tools=truth.tools[: spec.reflectors])
+    if spec.wrong == "tilt":
+        return leaning(truth, rng)
+    if spec.wrong == "place":  # 5 to 20 kg hang 150 to 300 mm beside the measured point
+        phase = rng.uniform(0.0, 2.0 * np.pi)
+        away = rng.uniform(150.0, 300.0) * np.array([np.cos(phase), np.sin(phase), rng.uniform(-0.3, 0.6)])
+        return replace(truth, payload=float(rng.uniform(5.0, 20.0)), load=truth.tools[0] + away)
+    return truth
 
 
-def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
-    """The effects of a data set."""
-    if spec.sizes and spec.many:
-        return many_effects(truth, run, spec.many, spec.sizes, rng)
-    if spec.sizes:
-        return [physics_effect(truth, run, spec.physics, log_uniform(spec.sizes, rng), rng)]
-    effects: list[Drawn] = []
-    while spec.lam is not None and len(effects) < spec.effects:
-        if spec.outside:
-            effects.append(outside_effect(truth, run, spec.lam, rng))
-            continue
-        if spec.order:
-            effects.append(wave(truth, run, spec.order, spec.lam, rng))
-            continue
-        new = random_effect(truth, run, spec.lam, rng, spec.rare or None)
-        if (spec.families or new[0] != "joint_compliance" or new[1]) and family(new) not in map(family, effects):
-            effects.append(new)
-    return effects
+def leaning(truth: TrueArm, rng: np.random.Generator) -> TrueArm:
+    """The arm on a base that leans by 1 to 3 degrees."""
+    angle, phase = np.radians(rng.uniform(1.0, 3.0)), rng.uniform(0.0, 2.0 * np.pi)
+    return replace(truth, gravity=turn(angle * np.array([np.cos(phase), np.sin(phase), 0.0])) @ truth.gravity)
 
 
 def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
-    """The arm as its maker describes it."""
-    masses = truth.masses * rng.uniform(0.7, 1.3, truth.n) if spec.wrong_masses else truth.masses
-    gravity = Gravity(np.array([0.0, -G]), masses, truth.center, truth.payload)
-    known = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.known)
-    return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=known)
+    """The arm as its maker describes it, who in space does not know where base and reflectors are."""
+    masses = truth.masses * (rng.uniform(0.7, 1.3, truth.n) if spec.wrong == "masses" else 1.0)
+    payload = 0.0 if spec.wrong == "tool" else truth.payload
+    down = -simulator.G * np.eye(truth.dimension)[-1]
+    gravity = Gravity(down, masses, np.full(truth.n, truth.center), payload)
+    effects = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled)
+    if truth.dimension == 2:
+        return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=effects)
+    from identification.kinematics.denavit_hartenberg import DHRow, chain_of  # CasADi, which simulates nothing
+
+    limits = zip(truth.lower.tolist(), truth.upper.tolist(), strict=True)
+    rows = [DHRow(a, alpha, d, limits=pair) for (a, alpha, d), pair in zip(truth.table.tolist(), limits, strict=True)]
+    chain = replace(chain_of(rows), tools={str(k + 1): np.zeros(3) for k in range(len(truth.tools))})
+    effects += (EffectSpec("tool_mass"),) if spec.wrong == "tool" else ()
+    return Arm.of_chain(chain, sigma=truth.sigma, gravity=gravity, effects=effects)
 
 
 def to_be_planned(cell: str, seed: int) -> tuple[Arm, int] | None:
@@ -218,90 +212,128 @@ def shared_truth(cell: str, seed: int) -> TrueArm:
     return truth_of(CELLS[cell], rng)
 
 
-def true_values(truth: TrueArm) -> dict[str, float]:
-    """Parameter name -> true value, named as the library names its parameters [API units]."""
-    pairs = zip(truth.length_errors, truth.joint_offsets, strict=True)
-    base = [(j + 1, float(length), float(offset)) for j, (length, offset) in enumerate(pairs)]
-    values = {f"length_error:{j}": length for j, length, _ in base}
-    values |= {f"joint_offset:{j}": offset for j, _, offset in base}
-    for effect in truth.effects:
-        for name, value in parameters_of(effect).items():
-            values[f"{key(effect)}.{name}"] = value
-    return values
-
-
-def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet:
-    """Data set number `seed` of a cell; 200 fresh postures of the same session are held out.
-
-    planned : (m, n) the postures for the arm of `to_be_planned`
-    """
-    spec = CELLS[cell]
-    rng = np.random.default_rng([20261121, list(CELLS).index(cell), seed])
-    truth, postures = (shared_truth(cell, seed), planned) if spec.designed else _undesigned(spec, rng)
-    assert postures is not None
-    run = session(truth, postures, rng)
-    if (
-        spec.rare in LOADS or spec.physics == "payload_swap"
-    ):  # they only show through compliance that the arm's model has
-        truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
-    truth = replace(truth, effects=hidden(spec, truth, run, rng))
-    fresh = session(truth, rng.uniform(truth.lower, truth.upper, (200, truth.n)), rng)
-    arm = arm_of(spec, truth, rng)
-    named = [by_library_name(e) for e in truth.effects]
-    outside = [e for e in named if e[0] in OUTSIDE + PHYSICS]
-    inside = [e for e in named if e[0] not in OUTSIDE + PHYSICS]
-    error = noise(truth, run, rng, spec.noise)
-    data = recorded(truth, run, error)
-    if spec.reads > 1:
-        data = replace(data, repeats=np.arange(len(data)) // spec.reads)
-    wrong = np.flatnonzero(np.abs(error) > 10.0 * truth.sigma) + 1 if spec.noise == "outliers" else ()
-
-    def more(q: np.ndarray, payload: np.ndarray | None, directions: np.ndarray | None, number: int) -> Measurements:
-        later = np.random.default_rng([20261123, list(CELLS).index(cell), seed, number])
-        return measure_more(truth, run, data, q, payload, directions, later)
-
-    judged = bool(spec.many or outside or spec.reads > 1)
-    errors = np.column_stack([error.real, error.imag])
-    return DataSet(
-        arm,
-        data,
-        measure(truth, fresh, rng, "posture" if spec.reads > 1 else "white") if spec.hides or spec.reads > 1 else None,
-        tuple(key(e) for e in inside),
-        outside[0][0] if outside else WALK if spec.noise == WALK else None,
-        place_of(outside[0]) if outside else "time" if spec.noise == WALK else None,
-        tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in inside),
-        tuple(map(int, wrong)),
-        {} if spec.wrong_masses or spec.rare or spec.outside or outside else true_values(truth),
-        more,
-        exact(truth, fresh) if judged else None,
-        reachable(fitted_columns(truth, run), fitted_columns(truth, fresh), errors) if judged else None,
+# -- data sets ---------------------------------------------------------------------------------------------------------
+def generator_of(cell: str, seed: int) -> np.random.Generator:
+    """Of data set number `seed` of a cell."""
+    number = list(CELLS).index(cell)
+    return np.random.default_rng(
+        [20261125, number - len(PLANE), seed] if CELLS[cell].space else [20261121, number, seed]
     )
 
 
-def reachable(known: Array, wanted: Array, error: Array) -> float:
+def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
+    """The effects of a data set."""
+    if spec.sizes and spec.many:
+        return drawn.many_effects(truth, run, spec.many, spec.sizes, rng)
+    if spec.sizes:
+        return [drawn.physics_effect(truth, run, spec.physics, drawn.log_uniform(spec.sizes, rng), rng)]
+    if spec.lam is None:
+        return []
+    if spec.wrong == "place":
+        return drawn.loaded(truth, run, spec.lam, rng)
+    names: tuple[str, ...] = SPACE_JOINT + SPACE_WHOLE if spec.space else LIBRARY_JOINT + LIBRARY_WHOLE
+    span, settings = base_jacobian(truth, run), {"k": spec.order} if spec.order else {}
+    if spec.outside:
+        names, span = drawn.SPACE_OUTSIDE if spec.space else drawn.OUTSIDE, drawn.library_columns(truth, run)
+    elif spec.rare or spec.order:
+        names = (spec.rare or "transmission_ripple",)
+    elif spec.gravity:
+        names = (*(name for name in simulator.OF_GRAVITY if name in SPACE_JOINT), drawn.EVERY_JOINT)
+    effects: list[Drawn] = []
+    while len(effects) < spec.effects:
+        new = drawn.random_effect(names, truth, run, spec.lam, rng, span, **settings)
+        if (spec.families or new[0] != "joint_compliance" or new[1]) and drawn.family(new) not in map(
+            drawn.family, effects
+        ):
+            effects.append(new)
+    return effects
+
+
+def values_of(truth: TrueArm) -> dict[str, float]:
+    """Parameter name -> true value, named as the library names its parameters [API units]; in space without those of
+    the geometry, which others say differently."""
+    values: dict[str, float] = {}
+    if truth.dimension == 2:
+        errors = zip(truth.links[:, 0] - truth.lengths, truth.offsets, strict=True)
+        for j, (length, offset) in enumerate(errors, start=1):
+            values |= {f"length_error:{j}": float(length), f"joint_offset:{j}": float(offset)}
+    for effect in truth.effects:
+        values |= drawn.parameters_of(effect)
+    return values
+
+
+def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
+    """Data set number `seed` of a cell; `FRESH` rows of the same session are held out.
+
+    planned : (m, n) the postures for the arm of `to_be_planned`
+    """
+    spec, rng = CELLS[cell], generator_of(cell, seed)
+    truth = shared_truth(cell, seed) if spec.designed else truth_of(spec, rng)
+
+    def measured_at(postures: Array, times: int) -> RowConditions:
+        """Each posture is measured at every reflector, and as often as it is read, before the arm goes on."""
+        rows = np.repeat(postures, times * spec.reflectors, axis=0)
+        return session(truth, rows, rng, spec.reflectors)
+
+    def random(count: int, times: int) -> RowConditions:
+        return measured_at(rng.uniform(truth.lower, truth.upper, (count // times // spec.reflectors, truth.n)), times)
+
+    if spec.designed:
+        assert planned is not None
+        run = measured_at(planned, 1)
+    else:
+        run = random(int(rng.choice(spec.rows)) if spec.rows else max(spec.m, truth.n + 4), spec.reads)
+    if (
+        spec.rare in drawn.LOADS or spec.physics == "payload_swap"
+    ):  # they only show through compliance that the arm's model has
+        truth = replace(truth, modelled=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
+    if spec.space:  # in this order since the study began
+        fresh, arm = random(FRESH, 1), arm_of(spec, truth, rng)
+        truth = replace(truth, effects=hidden(spec, truth, run, rng))
+    else:
+        truth = replace(truth, effects=hidden(spec, truth, run, rng))
+        fresh, arm = random(FRESH, 1), arm_of(spec, truth, rng)
+    outside = [e for e in truth.effects if e[0] in drawn.NOT_INSIDE]
+    inside = [e for e in truth.effects if e[0] not in drawn.NOT_INSIDE]
+    error = noise(truth, run, rng, spec.noise)
+    data = simulator.recorded(truth, run, error)
+    held_out = noise(truth, fresh, rng, "posture" if spec.reads > 1 else "white")
+    if spec.reads > 1:
+        data = replace(data, repeats=np.arange(len(data)) // spec.reads)
+    far = np.linalg.norm(error, axis=1) > 10.0 * truth.sigma if spec.noise == "outliers" else np.zeros(len(error))
+
+    def further(q: Array, payload: Array | None, directions: Array | None, number: int) -> Measurements:
+        later = np.random.default_rng([20261123, list(CELLS).index(cell), seed, number])
+        return simulator.measure_more(truth, run, data, q, payload, directions, later)
+
+    judged = bool(spec.many or outside or spec.reads > 1)
+    return DataSet(
+        arm,
+        data,
+        simulator.recorded(truth, fresh, held_out) if spec.hides or spec.reads > 1 else None,
+        tuple(drawn.key(e) for e in inside),
+        outside[0][0] if outside else WALK if spec.noise == WALK else None,
+        drawn.place_of(outside[0]) if outside else "time" if spec.noise == WALK else None,
+        tuple(EffectSpec(e[0], e[1], drawn.settings_of(e)) for e in inside),
+        tuple((np.flatnonzero(far) + 1).tolist()),
+        {} if spec.wrong or spec.rare or spec.outside or outside else values_of(truth),
+        further,
+        simulator.position(truth, fresh) if judged else None,
+        reachable(fitted_columns(truth, run), fitted_columns(truth, fresh), error) if judged else None,
+    )
+
+
+def reachable(columns: Array, wanted: Array, error: Array) -> float:
     """RMS distance [mm] at fresh postures that these errors (m, d) of the readings leave after a fit by least squares,
     to first order.
 
-    known, wanted : (m d, p) and (k d, p) columns of all that is fitted, at the postures measured and at fresh ones
+    columns, wanted : (m d, p) and (k d, p) of all that is fitted, at the postures measured and at fresh ones
     """
-    scale = np.linalg.norm(known, axis=0)
-    moved = (wanted / scale) @ np.linalg.lstsq(known / scale, error.ravel(), rcond=1e-10)[0]
+    scale = np.linalg.norm(columns, axis=0)
+    moved = (wanted / scale) @ np.linalg.lstsq(columns / scale, error.ravel(), rcond=1e-10)[0]
     return float(np.sqrt(error.shape[1] * np.mean(moved**2)))
 
 
 def fitted_columns(truth: TrueArm, run: RowConditions) -> Array:
-    """(2m, p) of the base and of an amplitude of each hidden effect."""
+    """(m d, p) of the geometry and of an amplitude of each hidden effect."""
     return np.column_stack([base_jacobian(truth, run), *(column(truth, run, effect) for effect in truth.effects)])
-
-
-def _undesigned(spec: CellSpec, rng: np.random.Generator) -> tuple[TrueArm, np.ndarray]:
-    """An arm, and random postures (m, n) of it."""
-    truth = truth_of(spec, rng)
-    count = int(rng.choice(spec.rows)) if spec.rows else max(spec.m, truth.n + 4)
-    return truth, np.repeat(rng.uniform(truth.lower, truth.upper, (count, truth.n)), spec.reads, axis=0)
-
-
-def exact(truth: TrueArm, run: RowConditions) -> Array:
-    """(m, 2) positions without noise [mm]."""
-    p = position(truth, run)
-    return np.column_stack([p.real, p.imag])

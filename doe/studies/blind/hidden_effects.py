@@ -1,319 +1,346 @@
-"""Hidden effects drawn at random with a given size lambda, those of the library and others. Plain numpy, no model."""
+"""Hidden effects drawn at random with a given size lambda: of the library, rare ones, and physics it does not have.
+
+In the plane and in space. Plain numpy, no model.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 
-from doe.studies.blind.rare_effects import (
-    PHYSICS_JOINT,
-    PHYSICS_WHOLE,
-    RARE_JOINT,
-    RARE_WHOLE,
-    SHAPE,
-    drawn_physics,
-    drawn_values,
-    physics_places,
+from doe.studies.blind.simulator import (
+    OF_GRAVITY,
+    SHAPES,
+    Drawn,
+    RowConditions,
+    TrueArm,
+    Values,
+    base_jacobian,
+    column,
+    moments,
+    off,
+    places,
+    scaled_amplitudes,
     wound_up,
 )
-from doe.studies.blind.simulator import Drawn, RowConditions, TrueArm, position, torques
+from identification.arrays import Array
 
-LIBRARY_JOINT = (
-    "joint_compliance",
-    "encoder_eccentricity",
-    "encoder_second_harmonic",
-    "transmission_ripple",
-    "gear_ratio",
-    "joint_coupling",
-    "backlash",
-    "gravity_backlash",
-)
+EVERY_JOINT = "joint_compliance*"  # stands for the compliance of all joints at once
+COMMON = ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple", "gear_ratio", "joint_coupling")
+LIBRARY_JOINT = ("joint_compliance", *COMMON, "backlash", "gravity_backlash")
 LIBRARY_WHOLE = (
-    "joint_compliance*",
-    "link_bending",
-    "thermal_growth",
-    "base_offset",
-    "base_drift",
-    "base_rotation_drift",
+    *(EVERY_JOINT, "link_bending", "thermal_growth", "base_offset", "base_drift", "base_rotation_drift"),
     "axes_skew",
 )
-OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")
-SINCE_INSIDE = {"free_ripple": "transmission_ripple", "step_drift": "base_step"}  # drawn as ever, named by now
+SPACE_JOINT = ("joint_compliance", "gravity_backlash", "bearing_compliance", *COMMON, "backlash")
+SPACE_WHOLE = (EVERY_JOINT, "thermal_growth", "base_drift", "base_rotation_drift")
+OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")  # when the study began; two are inside by now
+SINCE_INSIDE = {"free_ripple": "transmission_ripple", "step_drift": "base_step"}
+SPACE_OUTSIDE = ("bump", "cubic", "cable_pull", "axis_wobble")
+LOADS = ("payload_error", "gravity_tilt")
+RARE_JOINT = ("joint_step", "link_step", "axis_tilt", "joint_hysteresis")
+RARE_WHOLE = ("thermal_transient", "base_step", *LOADS)
+# not in the library, and in the plane no one effect of it explains half of them
+PHYSICS_JOINT = ("memory_hysteresis", "two_joint_cable", "gear_wear", "cross_talk", "stick_slip")
+PHYSICS_WHOLE = ("gripper_play", "refraction", "two_warm_ups", "payload_swap", "warm_offset")
 PHYSICS = PHYSICS_JOINT + PHYSICS_WHOLE
-OFFSETS = ("base_offset", "base_drift")
-GRAVITY = ("joint_compliance", "link_bending", "gravity_backlash", "bearing_compliance")
+SPACE_PHYSICS = (*PHYSICS_JOINT, "two_warm_ups", "warm_offset")
+OF_ARM = (*LIBRARY_WHOLE, *RARE_WHOLE, *PHYSICS_WHOLE, "step_drift")
+NOT_INSIDE = {*OUTSIDE, *SPACE_OUTSIDE, *PHYSICS} - set(SINCE_INSIDE)
 COUNTS = {"small": (14, 22), "several": (6, 9)}  # of many effects at once, the least and the most
+SEEN = 0.02  # of an effect's length that must be left beside the geometry
 EXPLAINED = 0.5  # of the square of an effect outside the library, at most, by any one effect of it
 DRAWS = 20  # until that is so
 
 
-def directions_of(name: str, n: int, rng: np.random.Generator) -> dict:
+def directions(truth: TrueArm, name: str, joint: int | None, rng: np.random.Generator) -> Values:
     """A random direction in an effect's parameter space; scaled afterwards."""
+    n, reach, space = truth.n, float(truth.lengths.sum()), truth.dimension == 3
+    if space and name in ("base_drift", "base_rotation_drift", "warm_offset"):
+        direction = rng.normal(0.0, 1.0, 3)
+        return {"w" if name == "base_rotation_drift" else "v": direction / np.linalg.norm(direction)}
+    if name in ("bearing_compliance", "axis_wobble"):
+        return {"c": 1.0}
+    if name in PHYSICS:
+        return _physics(name, joint, n, reach, rng)
+    if name in RARE_JOINT + RARE_WHOLE:
+        return _rare(name, 0.0 if joint is None else float(truth.upper[joint - 1] - truth.lower[joint - 1]), rng)
     phase = rng.uniform(0, 2 * np.pi)
-    pair = (np.cos(phase), np.sin(phase))
-    if name in ("encoder_eccentricity", "encoder_second_harmonic", "axes_skew"):
-        return dict(zip("ab", pair, strict=True))
-    if name == "transmission_ripple":
-        return dict(zip("ab", pair, strict=True)) | {"k": int(rng.integers(3, 65))}
-    if name == "free_ripple":
-        k = rng.uniform(65, 120) if rng.random() < 0.5 else int(rng.integers(3, 60)) + 0.5
-        return dict(zip("ab", pair, strict=True)) | {"k": k}
-    if name in ("base_offset", "base_drift", "barrel"):
-        return dict(zip("xy", pair, strict=True))
-    if name == "step_drift":
-        return dict(zip("xy", pair, strict=True)) | {"at": rng.uniform(-0.3, 0.3)}
+    a, b = np.cos(phase), np.sin(phase)
+    match name:
+        case "encoder_eccentricity" | "encoder_second_harmonic" | "axes_skew" | "axis_runout":
+            return {"a": a, "b": b}
+        case "transmission_ripple":
+            return {"a": a, "b": b, "k": int(rng.integers(3, 65))}
+        case "free_ripple":
+            return {"a": a, "b": b, "k": rng.uniform(65, 120) if rng.random() < 0.5 else int(rng.integers(3, 60)) + 0.5}
+        case "base_offset":
+            return {"x0": a, "y0": b}
+        case "base_drift":
+            return {"v": np.array([a, b])}
+        case "step_drift":
+            return {"x": a, "y": b, "at": rng.uniform(-0.3, 0.3)}
     sign = rng.choice([-1.0, 1.0])
-    one_sign: dict[str, dict] = {
+    of_one_sign: dict[str, Values] = {
         "joint_compliance": {"c": 1.0},
-        "joint_compliance*": {"c": rng.uniform(0.5, 1.5, n)},
+        EVERY_JOINT: {"c": rng.uniform(0.5, 1.5, n)},
         "gear_ratio": {"e": sign},
         "joint_coupling": {"c": sign},
         "backlash": {"b": sign},
         "gravity_backlash": {"b": 1.0},
-        "link_bending": {"f": 1.0},
+        "link_bending": {"flexibility": 1.0},
         "thermal_growth": {"a": sign},
         "base_rotation_drift": {"w": sign},
         "bump": {"h": sign, "at": rng.uniform(-2.0, 2.0), "width": rng.uniform(0.3, 0.6)},
         "cubic": {"c": sign},
         "cable_pull": {"c": sign},
     }
-    return one_sign[name]
+    return of_one_sign[name]
 
 
-def scaled_amplitudes(values: dict, factor: float) -> dict:
-    """The amplitudes times a factor; k, at, width and the like are shapes and stay."""
-    return {name: (v if name in ("k", *SHAPE) else v * factor) for name, v in values.items()}
+def _rare(name: str, span: float, rng: np.random.Generator) -> Values:
+    """As `directions`;  span : range of the joint [rad]."""
+    sign, phase = rng.choice([-1.0, 1.0]), rng.uniform(0.0, 2.0 * np.pi)
+    at = rng.uniform(-0.35, 0.35)
+    drawn: dict[str, Values] = {
+        "thermal_transient": {"a": sign, "tau": float(np.exp(rng.uniform(np.log(0.05), np.log(0.5))))},
+        "joint_step": {"b": sign, "at": at},
+        "link_step": {"d": sign, "at": at},
+        "base_step": {"x": np.cos(phase), "y": np.sin(phase), "at": at},
+        "payload_error": {"d": sign},
+        "gravity_tilt": {"angle": sign},
+        "axis_tilt": {"square": 1.0, "beta": phase},
+        "joint_hysteresis": {"b": sign, "width_deg": float(np.degrees(span * rng.uniform(0.1, 0.4)))},
+    }
+    return drawn[name]
 
 
-def column(truth: TrueArm, run: RowConditions, effect: tuple[str, int | None, dict]) -> np.ndarray:
-    """(2m,) derivative of the position with respect to the amplitude of an effect."""
-    name, j, v = effect
-    h = 1e-6
-    up = position(replace(truth, effects=[(name, j, scaled_amplitudes(v, h))]), run)
-    down = position(replace(truth, effects=[(name, j, scaled_amplitudes(v, -h))]), run)
-    d = (up - down) / (2 * h)
-    return np.column_stack([d.real, d.imag]).ravel()
+def _physics(name: str, joint: int | None, n: int, reach: float, rng: np.random.Generator) -> Values:
+    """As `directions`, for an arm of n joints and this reach [mm]."""
+    sign, phase = rng.choice([-1.0, 1.0]), rng.uniform(0.0, 2.0 * np.pi)
+    a, b = np.cos(phase), np.sin(phase)
+    middle, width = rng.uniform(-1.0, 1.0), rng.uniform(0.5, 1.5)
+    start, end = np.sort(rng.choice(np.linspace(-0.4, 0.4, 9), 2, replace=False))
+    others = [k for k in range(1, n + 1) if k != joint]
+    drawn: dict[str, Values] = {
+        "memory_hysteresis": {"h": sign, "at": middle, "width": width},
+        "two_joint_cable": {"c": sign, "at": middle},
+        "gear_wear": {"h": sign, "at": 2.0 * middle, "width": 0.3 * width},
+        "cross_talk": {"a": a, "b": b, "other": int(rng.choice(others))},
+        "stick_slip": {"b": sign, "width": 1.0 + width},
+        "gripper_play": {"h": 1.0, "beta": phase},
+        "refraction": {"c": sign, "at": rng.uniform(0.0, 0.5) * reach * np.array([a, b])},  # from there
+        "two_warm_ups": {"a": sign, "b": -sign * rng.uniform(0.7, 1.4), "tau": rng.uniform([0.03, 0.3], [0.08, 0.8])},
+        "payload_swap": {"d": sign, "at": (float(start), float(end))},
+        "warm_offset": {"v": np.array([a, b])},
+    }
+    return drawn[name]
 
 
-def base_jacobian(truth: TrueArm, run: RowConditions) -> np.ndarray:
-    """(2m, 2n) derivative by u_j = l_j exp(i dtheta_j), real and imaginary parts: the base model is linear in them."""
-    z = np.exp(1j * np.cumsum(run.q, axis=1))
-    both = np.hstack([z, 1j * z])
-    return np.stack([both.real, both.imag], axis=1).reshape(2 * len(z), -1)
-
-
-def off(columns: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return vector - columns @ np.linalg.lstsq(columns, vector, rcond=1e-10)[0]
-
-
-def values_of(truth: TrueArm, name: str, j: int | None, rng: np.random.Generator) -> dict:
-    """A random direction in the parameter space of an effect of the library, of a rare one or of one outside."""
-    if name in PHYSICS:
-        return drawn_physics(name, j, truth.n, float(truth.lengths.sum()), rng)
-    if name in RARE_JOINT + RARE_WHOLE:
-        span = 0.0 if j is None else float(truth.upper[j - 1] - truth.lower[j - 1])
-        return drawn_values(name, span, rng)
-    return directions_of(name, truth.n, rng)
-
-
-def wave(truth: TrueArm, run: RowConditions, k: float, lam: float, rng: np.random.Generator) -> Drawn:
-    """A gear ripple of k per turn at a random joint."""
-    phase, j = rng.uniform(0, 2 * np.pi), int(rng.integers(1, truth.n + 1))
-    v = {"a": np.cos(phase), "b": np.sin(phase), "k": k}
-    seen = np.linalg.norm(off(base_jacobian(truth, run), column(truth, run, ("transmission_ripple", j, v))))
-    return "transmission_ripple", j, scaled_amplitudes(v, float(lam * truth.sigma / seen))
-
-
-def settings_of(effect: Drawn) -> dict[str, float]:
-    """The settings of an effect, as an arm file has them."""
-    names = {"k": "k", "at": "at", "tau": "tau", "width": "width_deg"}
-    units = {"width": 180.0 / np.pi}
-    found = {names[n]: float(v) * units.get(n, 1.0) for n, v in effect[2].items() if n in names}
-    return found | ({"side": 1.0} if effect[0] == "base_step" else {})
-
-
-def sized(
-    truth: TrueArm,
-    run: RowConditions,
-    name: str,
-    j: int | None,
-    lam: float,
-    rng: np.random.Generator,
-    others: np.ndarray | None = None,
-) -> Drawn | None:
-    """The effect with amplitude such that |column off the base Jacobian (and `others`)| = lam sigma; None if unseen."""
-    v = values_of(truth, name, j, rng)
-    real = "joint_compliance" if name == "joint_compliance*" else name
-    d = column(truth, run, (real, j, v))
-    seen = np.linalg.norm(off(base_jacobian(truth, run) if others is None else others, d))
-    if seen < 0.02 * np.linalg.norm(d):
+# -- sizes -------------------------------------------------------------------------------------------------------------
+def sized(truth: TrueArm, run: RowConditions, effect: Drawn, lam: float, span: Array | None = None) -> Drawn | None:
+    """The effect so large that off the geometry, or the columns (m d, C) of a span, it is lambda sigma long; None where
+    it is unseen. By the name that the library has for it."""
+    name, joint, values = SINCE_INSIDE.get(effect[0], effect[0]).rstrip("*"), *effect[1:]
+    whole = column(truth, run, (name, joint, values))
+    seen = float(np.linalg.norm(off(base_jacobian(truth, run) if span is None else span, whole)))
+    if seen <= SEEN * np.linalg.norm(whole):
         return None
-    return real, j, scaled_amplitudes(v, float(lam * truth.sigma / seen))
+    return name, joint, scaled_amplitudes(values, lam * truth.sigma / seen)
 
 
 def random_effect(
-    truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Generator, name: str | None = None
+    names: Sequence[str],
+    truth: TrueArm,
+    run: RowConditions,
+    lam: float,
+    rng: np.random.Generator,
+    span: Array | None = None,
+    **settings: float,
 ) -> Drawn:
-    """One effect of the library, its type at random, then its joint."""
+    """One effect, its type at random, then its joint, of size lambda as in `sized`."""
+    span = base_jacobian(truth, run) if span is None else span
     while True:
-        pick = name or str(rng.choice(LIBRARY_JOINT + LIBRARY_WHOLE))
-        first = 2 if pick in ("joint_coupling", "axis_tilt") else 1
-        j = None if pick in LIBRARY_WHOLE + RARE_WHOLE else int(rng.integers(first, truth.n + 1))
-        found = sized(truth, run, pick, j, lam, rng)
-        if found is not None:
-            return found
+        name = str(rng.choice(names))
+        first, last = 2 if name in ("joint_coupling", "axis_tilt") else 1, truth.n - (name == "two_joint_cable")
+        joint = None if name in OF_ARM else int(rng.integers(first, last + 1))
+        direction = directions(truth, name, joint, rng) | settings
+        if (effect := sized(truth, run, (name, joint, direction), lam, span)) is not None:
+            return effect
 
 
-def log_uniform(sizes: tuple[float, float], rng: np.random.Generator) -> float:
+def log_uniform(sizes: Sequence[float], rng: np.random.Generator) -> float:
     """A size lambda between two, even on a logarithmic scale."""
     low, high = np.log(sizes)
     return float(np.exp(rng.uniform(low, high)))
 
 
 def many_effects(
-    truth: TrueArm, run: RowConditions, kind: str, sizes: tuple[float, float], rng: np.random.Generator
+    truth: TrueArm, run: RowConditions, kind: str, sizes: Sequence[float], rng: np.random.Generator
 ) -> list[Drawn]:
     """What a real robot has at once, each effect of its own size lambda between two.
 
-    kind : `robot`: compliance of all joints, an offset of the base, every encoder eccentric, backlash in one joint and
-        a ripple in one; `harmonics`: first and second harmonic of every encoder; one of `COUNTS`: so many effects of
-        the library at random, of gravity one, `small`: one or more in every joint
+    kind : `robot`: compliance of all joints, every encoder eccentric, backlash in one joint and a ripple in one, in the
+        plane an offset of the base; `harmonics`: first and second harmonic of every encoder; one of `COUNTS`: so many
+        effects of the library at random, of gravity one, `small`: one or more in every joint
     """
     listed: list[tuple[str, int | None]] = [("encoder_eccentricity", j + 1) for j in range(truth.n)]
-    most = len(LIBRARY_JOINT) * truth.n
+    most = None
     if kind in COUNTS:
-        listed = at_random(LIBRARY_JOINT, LIBRARY_WHOLE, truth.n, kind == "small", rng)
+        listed = list(_at_random(truth, kind == "small", rng))
         most = int(rng.integers(COUNTS[kind][0], COUNTS[kind][1] + 1))
     elif kind == "harmonics":
         listed += [("encoder_second_harmonic", j + 1) for j in range(truth.n)]
     else:
-        listed += [("joint_compliance*", None), ("base_offset", None)]
+        listed += [(EVERY_JOINT, None)] + ([("base_offset", None)] if truth.dimension == 2 else [])
         listed += [(name, int(rng.integers(1, truth.n + 1))) for name in ("backlash", "transmission_ripple")]
-    drawn = (sized(truth, run, name, j, log_uniform(sizes, rng), rng) for name, j in listed)
-    return list(islice((effect for effect in drawn if effect is not None), most))
+    span = base_jacobian(truth, run)
+
+    def drawn(name: str, joint: int | None) -> Drawn | None:
+        lam = log_uniform(sizes, rng) if truth.dimension == 2 else None  # in this order since the study began
+        direction = directions(truth, name, joint, rng)
+        return sized(truth, run, (name, joint, direction), lam or log_uniform(sizes, rng), span)
+
+    every = (drawn(name, joint) for name, joint in listed)
+    return list(islice((effect for effect in every if effect is not None), most))
 
 
-def at_random(
-    of_joint: Sequence[str], of_arm: Sequence[str], joints: int, everywhere: bool, rng: np.random.Generator
-) -> list[tuple[str, int | None]]:
-    """All effects of these names in a random order, of gravity only the first.
+def _at_random(truth: TrueArm, everywhere: bool, rng: np.random.Generator) -> Iterator[tuple[str, int | None]]:
+    """All effects of the library in a random order, of gravity only the first.
 
     everywhere : one of each joint comes before the others
     """
-    places = [(name, j) for name in of_joint for j in range(2 if name == "joint_coupling" else 1, joints + 1)]
-    every = [*places, *((name, None) for name in of_arm)]
+    of_joint, of_arm = library_names(truth)
+    every = [(name, j) for name in of_joint for j in range(2 if name == "joint_coupling" else 1, truth.n + 1)]
+    every += [(name, None) for name in of_arm]  # type: ignore[misc]
     listed = [every[k] for k in rng.permutation(len(every))]
-    of_gravity = [place for place in listed if place[0].rstrip("*") in GRAVITY]
+    of_gravity = [place for place in listed if place[0].rstrip("*") in OF_GRAVITY]
     listed = [place for place in listed if place not in of_gravity[1:]]
-    if everywhere:
-        first = {j: (name, j) for name, j in reversed(listed) if j is not None}
-        listed = [*first.values(), *(place for place in listed if place not in first.values())]
-    return listed
+    first = {j: (name, j) for name, j in reversed(listed) if j is not None} if everywhere else {}
+    yield from first.values()
+    yield from (place for place in listed if place not in first.values())
 
 
-def library_columns(truth: TrueArm, run: RowConditions) -> np.ndarray:
-    """(2m, C) base Jacobian and the columns of every effect of the library but the ripples."""
-    pairs = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab"}
-    pairs |= {"base_offset": "xy", "base_drift": "xy"}
-    columns = [base_jacobian(truth, run)]
-    for name in LIBRARY_JOINT + LIBRARY_WHOLE:
-        if name == "transmission_ripple" or name.endswith("*"):
-            continue
+def loaded(truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Generator) -> list[Drawn]:
+    """Compliance in all joints, such that the payload's place adds lambda sigma off the compliance that would fit best
+    without it; and that place."""
+    assert truth.load is not None
+    c = rng.uniform(0.5, 1.5, truth.n)
+    effects = [("joint_compliance", j, {"c": float(one)}) for j, one in enumerate(c, start=1)]
+    elsewhere, plain = (
+        np.stack([column(arm, run, effect) for effect in effects], axis=1) for arm in (truth, replace(truth, load=None))
+    )
+    unseen = np.column_stack([base_jacobian(truth, run), plain])
+    size = lam * truth.sigma / np.linalg.norm(off(unseen, np.sum(elsewhere - plain, axis=1)))
+    place = dict(zip("xyz", (truth.load - truth.tools[0]).tolist(), strict=True))
+    return [("joint_compliance", None, {"c": size * c}), ("payload_place", None, place)]
+
+
+# -- the library's columns ---------------------------------------------------------------------------------------------
+def library_names(truth: TrueArm) -> tuple[Sequence[str], Sequence[str]]:
+    """Effects of the library that are hidden in such an arm: of a joint, and of the whole arm."""
+    return (LIBRARY_JOINT, LIBRARY_WHOLE) if truth.dimension == 2 else (SPACE_JOINT, SPACE_WHOLE)
+
+
+def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, **settings: float) -> Array:
+    """(m d, c) columns of each amplitude of an effect."""
+    values = directions(truth, name, joint, np.random.default_rng(0)) | settings
+    columns = []
+    for amplitude in (key for key in values if key not in SHAPES):
+        zero = scaled_amplitudes(values, 0.0)
+        each = np.eye(np.size(values[amplitude])) if np.ndim(values[amplitude]) else [1.0]
+        columns += [column(truth, run, (name, joint, zero | {amplitude: one})) for one in each]
+    return np.stack(columns, axis=1)
+
+
+def library_columns(truth: TrueArm, run: RowConditions) -> Array:
+    """(m d, C) of the geometry and of every effect of the library but the ripples."""
+    of_joint, of_arm = library_names(truth)
+    names = [*of_joint, *(("axis_runout",) if truth.dimension == 3 else ()), *of_arm]
+    blocks = [base_jacobian(truth, run)]
+    for name in (name for name in names if name not in ("transmission_ripple", EVERY_JOINT)):
         first = 2 if name == "joint_coupling" else 1
-        for j in [None] if name in LIBRARY_WHOLE else range(first, truth.n + 1):
-            if name in pairs:
-                probes = [{c: float(c == one) for c in pairs[name]} for one in pairs[name]]
-            else:
-                probes = [directions_of(name, truth.n, np.random.default_rng(0))]
-            columns += [column(truth, run, (name, j, v))[:, None] for v in probes]
-    return np.hstack(columns)
-
-
-def outside_effect(
-    truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Generator
-) -> tuple[str, int | None, dict]:
-    """An effect the library does not have, of size lam outside the span of the library."""
-    span = library_columns(truth, run)
-    while True:
-        name = str(rng.choice(OUTSIDE))
-        j = None if name == "step_drift" else int(rng.integers(1, truth.n + 1))
-        found = sized(truth, run, name, j, lam, rng, span)
-        if found is not None:
-            return found
+        blocks += [probed(truth, run, name, j) for j in ([None] if name in of_arm else range(first, truth.n + 1))]
+    return np.hstack(blocks)
 
 
 def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rng: np.random.Generator) -> Drawn:
-    """One of `PHYSICS`, of size lam: the first of some draws of which no effect of the library explains more than
-    `EXPLAINED`, or else that of which it explains least."""
+    """One of `PHYSICS`, of size lambda: in space off all of the library at once; in the plane off the geometry, the
+    first of some draws of which no effect of the library explains more than `EXPLAINED`, or else that of which it
+    explains least."""
+    if truth.dimension == 3:
+        return random_effect((name,), truth, run, lam, rng, library_columns(truth, run))
     drawn: list[tuple[float, Drawn]] = []
     base, blocks = base_jacobian(truth, run), library_blocks(truth, run)
     ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
     blocks = [np.linalg.qr(block)[0] for block in np.split(off(base, np.hstack(blocks)), ends, axis=1)]
     while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < DRAWS):
-        j = None if name in PHYSICS_WHOLE else int(rng.integers(1, truth.n + (name != "two_joint_cable")))
-        effect = sized(truth, run, name, j, lam, rng)
-        if effect is not None:
-            left = off(base, column(truth, run, effect))
-            drawn.append((max(float(np.sum((left @ block) ** 2)) for block in blocks) / float(left @ left), effect))
+        effect = random_effect((name,), truth, run, lam, rng, base)
+        left = off(base, column(truth, run, effect))
+        drawn.append((max(float(np.sum((left @ block) ** 2)) for block in blocks) / float(left @ left), effect))
     return min(drawn, key=lambda one: one[0])[1]
 
 
-def library_blocks(truth: TrueArm, run: RowConditions) -> list[np.ndarray]:
-    """(2m, c) columns of each effect of the library by itself, of those with settings at several of them."""
-    tau = torques(truth, run)
-    turned = np.exp(1j * np.cumsum(run.q + truth.joint_offsets, axis=1)) * truth.lengths
-    lever = 1j * np.cumsum(turned[:, ::-1], axis=1)[:, ::-1]  # of each joint: how its angle moves the tip
-    steps = [1.0 * (run.t > at) for at in np.linspace(-0.4, 0.4, 17)]
-    moves: list[list[np.ndarray]] = [[lever[:, j] * tau[:, j] for j in range(truth.n)]]
-    for j, q in enumerate(run.q.T):
-        own = [[np.cos(k * q), np.sin(k * q)] for k in range(1, 65)]
-        own += [[q], [run.s[:, j]], [np.sign(tau[:, j])], [tau[:, j]], *([run.q[:, j - 1]] for _ in range(j > 0))]
-        own += [[step] for step in steps]
-        own += [[wound_up(q, width)] for width in (truth.upper[j] - truth.lower[j]) * np.array([0.05, 0.1, 0.2, 0.4])]
-        moves += [[lever[:, j] * shape for shape in shapes] for shapes in own]
-        moves += [[turned[:, j] * step] for step in steps]
-    moves += [[step + 0j, 1j * step] for step in steps]
-    whole: list[tuple[str, list[dict]]] = [(name, [{"x": 1.0, "y": 0.0}, {"x": 0.0, "y": 1.0}]) for name in OFFSETS]
-    whole += [("axes_skew", [{"a": 1.0, "b": 0.0}, {"a": 0.0, "b": 1.0}])]
-    whole += [("link_bending", [{"f": 1.0}]), ("thermal_growth", [{"a": 1.0}]), ("base_rotation_drift", [{"w": 1.0}])]
-    whole += [("thermal_transient", [{"a": 1.0, "tau": tau}]) for tau in (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
-    whole += [("payload_error", [{"d": 1.0}]), ("gravity_tilt", [{"angle": 1.0}])] if truth.known else []
-    stacked = [[np.column_stack([move.real, move.imag]).ravel() for move in block] for block in moves]
-    stacked += [[column(truth, run, (name, None, values)) for values in probes] for name, probes in whole]
-    return [np.stack(block, axis=1) for block in stacked]
+def library_blocks(truth: TrueArm, run: RowConditions) -> list[Array]:
+    """(2m, c) columns of each effect of the library by itself, of those with settings at several of them, of a planar
+    arm."""
+    *frames, tip = places(replace(truth, effects=[], modelled=[]), run)
+    torques = np.einsum("mji,ji->mj", moments(truth, run), truth.home[:-1, :3, 2])
+    steps = np.stack([1.0 * (run.t > at) for at in np.linspace(-0.4, 0.4, 17)])
+    blocks: list[list[Array]] = [[step[:, None] * axis for axis in np.eye(3)[:2]] for step in steps]
+    soft: list[Array] = []  # every joint at once
+    for j, (q, frame) in enumerate(zip(run.q.T, frames[1:], strict=True)):
+        arm = tip[:, :3, 3] - (frame[:, :3, :3] @ truth.points[j] + frame[:, :3, 3])
+        lever = np.cross(frame[:, :3, :3] @ truth.axes[j], arm)  # how the joint's angle moves the tip
+        shapes = [[np.cos(k * q), np.sin(k * q)] for k in range(1, 65)]
+        shapes += [[q], [run.s[:, j]], [np.sign(torques[:, j])], [torques[:, j]], *steps[:, None]]
+        shapes += [[run.q[:, j - 1]]] if j else []
+        shapes += [
+            [wound_up(q, width)] for width in (truth.upper[j] - truth.lower[j]) * np.array([0.05, 0.1, 0.2, 0.4])
+        ]
+        soft.append(lever * torques[:, j, None])
+        blocks += [[lever * shape[:, None] for shape in block] for block in shapes]
+        blocks += [[(frame[:, :3, :3] @ truth.links[j]) * step[:, None]] for step in steps]
+    stacked = [np.stack([move[:, :2].ravel() for move in block], axis=1) for block in [soft, *blocks]]
+    stacked += [probed(truth, run, name, None) for name in LIBRARY_WHOLE if name != EVERY_JOINT]
+    stacked += [probed(truth, run, "thermal_transient", None, tau=tau) for tau in (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
+    return stacked + ([probed(truth, run, name, None) for name in LOADS] if truth.modelled else [])
 
 
-def by_library_name(effect: Drawn) -> Drawn:
-    """The effect by the name that the library has for it."""
-    return SINCE_INSIDE.get(effect[0], effect[0]), effect[1], effect[2]
-
-
-def key(effect: tuple[str, int | None, dict]) -> str:
+# -- names -------------------------------------------------------------------------------------------------------------
+def key(effect: Drawn) -> str:
+    """NAME or NAME:JOINT."""
     return effect[0] if effect[1] is None else f"{effect[0]}:{effect[1]}"
 
 
-def family(effect: tuple[str, int | None, dict]) -> str:
-    return "gravity" if effect[0] in GRAVITY else effect[0]
+def family(effect: Drawn) -> str:
+    """What effects are said to be alike."""
+    return "gravity" if effect[0] in OF_GRAVITY else effect[0]
 
 
-def place_of(effect: tuple[str, int | None, dict]) -> str | None:
-    """Where an effect outside the library may be said to be, alternatives between ` or `; None: nowhere is right."""
-    if effect[0] in PHYSICS:
-        return physics_places(*effect)
-    return {"step_drift": "time", "barrel": "workspace"}.get(effect[0], f"joint:{effect[1]}")
+def settings_of(effect: Drawn) -> dict[str, float]:
+    """The settings of an effect of the library, as an arm file has them."""
+    settings = {name: float(v) for name, v in effect[2].items() if name in ("k", "at", "tau", "width_deg")}
+    return settings | ({"side": 1.0} if effect[0] == "base_step" else {})
 
 
 def parameters_of(effect: Drawn) -> dict[str, float]:
     """The parameters of an effect of the library by the library's names, without settings."""
-    name, joint, values = effect
-    if name == "joint_compliance" and joint is None:
-        return {f"c{j + 1}": float(c) for j, c in enumerate(values["c"])}
-    names = {
-        "link_bending": {"f": "flexibility"},
-        "base_offset": {"x": "x0", "y": "y0"},
-        "base_drift": {"x": "vx", "y": "vy"},
-    }.get(name, {})
-    return {names.get(own, own): float(value) for own, value in values.items() if own != "k"}
+    named: dict[str, float] = {}
+    for name, value in effect[2].items():
+        ends = [""] if np.ndim(value) == 0 else "xyz" if name in "vw" else range(1, len(value) + 1)
+        named |= {f"{name}{end}": float(one) for end, one in zip(ends, np.atleast_1d(value), strict=False)}
+    return {f"{key(effect)}.{name}": value for name, value in named.items() if name not in SHAPES}
+
+
+def place_of(effect: Drawn) -> str | None:
+    """Where an effect outside the library may be said to be, alternatives between ` or `; None: nowhere is right."""
+    name, joint, v = effect
+    if joint is None:
+        whole = {"refraction": "workspace", "gripper_play": None, "warm_offset": "temperature or time"}
+        return whole.get(name, "time")
+    second = {"two_joint_cable": joint + 1, "cross_talk": v.get("other")}.get(name)
+    return f"joint:{joint}" + (f" or joint:{second}" if second else "")

@@ -15,7 +15,7 @@ from identification.arrays import Array
 from identification.estimation.intervals import freedom_of, quantile_95
 from identification.gap.fit import Rows, fit
 from identification.gap.hypotheses import hypotheses
-from identification.measurements import rms_distance
+from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
 
@@ -23,63 +23,51 @@ LENGTHS = (0.5, 8.0)  # of the process's kernel; two postures are at most 2 sqrt
 RATIOS = (1e-6, 1e6)  # of the kernel's parts to the mean square residual
 
 
-def true_arm(data: DataSet) -> Arm:
-    """The arm with the true model, fitted to the rows that are not outliers."""
-    return fitted_arm(data, data.specs)
-
-
 def fitted_arm(data: DataSet, specs: Sequence[EffectSpec] = ()) -> Arm:
     """The arm with these effects added, none: its geometry only, fitted to the rows that are not outliers."""
     arm = practical(data.arm, data.measurements)
     model = Model(arm.with_effects(*arm.effects, *specs))
-    kept = np.ones(len(data.measurements), dtype=bool)
-    kept[[row - 1 for row in data.wrong_rows]] = False
-    found = fit(model, Rows.of(data.measurements).pick(kept))
-    return replace(model.arm, calibration=Calibration(found.by_name))
+    kept = ~np.isin(np.arange(len(data.measurements)) + 1, data.wrong_rows)
+    values = fit(model, Rows.of(data.measurements).pick(kept)).by_name
+    return replace(model.arm, calibration=Calibration(values))
 
 
-def true_gap(data: DataSet) -> float:
-    """Held-out gap [mm] of the true model."""
-    assert data.holdout is not None
-    return rms_distance(data.holdout.positions - _computed(true_arm(data), data))
+def true_arm(data: DataSet) -> Arm:
+    """The arm with the true model, fitted."""
+    return fitted_arm(data, data.specs)
+
+
+def gap(arm: Arm, data: DataSet, positions: Array | None) -> float | None:
+    """RMS distance [mm] of a calibrated arm from positions at the hold-out's postures; None where there are none."""
+    if positions is None or data.holdout is None:
+        return None
+    return rms_distance(positions - Model(arm).position(data.holdout.postures, conditions=data.holdout.conditions))
 
 
 def error(arm: Arm, data: DataSet) -> float | None:
     """RMS distance [mm] of a calibrated arm from the hold-out without its noise; None where that is not known."""
-    return None if data.exact is None else rms_distance(data.exact - _computed(arm, data))
+    return gap(arm, data, data.exact)
 
 
 def share_inside_tip(arm: Arm, data: DataSet) -> float | None:
     """Share of the hold-out's coordinates without noise that are inside the 95 % intervals which the covariance of the
     arm's calibration gives there; None where they are not known."""
-    found = arm.calibration
-    if data.exact is None or data.holdout is None or found is None or found.covariance is None:
+    calibration = arm.calibration
+    if data.exact is None or data.holdout is None or calibration is None or calibration.covariance is None:
         return None
     model = Model(arm)
-    place = [model.names.index(name) for name in found.parameter_names]
+    place = [model.names.index(name) for name in calibration.parameter_names]
     computed, jacobian = model.linearize(data.holdout.postures, model.values, data.holdout.conditions)
-    columns = jacobian[..., place] * quantile_95(freedom_of(found))
-    half = np.sqrt(np.einsum("mdp,pq,mdq->md", columns, found.covariance, columns, optimize=True))
+    columns = jacobian[..., place] * quantile_95(freedom_of(calibration))
+    half = np.sqrt(np.einsum("mdp,pq,mdq->md", columns, calibration.covariance, columns, optimize=True))
     return float(np.mean(np.abs(data.exact - computed) <= half))
-
-
-def _computed(arm: Arm, data: DataSet) -> Array:
-    """(200, 2) positions at the postures of the hold-out."""
-    assert data.holdout is not None
-    model = Model(arm)
-    return np.asarray(model.position(data.holdout.postures, model.values, data.holdout.conditions))
 
 
 def library_gap(data: DataSet) -> float:
     """Held-out gap [mm] of the model with every effect of the library; orders of ripple and single joints left out."""
-    assert data.holdout is not None
     library = hypotheses(data.arm, data.measurements.given)
-    specs = (
-        h.spec
-        for h in library.members
-        if not h.scanned and library.acts(h) and not h.key.startswith("joint_compliance:")
-    )
-    return rms_distance(_missed(data, Model(data.arm.with_effects(*specs)))[1])
+    specs = (h.spec for h in library.unscanned if not h.key.startswith("joint_compliance:"))
+    return rms_distance(_residuals(data, data.arm.with_effects(*specs))[1])
 
 
 def has_processes() -> bool:
@@ -89,21 +77,22 @@ def has_processes() -> bool:
 
 def process_gap(data: DataSet) -> float | None:
     """Held-out gap [mm] of the base model corrected by a Gaussian process of its residuals; None if there is none."""
-    assert data.holdout is not None
-    if not has_processes():
+    if not has_processes() or data.holdout is None:
         return None
-    residual, fresh = _missed(data, Model(data.arm))
-    guess = gaussian_process(data.measurements.postures, residual, data.holdout.postures)
-    return rms_distance(fresh - guess)
+    residual, fresh = _residuals(data, data.arm)
+    return rms_distance(fresh - gaussian_process(data.measurements.postures, residual, data.holdout.postures))
 
 
-def _missed(data: DataSet, model: Model) -> tuple[Array, Array]:
-    """Residuals of a fitted model on the data and on the hold-out."""
+def _residuals(data: DataSet, arm: Arm) -> tuple[Array, Array]:
+    """Residuals of an arm's model, fitted, on the data and on the hold-out."""
     assert data.holdout is not None
-    rows, fresh = Rows.of(data.measurements), Rows.of(data.holdout)
-    values = fit(model, rows).values
-    here = rows.positions - model.position(rows.postures, values, rows.conditions)
-    return np.asarray(here), np.asarray(fresh.positions - model.position(fresh.postures, values, fresh.conditions))
+    model = Model(arm)
+    values = fit(model, Rows.of(data.measurements)).values
+
+    def left(rows: Measurements) -> Array:
+        return np.asarray(rows.positions - model.position(rows.postures, values, rows.conditions))
+
+    return left(data.measurements), left(data.holdout)
 
 
 def gaussian_process(postures: Array, residual: Array, fresh: Array) -> Array:
@@ -117,11 +106,8 @@ def gaussian_process(postures: Array, residual: Array, fresh: Array) -> Array:
     size = float(np.std(residual))
     kernel = ConstantKernel(1.0, RATIOS) * RBF(2.0, LENGTHS) + WhiteKernel(1.0, RATIOS)
     process = GaussianProcessRegressor(kernel, n_restarts_optimizer=2, random_state=0)
+    on_circles, at = (np.hstack([np.cos(angles), np.sin(angles)]) for angles in (postures, fresh))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a length or a ratio at its bound: noise only, or no noise at all
-        process.fit(_on_circles(postures), residual / size)
-    return np.asarray(size * process.predict(_on_circles(fresh)))
-
-
-def _on_circles(postures: Array) -> Array:
-    return np.hstack([np.cos(postures), np.sin(postures)])
+        process.fit(on_circles, residual / size)
+    return np.asarray(size * process.predict(at))

@@ -1,273 +1,454 @@
-"""A second implementation of the arm and its effects in plain numpy, written from the formulas of the effect library.
+"""The oracle: arms as lines in space and what is wrong with them, in plain numpy, from the formulas of the library.
 
-The blind study simulates the truth with this file; the diagnosis fits with `identification.model`. Nothing here calls
-the model or its effects, and a test checks that. Positions are complex numbers x + iy in millimetres.
+At home, with all joints at zero, an arm is a set of lines in space, points on them and masses; every joint turns all
+that lies beyond about its line (R. W. Brockett, "Robotic manipulators and the product of exponentials formula", 1984).
+The arm's maker has a Denavit-Hartenberg table; the real lines are a little off. A planar arm has upright lines, and x
+and y of its tip are measured. The blind study simulates the truth with this file; the diagnosis fits with
+`identification.model`. Nothing here calls the model or its effects, and a test checks that.
+
+Millimetres, radians, kilograms; m rows of a session at once, n joints.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from doe.studies.blind.rare_effects import PHYSICS_JOINT, joint_physics, leaning_tip, link_growth, refracted, wound_up
+from identification.arrays import Array
 from identification.measurements import Measurements
 
 G = 9.81
+UPRIGHT = np.array([0.0, 0.0, 1.0])
 MODEL_ERROR = 2.0  # [sigma] of a coordinate, of each posture, with noise `posture`
-Drawn = tuple[str, int | None, dict]  # name, joint, values of an effect
+OUTLIERS, OFF = 3, 15.0  # rows of a set that are wrong, and by how much [sigma]
+Values = dict[str, Any]
+Drawn = tuple[str, int | None, Values]  # an effect: its name, its joint from 1 and its values
+OF_GRAVITY = ("joint_compliance", "gravity_backlash", "bearing_compliance", "link_bending")
 
 
-@dataclass
+@dataclass(frozen=True)
 class TrueArm:
-    """The real arm: what is drawn, what is hidden."""
+    """The real arm and what its maker says.
 
-    lengths: np.ndarray  # (n,) nominal [mm]
-    masses: np.ndarray  # (n,) [kg]
-    center: np.ndarray  # (n,) fraction
-    payload: float  # [kg]
-    lower: np.ndarray
-    upper: np.ndarray
+    table : (n, 3) a, alpha, d of the drawing (standard Denavit-Hartenberg)
+    axes, points : (n, 3) directions and points of the real axes at home;  offsets : (n,) of the encoders
+    base : (4, 4) pose of the arm in the instrument's frame;  tools : (K, 3) measured points in the drawing's last frame
+    masses, payload : of links and tool;  center : where along a link its mass is
+    gravity : (3,) as it really is in the arm's base;  load : (3,) where the payload really hangs in the drawing's last
+        frame, None: at the first measured point
+    effects : hidden;  modelled : those that the arm's model has
+    """
+
+    table: Array
+    axes: Array
+    points: Array
+    offsets: Array
+    base: Array
+    tools: Array
+    masses: Array
+    payload: float
+    lower: Array
+    upper: Array
     sigma: float
-    length_errors: np.ndarray
-    joint_offsets: np.ndarray
-    effects: list[tuple[str, int | None, dict]] = field(default_factory=list)
-    known: list[tuple[str, int | None, dict]] = field(default_factory=list)  # effects that the arm's model has
+    dimension: int = 3
+    center: float = 0.5
+    gravity: Array = field(default_factory=lambda: -G * UPRIGHT)
+    load: Array | None = None
+    effects: list[Drawn] = field(default_factory=list)
+    modelled: list[Drawn] = field(default_factory=list)
+
+    @classmethod
+    def built(cls, table: Array, rng: np.random.Generator, lean: float, shift: float, **others: Any) -> TrueArm:
+        """An arm of this drawing whose axes are off by `lean` [rad] and `shift` [mm] per coordinate."""
+        lines = np.zeros((len(table), 3))
+        drawn = cls(table, lines, lines, **others)
+        axes = drawn.home[:-1, :3, 2] + lean * rng.standard_normal(lines.shape)
+        points = drawn.home[:-1, :3, 3] + shift * rng.standard_normal(lines.shape)
+        return replace(drawn, axes=axes / np.linalg.norm(axes, axis=1, keepdims=True), points=points)
+
+    @classmethod
+    def planar(cls, lengths: Array, length_errors: Array, offsets: Array, **others: Any) -> TrueArm:
+        """An arm of links (n,) in a vertical plane, y up."""
+        n, table = len(lengths), np.column_stack([lengths, np.zeros((len(lengths), 2))])
+        along = np.cumsum([0.0, *(lengths + length_errors)])[:, None] * np.eye(3)[0]
+        tip = np.array([[np.sum(length_errors), 0.0, 0.0]])
+        others = {"gravity": np.array([0.0, -G, 0.0]), "dimension": 2, "load": np.zeros(3), **others}
+        return cls(table, np.tile(UPRIGHT, (n, 1)), along[:-1], offsets, np.eye(4), tip, **others)
 
     @property
     def n(self) -> int:
-        return len(self.lengths)
+        return len(self.table)
+
+    @cached_property
+    def home(self) -> Array:
+        """(n + 1, 4, 4) frames of the drawing at home: of each joint, and of the tip."""
+        frames = [np.eye(4)]
+        for a, alpha, d in self.table:
+            link = shift(np.array([a, 0.0, d])) @ screw(turn(np.array([alpha, 0.0, 0.0])), np.zeros(3))
+            frames.append(frames[-1] @ link)
+        return np.array(frames)
+
+    def at_home(self, points: Array) -> Array:
+        """(..., 3) points of the drawing's last frame at home."""
+        return points @ self.home[-1, :3, :3].T + self.home[-1, :3, 3]
+
+    @cached_property
+    def links(self) -> Array:
+        """(n, 3) what grows with the temperature: the links, in the plane the real ones, in space as they are drawn."""
+        if self.dimension == 2:
+            return np.diff(np.vstack([self.points, self.at_home(self.tools[0])]), axis=0)
+        return np.diff(self.home[:, :3, 3], axis=0)
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(n,) of the links as drawn."""
+        return np.linalg.norm(np.diff(self.home[:, :3, 3], axis=0), axis=1)
 
 
-@dataclass
+@dataclass(frozen=True)
 class RowConditions:
-    """What a row was measured under."""
+    """What each row was measured under.
 
-    q: np.ndarray  # (m, n)
-    t: np.ndarray  # (m,) -0.5..0.5
-    warm: np.ndarray  # (m,) temperature less its mean
-    s: np.ndarray  # (m, n) directions
-    payload: np.ndarray  # (m,)
+    q : (m, n);  t : (m,) -0.5..0.5;  warm : (m,) temperature less its mean;  s : (m, n) directions;  payload : (m,)
+    marker : (m,) number of the measured point, from 0
+    """
 
-
-def random_truth(rng: np.random.Generator, n: int | None = None, limits: str = "full") -> TrueArm:
-    n = int(rng.integers(2, 7)) if n is None else n
-    lengths = np.round(rng.uniform(80.0, 400.0, n))
-    if limits == "full":
-        lower, upper = np.full(n, -np.pi), np.full(n, np.pi)
-    else:
-        span = np.concatenate([[2 * np.pi], rng.uniform(np.radians(120), np.radians(300), n - 1)])
-        middle = rng.uniform(-0.5, 0.5, n)
-        lower, upper = middle - span / 2, middle + span / 2
-    return TrueArm(
-        lengths=lengths,
-        masses=lengths / 100.0 * rng.uniform(1.0, 5.0, n),
-        center=np.full(n, 0.5),
-        payload=float(rng.uniform(1.0, 12.0)),
-        lower=lower,
-        upper=upper,
-        sigma=float(rng.choice([0.02, 0.05, 0.1, 0.2])),
-        length_errors=rng.normal(0.0, 1.0, n),
-        joint_offsets=rng.normal(0.0, 0.008, n),
-    )
+    q: Array
+    t: Array
+    warm: Array
+    s: Array
+    payload: Array
+    marker: np.ndarray
 
 
-def session(truth: TrueArm, q: np.ndarray, rng: np.random.Generator) -> RowConditions:
+def session(truth: TrueArm, q: Array, rng: np.random.Generator, reflectors: int = 1) -> RowConditions:
+    """Postures (m, n) measured one after another, reflectors taking turns."""
     m = len(q)
-    change = np.sign(np.diff(q, axis=0))
-    s = np.vstack([np.ones(truth.n), change])
+    s = np.vstack([np.ones(truth.n), np.sign(np.diff(q, axis=0))])
     for i in range(1, m):
         s[i] = np.where(s[i] == 0, s[i - 1], s[i])
     walk = 20.0 + 3.0 * np.sin(np.arange(m) / m * 2.5 * np.pi + rng.uniform(0, 6.3)) + rng.normal(0, 1.0, m)
-    return RowConditions(q, np.arange(m) / (m - 1) - 0.5, walk - walk.mean(), s, np.full(m, truth.payload))
+    t, payload, marker = np.arange(m) / (m - 1) - 0.5, np.full(m, truth.payload), np.arange(m) % reflectors
+    return RowConditions(q, t, walk - walk.mean(), s, payload, marker)
 
 
-def joints_xy(lengths_m: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """(m, n+1) nominal positions of the joints and the tip [m]."""
-    steps = lengths_m * np.exp(1j * theta)
-    return np.hstack([np.zeros((len(theta), 1)), np.cumsum(steps, axis=1)])
+# -- rigid motions -----------------------------------------------------------------------------------------------------
+def turn(vector: Array) -> Array:
+    """(..., 3, 3) rotations by vectors (..., 3) (Rodrigues)."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vector.shape[:-1], 3, 3)
+    whole = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    return np.asarray(np.eye(3) + whole[0] * cross + whole[1] * cross @ cross)
 
 
-def torques(truth: TrueArm, run: RowConditions) -> np.ndarray:
-    """(m, n) gravity torque about each joint [N m]: weight times horizontal distance, downwards."""
-    theta = np.cumsum(run.q, axis=1)
-    points = joints_xy(truth.lengths / 1000.0, theta)
-    n = truth.n
-    centers = points[:, :n] + truth.center * (points[:, 1:] - points[:, :n])
-    tau = np.zeros(run.q.shape)
-    for j in range(n):
-        for k in range(j, n):
-            tau[:, j] -= G * truth.masses[k] * (centers[:, k] - points[:, j]).real
-        tau[:, j] -= G * run.payload * (points[:, n] - points[:, j]).real
-    return tau
+def screw(rotation: Array, point: Array) -> Array:
+    """(..., 4, 4) rotations (..., 3, 3) about axes through a point (3,)."""
+    motion = np.zeros((*rotation.shape[:-2], 4, 4))
+    motion[..., :3, :3], motion[..., 3, 3] = rotation, 1.0
+    motion[..., :3, 3] = point - rotation @ point
+    return motion
 
 
-def bending(truth: TrueArm, run: RowConditions) -> tuple[np.ndarray, np.ndarray]:
-    """(m, n) deflection [mm] and slope [rad] of each link's tip per unit 1/(EI)."""
-    theta = np.cumsum(run.q, axis=1)
-    n = truth.n
-    points = joints_xy(truth.lengths / 1000.0, theta)
-    centers = points[:, :n] + truth.center * (points[:, 1:] - points[:, :n])
-    deflection, slope = np.zeros(theta.shape), np.zeros(theta.shape)
-    for j in range(n):
-        L = truth.lengths[j] / 1000.0
-        weight = truth.masses[j + 1 :].sum() + run.payload
-        F = -G * weight * np.cos(theta[:, j])
-        M = -G * run.payload * (points[:, n] - points[:, j + 1]).real
-        M = M - G * (centers[:, j + 1 :] - points[:, j + 1, None]).real @ truth.masses[j + 1 :]
-        deflection[:, j] = 1000.0 * (F * L**3 / 3 + M * L**2 / 2)
-        slope[:, j] = F * L**2 / 2 + M * L
+def shift(vector: Array) -> Array:
+    """(..., 4, 4) translations by vectors (..., 3)."""
+    motion = np.zeros((*vector.shape[:-1], 4, 4))
+    motion[..., range(4), range(4)] = 1.0
+    motion[..., :3, 3] = vector
+    return motion
+
+
+# -- gravity -----------------------------------------------------------------------------------------------------------
+def hanging(truth: TrueArm, run: RowConditions) -> tuple[Array, Array, Array, Array]:
+    """Masses (m, n + 1) of links and payload, their places (m, n + 1, 3), motions (m, n, 4, 4) from home of what lies
+    beyond each joint, gravity (3,): all of the drawing, with the loads and the gravity that are hidden."""
+    place, motions = np.broadcast_to(np.eye(4), (len(run.q), 4, 4)), []
+    for frame, angle in zip(truth.home, run.q.T, strict=False):
+        place = place @ screw(turn(angle[:, None] * frame[:3, 2]), frame[:3, 3])
+        motions.append(place)
+    gravity, payload = truth.gravity, run.payload
+    for name, _, v in truth.effects:
+        if name == "gravity_tilt":  # of the base, in the plane about z
+            gravity = turn(np.array([v.get("x", 0.0), v.get("y", 0.0), v.get("angle", 0.0)])) @ gravity
+        elif name == "payload_error":
+            payload = payload + v["d"]
+        elif name == "payload_swap":  # the arm picks up a tool, and lays it down later
+            payload = payload + v["d"] * ((run.t > v["at"][0]) & (run.t < v["at"][1]))
+    start, end = truth.home[:-1, :3, 3], truth.home[1:, :3, 3]
+    load = truth.at_home(truth.tools[0] if truth.load is None else truth.load)
+    at_home = np.vstack([start + truth.center * (end - start), load])
+    carried = [at_point(motion, point) for motion, point in zip([*motions, motions[-1]], at_home, strict=True)]
+    masses = np.column_stack([np.tile(truth.masses, (len(run.q), 1)), payload])
+    return masses, np.stack(carried, axis=1), np.stack(motions, axis=1), gravity
+
+
+def at_point(motion: Array, point: Array) -> Array:
+    """(..., 3) where motions (..., 4, 4) take a point (3,)."""
+    return motion[..., :3, :3] @ point + motion[..., :3, 3]
+
+
+def moments(truth: TrueArm, run: RowConditions) -> Array:
+    """(m, n, 3) moment of gravity [N m] about the origin of each joint's frame, of the drawing, turned back home."""
+    masses, places, motions, gravity = hanging(truth, run)
+    turned = np.zeros((len(run.q), truth.n, 3))
+    for j in range(truth.n):
+        arms = places[:, j:] - at_point(motions[:, j], truth.home[j, :3, 3])[:, None]
+        moment = np.cross(np.einsum("mk,mkd->md", masses[:, j:], arms), gravity) / 1000.0
+        turned[:, j] = np.einsum("mji,mj->mi", motions[:, j, :3, :3], moment)
+    return turned
+
+
+def bending(truth: TrueArm, run: RowConditions) -> tuple[Array, Array]:
+    """(m, n) deflection [mm] and slope [rad] of each link's end per unit 1/(EI), of planar arms."""
+    masses, places, motions, gravity = hanging(truth, run)
+    deflection, slope = np.zeros(run.q.shape), np.zeros(run.q.shape)
+    for j, length in enumerate(truth.lengths / 1000.0):
+        arms = places[:, j + 1 :] - at_point(motions[:, j], truth.home[j + 1, :3, 3])[:, None]
+        force = masses[:, j + 1 :].sum(axis=1) * (motions[:, j, :3, 1] @ gravity)
+        moment = np.cross(np.einsum("mk,mkd->md", masses[:, j + 1 :], arms), gravity)[:, 2] / 1000.0
+        deflection[:, j] = 1000.0 * (force * length**3 / 3.0 + moment * length**2 / 2.0)
+        slope[:, j] = force * length**2 / 2.0 + moment * length
     return deflection, slope
 
 
-def weighed(run: RowConditions, effects: list[Drawn]) -> RowConditions:
-    """The session as gravity sees it: with the true payload, and turned against a base that leans."""
-    values = {name: v for name, _, v in effects}
-    q = run.q.copy()
-    q[:, 0] -= values.get("gravity_tilt", {"angle": 0.0})["angle"]
-    more = values.get("payload_error", {"d": 0.0})["d"]
-    if (swap := values.get("payload_swap")) is not None:  # the arm picks up a tool, and lays it down later
-        more = more + swap["d"] * ((run.t > swap["at"][0]) & (run.t < swap["at"][1]))
-    return replace(run, q=q, payload=run.payload + more)
+# -- effects -----------------------------------------------------------------------------------------------------------
+def angle_error(run: RowConditions, name: str, joint: int, v: Values, torque: Array) -> Array:
+    """(m,) what an effect of a joint adds to its angle, 0 for those that add none.
+
+    torque : (m, n) of gravity [N m]; the last of the table are not in the library
+    """
+    q, s = run.q[:, joint - 1], run.s[:, joint - 1]
+    neighbor = run.q[:, joint] if joint < run.q.shape[1] else run.q[:, joint - 2]
+    shapes: dict[str, Callable[[], Array]] = {
+        "joint_compliance": lambda: v["c"] * torque[:, joint - 1],
+        "gravity_backlash": lambda: v["b"] * np.sign(torque[:, joint - 1]),
+        "encoder_eccentricity": lambda: v["a"] * np.cos(q) + v["b"] * np.sin(q),
+        "encoder_second_harmonic": lambda: v["a"] * np.cos(2 * q) + v["b"] * np.sin(2 * q),
+        "transmission_ripple": lambda: v["a"] * np.cos(v["k"] * q) + v["b"] * np.sin(v["k"] * q),
+        "gear_ratio": lambda: v["e"] * q,
+        "joint_coupling": lambda: v["c"] * run.q[:, joint - 2],
+        "backlash": lambda: v["b"] * s,
+        "joint_step": lambda: v["b"] * (run.t > v["at"]),
+        "joint_hysteresis": lambda: v["b"] * wound_up(q, np.radians(v["width_deg"])),
+        "bump": lambda: v["h"] * np.exp(-0.5 * (np.angle(np.exp(1j * (q - v["at"]))) / v["width"]) ** 2),
+        "cubic": lambda: v["c"] * q**3,
+        # a cable along the arm pulls the joint harder the more it and its neighbor wind it
+        "cable_pull": lambda: v["c"] * q * neighbor,
+        "memory_hysteresis": lambda: v["h"] * relays(q, v["at"], v["width"]),
+        # slack until both joints have wound it up, then it pulls both
+        "two_joint_cable": lambda: v["c"] * np.maximum(0.0, q + neighbor - v["at"]),
+        # a sector of the teeth is worn down evenly
+        "gear_wear": lambda: v["h"] / (1.0 + (np.angle(np.exp(1j * (q - v["at"]))) / v["width"]) ** 8),
+        # the field of another joint's motor in the encoder
+        "cross_talk": lambda: v["a"] * np.cos(run.q[:, v["other"] - 1]) + v["b"] * np.sin(run.q[:, v["other"] - 1]),
+        # a short move stops short, a long one slips past
+        "stick_slip": lambda: v["b"] * s * (1.0 - 2.0 * np.exp(-np.append(np.inf, np.abs(np.diff(q))) / v["width"])),
+    }
+    return shapes[name]() if name in shapes else np.zeros(len(q))
 
 
-def angle_error(
-    truth: TrueArm, run: RowConditions, heavy: RowConditions, name: str, j: int | None, v: dict
-) -> np.ndarray:
-    """(m, n) what an effect adds to the joint angles;  heavy : the session as gravity sees it."""
-    out = np.zeros(run.q.shape)
-    if name == "joint_compliance" and j is None:
-        return np.asarray(v["c"]) * torques(truth, heavy)
-    if j is None:
-        return out
-    q = run.q[:, j - 1]
-    if name == "joint_compliance":
-        out[:, j - 1] = v["c"] * torques(truth, heavy)[:, j - 1]
-    elif name in ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple", "free_ripple"):
-        k = {"encoder_eccentricity": 1, "encoder_second_harmonic": 2}.get(name) or v["k"]
-        out[:, j - 1] = v["a"] * np.cos(k * q) + v["b"] * np.sin(k * q)
-    elif name == "gear_ratio":
-        out[:, j - 1] = v["e"] * q
-    elif name == "joint_coupling":
-        out[:, j - 1] = v["c"] * run.q[:, j - 2]
-    elif name == "backlash":
-        out[:, j - 1] = v["b"] * run.s[:, j - 1]
-    elif name == "gravity_backlash":
-        out[:, j - 1] = v["b"] * np.sign(torques(truth, heavy)[:, j - 1])
-    elif name == "joint_step":
-        out[:, j - 1] = v["b"] * (run.t > v["at"])
-    elif name == "joint_hysteresis":
-        out[:, j - 1] = v["b"] * wound_up(q, v["width"])
-    # outside the library
-    elif name == "bump":
-        out[:, j - 1] = v["h"] * np.exp(-0.5 * (np.angle(np.exp(1j * (q - v["at"]))) / v["width"]) ** 2)
-    elif name == "cubic":
-        out[:, j - 1] = v["c"] * q**3
-    elif name == "cable_pull":  # a cable along the arm pulls joint j harder the more joint j and its neighbor wind it
-        other = run.q[:, j] if j < truth.n else run.q[:, j - 2]
-        out[:, j - 1] = v["c"] * q * other
-    elif name in PHYSICS_JOINT:
-        out += joint_physics(run.q, run.s, name, j, v)
-    return out
+def growth(run: RowConditions, name: str, v: Values, length: float) -> Array:
+    """(m,) growth of a link, as a share of its length [mm]."""
+    since = run.t + 0.5
+    shapes: dict[str, Callable[[], Any]] = {
+        "thermal_growth": lambda: v["a"] * run.warm,
+        "thermal_transient": lambda: v["a"] * (1.0 - np.exp(-since / v["tau"])),
+        "link_step": lambda: v["d"] * (run.t > v["at"]) / length,
+        # outside the library: fast, and slowly back
+        "two_warm_ups": lambda: sum(v[a] * (1.0 - np.exp(-since / tau)) for a, tau in zip("ab", v["tau"], strict=True)),
+    }
+    return np.asarray(shapes[name]()) if name in shapes else np.zeros(len(since))
 
 
-def position(truth: TrueArm, run: RowConditions) -> np.ndarray:
-    """(m,) complex true positions."""
-    q = run.q + truth.joint_offsets
-    lengths = (truth.lengths + truth.length_errors) * np.ones(q.shape)
-    deflection, slope = np.zeros(q.shape), np.zeros(q.shape)
-    heavy = weighed(run, truth.effects)
-    for name, j, v in truth.known + truth.effects:
-        q = q + angle_error(truth, run, heavy, name, j, v)
-        lengths = lengths + link_growth(name, j, v, run.t, truth.lengths + truth.length_errors)
-        if name == "thermal_growth":
-            lengths = lengths + lengths * v["a"] * run.warm[:, None]
-        if name == "link_bending":
-            d, s = bending(truth, heavy)
-            deflection, slope = deflection + v["f"] * d, slope + v["f"] * s
-    theta = np.cumsum(q, axis=1)
-    before = np.cumsum(slope, axis=1) - slope
-    p = np.sum((lengths + 1j * deflection) * np.exp(1j * (theta + before)), axis=1)
-    for name, _, v in truth.effects:
-        if name == "gripper_play":  # what the gripper holds slides to the lower end of a slot
-            along = np.exp(1j * (theta[:, -1] + v["beta"]))
-            p = p - v["h"] * along * np.sign(along.imag)
-    for name, j, v in truth.effects:
-        if name == "axis_tilt" and j is not None:
-            q, lengths = run.q + truth.joint_offsets, truth.lengths + truth.length_errors
-            p = p + leaning_tip(q, lengths, j, v["square"], v["beta"]) - np.exp(1j * np.cumsum(q, axis=1)) @ lengths
-    for name, _, v in truth.effects:
-        if name == "base_rotation_drift":
-            p = p * np.exp(1j * v["w"] * run.t)
-    for name, _, v in truth.effects:
-        if name == "base_offset":
-            p = p + v["x"] + 1j * v["y"]
-        elif name == "base_drift":
-            p = p + (v["x"] + 1j * v["y"]) * run.t
-        elif name in ("step_drift", "base_step"):
-            p = p + (v["x"] + 1j * v["y"]) * (run.t > v["at"])
-        elif name == "warm_offset":
-            p = p + (v["x"] + 1j * v["y"]) * run.warm
+def relays(angles: Array, at: float, width: float) -> Array:
+    """(m,) mean of three relays in -1..1, less their mean curve: each switches up above at + w, down below at - w, and
+    between them stays as it was last switched, however long ago (F. Preisach, 1935); w a half, one and one and a half
+    times the width."""
+    total = np.zeros(len(angles))
+    for half in (0.5 * width, width, 1.5 * width):
+        state = 1.0
+        for i, angle in enumerate(angles - at):
+            state = 1.0 if angle > half else -1.0 if angle < -half else state
+            total[i] += state * (abs(angle) <= half) / 3.0
+    return total
+
+
+def wound_up(angles: Array, width: float) -> Array:
+    """(m,) wind-up in -1..1 of a joint that goes through these angles, from 0 at the first."""
+    state = np.zeros(len(angles))
+    for i in range(1, len(angles)):
+        state[i] = min(1.0, max(-1.0, state[i - 1] + (angles[i] - angles[i - 1]) / width))
+    return state
+
+
+def position(truth: TrueArm, run: RowConditions) -> Array:
+    """(m, d) true positions of the measured points."""
+    for k, (name, joint, v) in enumerate(truth.effects):
+        if name == "axis_tilt" and v["square"] < 0.0:  # the mirror image of a positive one
+            others = truth.effects[:k] + truth.effects[k + 1 :]
+            leaning = replace(truth, effects=[*others, (name, joint, v | {"square": -v["square"]})])
+            return 2.0 * position(replace(truth, effects=others), run) - position(leaning, run)
+    tip = places(truth, run)[-1][:, : truth.dimension, 3]
     for name, _, v in truth.effects:
         if name == "axes_skew":
-            p = p + (v["a"] + 1j * v["b"]) * np.conj(p)
-        elif name == "barrel":  # outside the library: the instrument is bent in a corner of the workspace
-            reach = truth.lengths.sum()
-            p = p + (v["x"] + 1j * v["y"]) * (np.abs(p) / reach) ** 2 * (p.real / reach)
-        elif name == "refraction":
-            p = p + refracted(p, v, truth.lengths.sum())
-    return p
+            tip = tip + tip @ np.array([[v["a"], v["b"]], [v["b"], -v["a"]]])
+        elif name == "refraction":  # outside the library: across the line of sight, as its length squared
+            sight = tip - v["at"]
+            across = np.column_stack([-sight[:, 1], sight[:, 0]])
+            tip = tip + v["c"] * np.linalg.norm(sight, axis=1, keepdims=True) * across / truth.lengths.sum()
+    return tip
 
 
-def noise(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: str = "white") -> np.ndarray:
-    """(m,) complex noise, of sigma in each coordinate where it is white.
+def places(truth: TrueArm, run: RowConditions) -> list[Array]:
+    """n + 2 transformations (m, 4, 4): of the base, of what lies beyond each joint, and the measured point's place."""
+    (m, n), home, effects = run.q.shape, truth.home, truth.modelled + truth.effects
+    load = moments(truth, run) if {name for name, *_ in effects} & set(OF_GRAVITY) else np.zeros((m, n, 3))
+    torques = np.einsum("mji,ji->mj", load, home[:-1, :3, 2])
+    bent = any(name == "link_bending" for name, *_ in effects)
+    deflection, slope = bending(truth, run) if bent else np.zeros((2, m, n))
+    frames = [_base(truth, run)]
+    for j, (line, point, link) in enumerate(zip(truth.axes, truth.points, truth.links, strict=True)):
+        (x, y, axis), origin, q = home[j, :3, :3].T, home[j, :3, 3], run.q[:, j]
+        angle, lean, bend = q + truth.offsets[j], np.zeros(3), np.zeros(m)
+        tilt, moved, longer = np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 3))  # of what lies beyond, at home
+        for name, joint, v in effects:
+            if name == "joint_compliance" and joint is None:
+                angle = angle + v["c"][j] * torques[:, j]
+            elif joint is not None and (joint == j + 1 or (name == "two_joint_cable" and joint == j)):
+                angle = angle + angle_error(run, name, joint, v, torques)
+            if joint in (None, j + 1):
+                longer = longer + np.outer(growth(run, name, v, float(np.linalg.norm(link))), link)
+            if name == "link_bending":
+                longer, bend = longer + v["flexibility"] * np.outer(deflection[:, j], y), v["flexibility"] * slope[:, j]
+            elif name == "bearing_compliance" and joint == j + 1:
+                tilt = tilt + v["c"] * (load[:, j] - torques[:, j, None] * axis)
+            elif name == "axis_wobble" and joint == j + 1:  # outside the library: twice a turn
+                tilt = tilt + v["c"] * np.column_stack([np.cos(2 * q), np.sin(2 * q)]) @ [x, y]
+            elif name == "axis_runout" and joint == j + 1:
+                circle = (v["a"] + 1j * v["b"]) * np.exp(-1j * q)
+                moved = moved + np.column_stack([circle.real, circle.imag]) @ [x, y]
+            elif name == "axis_tilt" and joint == j + 1:
+                lean = np.sqrt(v["square"]) * (np.cos(v["beta"]) * x + np.sin(v["beta"]) * y)
+        place = frames[-1] @ shift(moved) @ screw(turn(lean), point) @ screw(turn(angle[:, None] * line), point)
+        place = place @ screw(turn(tilt), origin) @ shift(longer)
+        frames.append(place @ screw(turn(bend[:, None] * axis), point + link) if bend.any() else place)
+    tools = truth.at_home(truth.tools)[run.marker]
+    for name, _, v in truth.effects:
+        if name == "gripper_play":  # outside the library: what it holds slides to the lower end of a slot
+            slot = np.array([np.cos(v["beta"]), np.sin(v["beta"]), 0.0])
+            tools = tools - v["h"] * np.sign(frames[-1][:, 1, :3] @ slot)[:, None] * slot
+    return [*frames, frames[-1] @ shift(tools)]
+
+
+def _base(truth: TrueArm, run: RowConditions) -> Array:
+    """(m, 4, 4) where the arm's base is in each row."""
+    drift, rotation = np.zeros((len(run.q), 3)), np.zeros((len(run.q), 3))
+    for name, _, v in truth.effects:
+        if name == "base_offset":
+            drift = drift + np.array([v["x0"], v["y0"], 0.0])
+        elif name == "base_step":
+            drift = drift + (run.t > v["at"])[:, None] * [v["x"], v["y"], 0.0]
+        elif name in ("base_drift", "warm_offset"):
+            followed = run.t if name == "base_drift" else run.warm
+            drift[:, : truth.dimension] += followed[:, None] * v["v"]
+        elif name == "base_rotation_drift":  # in the plane about z
+            rotation = rotation + run.t[:, None] * (v["w"] * UPRIGHT if truth.dimension == 2 else np.array(v["w"]))
+    return np.asarray(shift(drift) @ truth.base @ screw(turn(rotation), np.zeros(3)))
+
+
+# -- derivatives -------------------------------------------------------------------------------------------------------
+SHAPES = ("k", "at", "tau", "width", "width_deg", "beta", "other")  # values of effects that are no amplitudes
+
+
+def scaled_amplitudes(values: Values, factor: float) -> Values:
+    """The amplitudes times a factor; k, at, width and the like are shapes and stay."""
+    return {name: (v if name in SHAPES else v * factor) for name, v in values.items()}
+
+
+def column(truth: TrueArm, run: RowConditions, effect: Drawn) -> Array:
+    """(m d,) derivative of the position with respect to the amplitude of an effect."""
+    name, joint, values = effect
+    up, down = (replace(truth, effects=[(name, joint, scaled_amplitudes(values, step))]) for step in (1e-6, -1e-6))
+    return np.asarray((position(up, run) - position(down, run)).ravel() / 2e-6)
+
+
+def base_jacobian(truth: TrueArm, run: RowConditions) -> Array:
+    """(m d, p) columns of all that the geometry of an arm can be wrong about.
+
+    In the plane lengths and angles of the links, in which the position is linear: p = 2n. In space a small displacement
+    of the base and of all beyond each joint, and the places of the K measured points: p = 6 (n + 1) + 3K.
+    """
+    if truth.dimension == 2:
+        _, *frames, _ = places(replace(truth, effects=[], modelled=[]), run)
+        return np.concatenate([frame[:, :2, :2] for frame in frames], axis=2).reshape(2 * len(run.q), -1)
+    *frames, last = places(truth, run)
+    columns = []
+    for frame in frames:
+        at = np.linalg.solve(frame, last)[:, :3, 3]
+        rotation = frame[:, :3, :3]
+        columns += [rotation, np.cross(rotation, rotation @ at[:, :, None], axis=1)]
+    for k in range(len(truth.tools)):
+        columns.append(1.0 * (run.marker == k)[:, None, None] * frames[-1][:, :3, :3])
+    return np.concatenate(columns, axis=2).reshape(3 * len(run.q), -1)
+
+
+def off(columns: Array, vector: Array) -> Array:
+    """What a fit by least squares of the columns (N, p) leaves of vectors (N,) or (N, k)."""
+    return np.asarray(vector - columns @ np.linalg.lstsq(columns, vector, rcond=1e-10)[0])
+
+
+# -- the instrument ----------------------------------------------------------------------------------------------------
+def noise(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: str = "white") -> Array:
+    """(m, d) noise, of sigma in each coordinate where it is white.
 
     kind : beside those by name: `t3`: Student's t with 3 degrees of freedom and this standard deviation; `walk`: white
         noise and a walk whose RMS about its mean is sigma; `quantized`: white noise, and the display shows steps of
         sigma; `posture`: white noise, and an error of 2 sigma that following rows of one posture share
     """
-    m = len(run.q)
-    e = rng.standard_normal((m, 2)) @ np.array([1, 1j]) * truth.sigma
-    p = position(truth, run)
-    reach = truth.lengths.sum()
+    m, d, sigma = len(run.q), truth.dimension, truth.sigma
+    e = sigma * rng.standard_normal((m, d))
+    if kind in ("joint", "reach", "quantized"):
+        p, reach = position(truth, run), truth.lengths.sum()
     if kind == "joint":  # joint 1 shakes: perpendicular to the reach and proportional to it
-        e = e + 1j * p / reach * rng.standard_normal(m) * truth.sigma * 3
+        e += np.column_stack([-p[:, 1], p[:, 0]]) / reach * rng.standard_normal(m)[:, None] * sigma * 3
     elif kind == "reach":
-        e = e * (0.5 + 1.5 * np.abs(p) / reach)
+        e *= 0.5 + 1.5 * np.linalg.norm(p, axis=1, keepdims=True) / reach
     elif kind == "outliers":
-        worst = rng.choice(m, 3, replace=False)
-        e[worst] += 15 * truth.sigma * np.exp(2j * np.pi * rng.random(3))
+        worst = rng.choice(m, OUTLIERS, replace=False)
+        angle = 2.0 * np.pi * rng.random(OUTLIERS)
+        away = np.column_stack([np.cos(angle), np.sin(angle)]) if d == 2 else rng.standard_normal((OUTLIERS, d))
+        e[worst] += OFF * sigma * away / np.linalg.norm(away, axis=1, keepdims=True)
     elif kind == "serial":
         for i in range(1, m):
             e[i] = 0.7 * e[i - 1] + np.sqrt(1 - 0.49) * e[i]
     elif kind == "t3":
-        e = rng.standard_t(3.0, (m, 2)) @ np.array([1, 1j]) * truth.sigma / np.sqrt(3.0)
+        e = sigma * rng.standard_t(3.0, (m, d)) / np.sqrt(3.0)
     elif kind == "walk":  # over m rows of unit steps the mean square about the mean is (m^2 - 1) / (6 m)
-        walk = np.cumsum(rng.standard_normal((m, 2)) @ np.array([1, 1j])) * truth.sigma
-        e = e + (walk - walk.mean()) * np.sqrt(6.0 * m / (m**2 - 1.0))
+        walk = sigma * np.cumsum(rng.standard_normal((m, d)), axis=0)
+        e += (walk - walk.mean(axis=0)) * np.sqrt(6.0 * m / (m**2 - 1.0))
     elif kind == "quantized":
-        shown = np.round((p + e).view(float) / truth.sigma) * truth.sigma
-        e = shown.view(complex) - p
+        e = np.round((p + e) / sigma) * sigma - p
     elif kind == "posture":
-        e = e + model_error(run, 2, rng) @ np.array([1, 1j]) * truth.sigma
+        number = np.append(0, np.cumsum(np.any(np.diff(run.q, axis=0) != 0.0, axis=1)))
+        e += sigma * MODEL_ERROR * rng.standard_normal((m, d))[number]
     return e
 
 
-def model_error(run: RowConditions, d: int, rng: np.random.Generator) -> np.ndarray:
-    """(m, d) errors in units of sigma that following rows of one posture share."""
-    number = np.append(0, np.cumsum(np.any(np.diff(run.q, axis=0) != 0.0, axis=1)))
-    return np.asarray(MODEL_ERROR * rng.standard_normal((len(number), d))[number])
-
-
-def recorded(truth: TrueArm, run: RowConditions, error: np.ndarray) -> Measurements:
+def recorded(truth: TrueArm, run: RowConditions, error: Array) -> Measurements:
     """What the instrument says."""
-    p = position(truth, run) + error
-    order = np.arange(len(run.q), dtype=float)
-    xy = np.column_stack([p.real, p.imag])
-    return Measurements(run.q, xy, order, temperature=20.0 + run.warm, directions=run.s)
+    names = tuple(str(k + 1) for k in range(len(truth.tools)))
+    marker = {"marker": np.array(names)[run.marker], "marker_names": names} if len(names) > 1 else {}
+    order, temperature = np.arange(len(run.q), dtype=float), 20.0 + run.warm
+    return Measurements(run.q, position(truth, run) + error, order, temperature=temperature, directions=run.s, **marker)
 
 
-def measure(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: str) -> Measurements:
+def measure(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: str = "white") -> Measurements:
+    """What the instrument says, with noise of this kind."""
     return recorded(truth, run, noise(truth, run, rng, kind))
 
 
@@ -275,28 +456,20 @@ def measure_more(
     truth: TrueArm,
     run: RowConditions,
     data: Measurements,
-    postures: np.ndarray,
-    payload: np.ndarray | None,
-    directions: np.ndarray | None,
+    postures: Array,
+    payload: Array | None,
+    directions: Array | None,
     rng: np.random.Generator,
 ) -> Measurements:
     """The same session goes on: the data with (K) further postures at their end."""
     m, count = len(data), len(postures)
     q = np.vstack([data.postures, postures])
     s = session(truth, q, rng).s[m:] if directions is None else directions
-    added = RowConditions(
-        postures,
-        0.5 + np.arange(1, count + 1) / (m - 1),
-        rng.normal(0.0, 1.0, count),
-        s,
-        np.full(count, truth.payload) if payload is None else payload,
-    )
-    p = position(truth, added) + noise(truth, added, rng)
-    return Measurements(
-        q,
-        np.vstack([data.positions, np.column_stack([p.real, p.imag])]),
-        np.arange(m + count, dtype=float),
-        temperature=20.0 + np.concatenate([run.warm, added.warm]),
-        directions=np.vstack([np.asarray(data.directions), s]),
-        payload=np.concatenate([run.payload, added.payload]),
+    payload = np.full(count, truth.payload) if payload is None else payload
+    t, warm = 0.5 + np.arange(1, count + 1) / (m - 1), rng.normal(0.0, 1.0, count)
+    later = RowConditions(postures, t, warm, s, payload, np.zeros(count, dtype=int))
+    whole = RowConditions(*(np.concatenate([getattr(one, f.name) for one in (run, later)]) for f in fields(run)))
+    positions = np.vstack([data.positions, measure(truth, later, rng).positions])
+    return replace(
+        recorded(truth, whole, np.zeros((m + count, truth.dimension))), positions=positions, payload=whole.payload
     )

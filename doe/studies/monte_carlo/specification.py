@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doe.plan.plan import Plan
+from doe.problem.spatial import with_points, without_prior
 from doe.solvers import SOLVERS
-from doe.studies.monte_carlo.spatial import fitted_model, points, simulated
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
 from identification.effects import library
@@ -21,6 +21,16 @@ CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that
 DFT, RANDOM = "dft", "random"
 MOST_RUNS, MOST_REPLICATIONS, MOST_BLOCK = 100_000, 1_000_000_000, 1_000_000  # of a cell, a cell, and a task
 MOST_TASKS = 100_000  # of a cell: each is a row of a table
+
+
+def simulated(arm: Arm) -> Arm:
+    """The arm with its measured points in place; a planar arm as it is."""
+    return arm if arm.chain is None else replace(arm, chain=with_points(arm.chain))
+
+
+def points(model: Model) -> int:
+    """Number of measured points, each a row at every posture."""
+    return 1 if model.arm.chain is None else len(model.arm.chain.tools)
 
 
 @dataclass(frozen=True)
@@ -49,20 +59,20 @@ class Truth:
     def _planar(self, arm: Arm) -> Calibration:
         if self.values is not None:
             raise InputError("values: found for a planar arm, allowed: length_errors_mm and joint_offsets_deg")
-        own = arm.calibration or Calibration.of(np.zeros(arm.links), np.zeros(arm.links))
-        lengths = own.length_errors if self.length_errors is None else readonly(self.length_errors)
-        offsets = own.joint_offsets if self.joint_offsets is None else readonly(self.joint_offsets)
+        before = arm.calibration or Calibration.of(np.zeros(arm.links), np.zeros(arm.links))
+        lengths = before.length_errors if self.length_errors is None else readonly(self.length_errors)
+        offsets = before.joint_offsets if self.joint_offsets is None else readonly(self.joint_offsets)
         for name, values in (("length_errors_mm", lengths), ("joint_offsets_deg", offsets)):
             if values.size != arm.links:
                 raise InputError(f"{name}: found {values.size} values for {arm.links} links, allowed: {arm.links}")
         return Calibration.of(lengths, offsets)
 
     def _spatial(self, arm: Arm) -> Calibration:
-        for name, found in (("length_errors_mm", self.length_errors), ("joint_offsets_deg", self.joint_offsets)):
-            if found is not None:
+        for name, errors in (("length_errors_mm", self.length_errors), ("joint_offsets_deg", self.joint_offsets)):
+            if errors is not None:
                 raise InputError(f'{name}: found for a spatial arm, allowed: values = {{"translation_x:2" = 0.5}}')
-        own = {} if arm.calibration is None else arm.calibration.values
-        geometry = {name: value for name, value in own.items() if GEOMETRY.fullmatch(name)}
+        before = {} if arm.calibration is None else arm.calibration.values
+        geometry = {name: value for name, value in before.items() if GEOMETRY.fullmatch(name)}
         values = geometry if self.values is None else self.values
         allowed = arm.chain.parameters().names if arm.chain is not None else ()
         for name in values:
@@ -107,18 +117,34 @@ class Study:
     solver_seconds: float = 60.0
 
     def __post_init__(self) -> None:
+        """The same limits as in a file, for those who write Python, and all that can be said before work starts."""
         object.__setattr__(self, "arms", [simulated(arm) for arm in self.arms])
         self._check_plans()
-        for what, entries in self._named:
+        for what, entries in (("truths", self.truths), ("models", self.models), ("arms", self.arms)):
             names = [entry.name for entry in entries]
             if len(set(names)) < len(names):
                 raise InputError(f"{what}: name {max(names, key=names.count)!r} is given twice, allowed: once")
-        names = [arm.name for arm in self.arms]
-        if len(set(names)) < len(names):
-            raise InputError(f"arms: two arms are named {max(names, key=names.count)!r}, allowed: names of their own")
-        self._check_numbers()
+        counts = [("replications", self.replications, MOST_REPLICATIONS), ("block", self.block, MOST_BLOCK)]
+        for name, value, most in [*counts, *(("runs", runs, MOST_RUNS) for runs in self.runs)]:
+            if not (isinstance(value, int | np.integer) and 1 <= value <= most):
+                raise InputError(f"{name}: found {value!r}, allowed: a whole number >= 1, at most {most:,}")
+        for sigma in self.sigma:
+            if not 0.0 < sigma < np.inf:
+                raise InputError(f"sigma_mm: found {sigma!r}, allowed: numbers > 0 [mm]")
+        if self.replications / self.block > MOST_TASKS:
+            least = f"at least {-(-self.replications // MOST_TASKS)} for {self.replications} replications"
+            raise InputError(f"block: found {self.block}, allowed: {least}")
         for arm in self.arms:
-            self._check(arm)
+            if arm.sigma is None and not self.sigma:
+                raise InputError(f"sigma_mm: is missing, allowed: numbers > 0 [mm], as arm {arm.name} has none")
+            for truth in self.truths:
+                _check_entry("truths", truth, arm)
+            for fitted in self.models:
+                _check_entry("models", fitted, arm)
+            for plan in self.plans:
+                if not isinstance(plan, str) and plan[1].links != arm.links:
+                    allowed = f"{arm.links} as arm {arm.name}"
+                    raise InputError(f"plans: {plan[0]} has {plan[1].links} joints, allowed: {allowed}")
         self._check_runs()
 
     def _check_plans(self) -> None:
@@ -129,57 +155,29 @@ class Study:
             if isinstance(plan, str) and not self.runs:
                 raise InputError(f"runs: is missing, allowed: whole numbers >= 1, as plan {plan!r} needs them")
 
-    def _check_numbers(self) -> None:
-        """The same limits as in a file, for those who write Python."""
-        counts = [("replications", self.replications, MOST_REPLICATIONS), ("block", self.block, MOST_BLOCK)]
-        for name, value, most in [*counts, *(("runs", runs, MOST_RUNS) for runs in self.runs)]:
-            if not (isinstance(value, int | np.integer) and 1 <= value <= most):
-                raise InputError(f"{name}: found {value!r}, allowed: a whole number >= 1, at most {most:,}")
-        for sigma in self.sigma:
-            if not 0.0 < sigma < np.inf:
-                raise InputError(f"sigma_mm: found {sigma!r}, allowed: numbers > 0 [mm]")
-        if self.replications / self.block > MOST_TASKS:
-            least = -(-self.replications // MOST_TASKS)
-            raise InputError(
-                f"block: found {self.block}, allowed: at least {least} for {self.replications} replications"
-            )
-
     def _check_runs(self) -> None:
-        """Some cell must have as many equations as unknowns; the others are rows that say why there is nothing."""
+        """One cell must have as many equations as unknowns; the others are rows that say why there is nothing."""
         sizes = [size for plan in self.plans for size in (self.runs if isinstance(plan, str) else [len(plan[1])])]
-        fitted = [fitted_model(entry.of(arm)) for arm in self.arms for entry in self.models]
-        found = [(len(model.names), model.dimension * points(model)) for model in fitted]
-        unknowns, each = min(found, key=lambda pair: pair[0] / pair[1], default=(0, 1))
+        fitted = [Model(without_prior(entry.of(arm))) for arm in self.arms for entry in self.models]
+        needs = [(len(model.names), model.dimension * points(model)) for model in fitted]
+        unknowns, each = min(needs, key=lambda pair: pair[0] / pair[1], default=(0, 1))
         if sizes and each * max(sizes) < unknowns:
             allowed = f"at least {-(-unknowns // each)} for {unknowns} parameters"
             raise InputError(f"runs: found {max(sizes)}, allowed: {allowed}")
 
-    @property
-    def _named(self) -> list[tuple[str, Sequence[Truth | Fitted]]]:
-        return [("truths", self.truths), ("models", self.models)]
 
-    def _check(self, arm: Arm) -> None:
-        """Everything that can be said about an arm's cells before work starts."""
-        if arm.sigma is None and not self.sigma:
-            raise InputError(f"sigma_mm: is missing, allowed: numbers > 0 [mm], as arm {arm.name} has none")
-        for what, entries in self._named:
-            for entry in entries:
-                try:
-                    model = Model(entry.of(arm))
-                    _ = model.symbols  # raises for an effect that needs what the arm does not have
-                except InputError as error:
-                    raise InputError(f"{what}: {entry.name} with arm {arm.name}: {error}") from None
-                if what == "truths" and (spec := _scattering(entry, arm)):
-                    no = f"{spec.key}, which changes the scatter, is not simulated here"
-                    raise InputError(f"{what}: {entry.name} with arm {arm.name}: {no}, allowed: other effects")
-                if "temperature" in model.needs:
-                    raise InputError(f"{what}: {entry.name} needs temperatures, allowed: effects without them")
-        for plan in self.plans:
-            if not isinstance(plan, str) and plan[1].links != arm.links:
-                raise InputError(f"plans: {plan[0]} has {plan[1].links} joints, allowed: {arm.links} as arm {arm.name}")
-
-
-def _scattering(truth: Truth | Fitted, arm: Arm) -> EffectSpec | None:
-    """The first effect on the scatter that a truth includes; an arm's own without values is not simulated."""
-    asked = [spec for spec in truth.of(arm).effects if truth.effects is not None or spec.values]
-    return next((spec for spec in asked if library()[spec.name].scatter), None)
+def _check_entry(what: str, entry: Truth | Fitted, arm: Arm) -> None:
+    """Whether this arm can have a truth or a model. Raises `InputError`."""
+    place = f"{what}: {entry.name} with arm {arm.name}"
+    try:
+        model = Model(entry.of(arm))
+        _ = model.symbols  # raises for an effect that needs what the arm does not have
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
+    asked = [spec for spec in model.arm.effects if entry.effects is not None or spec.values]  # those without: not there
+    scatters = next((spec for spec in asked if library()[spec.name].scatter), None)
+    if what == "truths" and scatters is not None:
+        no = f"{scatters.key}, which changes the scatter, is not simulated here"
+        raise InputError(f"{place}: {no}, allowed: other effects")
+    if "temperature" in model.needs:
+        raise InputError(f"{what}: {entry.name} needs temperatures, allowed: effects without them")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -12,16 +13,20 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from doe.jobs.row_table import Key, parquet, short_hash, with_columns
+from doe.jobs.row_table import Key, Row, canonical, parquet, short_hash, with_columns
 from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
-from doe.studies.monte_carlo.plans import made_postures, make_plan, plan_keys, plans_of
-from doe.studies.monte_carlo.replications import Cell, replicate
-from doe.studies.monte_carlo.spatial import in_file_units
-from doe.studies.monte_carlo.specification import CELL, RANDOM, Study
+from doe.problem.problem import DesignProblem
+from doe.solvers import solve
+from doe.studies.monte_carlo.replications import Cell, in_api_units, in_file_units, replicate
+from doe.studies.monte_carlo.specification import CELL, DFT, RANDOM, Study
+from identification.arm import Arm
+from identification.arrays import Array
 from identification.errors import JobError
+from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
 from identification.files.io import PathLike, write_whole
+from identification.model import Model
 from identification.progress import Progress, silent
 
 PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
@@ -65,20 +70,76 @@ def run_study(
     """
     options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "progress": progress}
     arms = {short_hash(text): text for text in map(dump_arm, study.arms)}
+    solvers = [plan for plan in study.plans if isinstance(plan, str) and plan not in (DFT, RANDOM)]
+    keys: list[Key] = [
+        {"arm": arm.name, "plan": plan, "runs": runs, "limit_s": study.solver_seconds, "inputs": digest}
+        for (arm, digest), plan, runs in product(zip(study.arms, arms, strict=True), solvers, study.runs)
+    ]
     with Job.open(folder, (PLANS, BLOCKS), workers, **options) as job:
-        plans = job.run(make_plan, list(plan_keys(study)), PLANS, payload=lambda key: arms[key["inputs"]])
-        tasks = dict(_tasks(study, made_postures(study, plans)))
-        blocks = job.run(replicate, [dict(key) for key in tasks], BLOCKS, payload=lambda key: tasks[_frozen(key)])
+        plans = job.run(make_plan, keys, PLANS, payload=lambda key: arms[key["inputs"]])
+        tasks = {canonical(key): (key, cell) for key, cell in _tasks(study, plans)}
+        blocks = job.run(replicate, [key for key, _ in tasks.values()], BLOCKS, lambda key: tasks[canonical(key)][1])
         cells = pooled_rows(blocks)
         if folder is not None:
             write_whole(Path(folder) / CELLS, parquet(cells), force=True)
     return StudyResult(cells, blocks, plans)
 
 
-def _tasks(study: Study, made: Mapping[Any, np.ndarray | str]) -> Iterator[tuple[Any, Cell | str]]:
-    """Frozen key and payload of every block."""
+# -- plans -------------------------------------------------------------------------------------------------------------
+def make_plan(key: dict[str, Any], seed: np.random.SeedSequence, text: str) -> list[Row]:
+    """The plan of a key as one row, for the arm of an arm file's text."""
+    problem = DesignProblem.of(Model(arm_from_tables(tomllib.loads(text))))
+    number = int(seed.generate_state(1)[0])
+    design = solve(problem, key["runs"], key["plan"], seed=number, seconds=key["limit_s"])
+    postures = in_file_units(design.plan.postures, problem.model.joint_types)
+    return [{"postures_deg": postures.tolist(), "efficiency": design.efficiency}]
+
+
+def dft_postures(links: int, runs: int) -> Array:
+    """(m, n) theta_j = 2 pi i j / m, so every q_j = 2 pi i / m, in (-pi, pi] (doe/README.md, "Information matrix")."""
+    turn = 2.0 * np.pi * np.arange(runs) / runs
+    return np.tile(np.where(turn > np.pi, turn - 2.0 * np.pi, turn)[:, None], (1, links))
+
+
+def _dft(arm: Arm, runs: int) -> Array | str:
+    """The plan, or why there is none."""
+    if arm.chain is not None:
+        return f"plan dft: arm {arm.name} is spatial, allowed: planar arms"
+    if runs < arm.links:
+        return f"plan dft: {runs} runs are too few for {arm.links} links, allowed: at least {arm.links}"
+    postures = dft_postures(arm.links, runs)
+    outside = np.flatnonzero(np.any((postures < arm.lower) | (postures > arm.upper), axis=0))
+    if outside.size:
+        return f"plan dft: joint {outside[0] + 1} would leave its limits"
+    outside = np.flatnonzero(~DesignProblem.of(Model(arm)).feasible(postures))
+    return f"plan dft: posture {outside[0] + 1} would violate a constraint" if outside.size else postures
+
+
+def _plans_of(study: Study, arm: Arm, made: pl.DataFrame) -> Iterator[tuple[str, int, Array | str | None]]:
+    """Name, number of runs and postures (None: random, a text: why there is none) of an arm's plans."""
+    rows = {(row["arm"], row["plan"], row["runs"]): row for row in made.iter_rows(named=True)}
+    for plan in study.plans:
+        if not isinstance(plan, str):
+            yield plan[0], len(plan[1]), plan[1].postures
+            continue
+        for runs in study.runs:
+            if plan == RANDOM:
+                yield plan, runs, None
+            elif plan == DFT:
+                yield plan, runs, _dft(arm, runs)
+            elif (row := rows[arm.name, plan, runs])["status"] == "done":
+                yield plan, runs, in_api_units(np.array(row["postures_deg"]), arm.joint_types)
+            else:
+                yield plan, runs, f"no plan: {row['error']}"
+
+
+# -- blocks ------------------------------------------------------------------------------------------------------------
+def _tasks(study: Study, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]:
+    """Key and payload of every block; a cell that cannot be simulated has one block, whose row says why."""
+    whole, rest = divmod(study.replications, study.block)
+    blocks = [study.block] * whole + [rest] * (rest > 0)
     for arm in study.arms:
-        for name, runs, postures in plans_of(study, arm, made):
+        for name, runs, postures in _plans_of(study, arm, made):
             for sigma, truth, model in product(study.sigma or [arm.sigma or 0.0], study.truths, study.models):
                 texts = dump_arm(model.of(arm)), dump_arm(truth.of(arm))
                 degrees = in_file_units(postures, arm.joint_types) if isinstance(postures, np.ndarray) else None
@@ -86,20 +147,8 @@ def _tasks(study: Study, made: Mapping[Any, np.ndarray | str]) -> Iterator[tuple
                 cell = postures if isinstance(postures, str) else Cell(*texts, plan, runs, float(sigma))
                 key = dict(zip(CELL, (arm.name, name, runs, sigma, truth.name, model.name), strict=True))
                 key["inputs"] = short_hash(repr((texts, plan)))
-                for number, size in enumerate(_sizes(study, cell)):
-                    yield _frozen({**key, "block": number, "replications": size}), cell
-
-
-def _sizes(study: Study, cell: Cell | str) -> list[int]:
-    """Replications of each block; a cell that cannot be simulated has one block, whose row says why."""
-    if isinstance(cell, str):
-        return [study.replications]
-    whole, rest = divmod(study.replications, study.block)
-    return [study.block] * whole + [rest] * (rest > 0)
-
-
-def _frozen(key: Key) -> tuple[tuple[str, Any], ...]:
-    return tuple(key.items())
+                for number, size in enumerate([study.replications] if isinstance(cell, str) else blocks):
+                    yield {**key, "block": number, "replications": size}, cell
 
 
 def require_some(result: StudyResult) -> None:
@@ -136,7 +185,7 @@ def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
     std = (about / (n - 1)).sqrt()
     of_fits = (pl.col("rms_mm") ** 2 * pl.col("fits")).sum()
     expected = ((pl.col("expected_std") ** 2 * pl.col("fits")).sum() / n).sqrt()
-    some = pl.col("status") == "done"
+    done = pl.col("status") == "done"
     return blocks.group_by(*CELL, "inputs", "parameter", "unit", maintain_order=True).agg(
         n.alias("fits"),
         pl.col("failed").sum(),
@@ -148,6 +197,6 @@ def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
         pl.when(n > 0).then(expected).alias("expected_std"),
         pl.when(n > 0).then(pl.col("covered").sum() / n).alias("coverage"),
         pl.when(pl.col("rms_mm").is_not_null().any()).then((of_fits / n).sqrt()).alias("rms_mm"),
-        pl.when(some.all()).then(pl.lit("done")).otherwise(pl.lit("failed")).alias("status"),
+        pl.when(done.all()).then(pl.lit("done")).otherwise(pl.lit("failed")).alias("status"),
         pl.col("error").cast(pl.String).drop_nulls().first().alias("error"),
     )

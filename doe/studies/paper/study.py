@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,17 +10,24 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from doe.jobs.row_table import Key, Row, RowTable, frame_of, parquet
-from doe.jobs.tasks import run_tasks
+from doe.jobs.row_table import Key, Row, frame_of, parquet
+from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
+from doe.studies.paper import tables
 from doe.studies.paper.errata import CHECKS, errata
-from doe.studies.paper.figures import RUNS, figure_1, figure_2
-from doe.studies.paper.tables import ARM_NAMES, REPLICATIONS, consistent, table_1, table_2, table_3, text_figures
 from identification.errors import InputError, JobError
-from identification.files.io import check_writable, write_together
+from identification.files.io import PathLike, check_writable, write_together
 from identification.progress import Progress, silent
 
-NAMES = ("table_1", "table_2", "table_3", "text", "errata", "figure_1", "figure_2")
+# what takes long comes in pieces
+PIECES: dict[str, Any] = {
+    **dict.fromkeys(("table_1", "table_2"), (None,)),
+    "table_3": tables.ARM_NAMES,
+    "text": (None,),
+    "errata": range(len(CHECKS)),
+    "figure_1": (None,),
+    "figure_2": tables.RUNS,
+}
 PARTS = "parts.parquet"
 ALLOWED = 100, 100_000  # replications
 
@@ -30,7 +36,7 @@ ALLOWED = 100, 100_000  # replications
 class PaperStudy:
     """Everything of the paper, computed again.
 
-    tables : by the names in `NAMES`
+    tables : by the names in `PIECES`
     """
 
     tables: dict[str, pl.DataFrame]
@@ -38,7 +44,7 @@ class PaperStudy:
     @property
     def passed(self) -> bool:
         """Whether theory and simulation agree everywhere and every erratum is confirmed."""
-        return consistent(self.tables["table_3"]) and bool(self.tables["errata"]["confirmed"].all())
+        return tables.consistent(self.tables["table_3"]) and bool(self.tables["errata"]["confirmed"].all())
 
 
 def paper_study(
@@ -54,57 +60,44 @@ def paper_study(
     """Everything of the paper.
 
     replications : simulated calibrations per table entry;  folder : for a Parquet file of each table
-    Raises `InputError` for too few replications to estimate a deviation, or more than memory holds.
+    Raises `InputError` for too few replications to estimate a deviation, or more than memory holds; `JobError` with the
+    reason if a part failed.
     """
     least, most = ALLOWED
     if replications is not None and not least <= replications <= most:
         raise InputError(f"--replications: found {replications}, allowed for the paper: {least} to {most:,}")
-    targets = {} if folder is None else {name: folder / f"{name}.parquet" for name in NAMES}
-    keys = list(part_keys(replications or REPLICATIONS, seed))
-    with RowTable.within(folder, PARTS, resume=resume, force=force) as table:
-        for target in targets.values():
-            check_writable(target, resume or force)
-        table.forget([key for key, rows in table.rows.items() if rows[0]["status"] != "done"])
-        found = PaperStudy(assemble(run_tasks(part, keys, table, workers, seed=seed, progress=progress)))
-    write_together({target: parquet(found.tables[name]) for name, target in targets.items()}, force=True)
-    return found
+    common = {"replications": replications or tables.REPLICATIONS, "seed": seed}
+    keys: list[Key] = [{"table": name, "piece": piece, **common} for name, pieces in PIECES.items() for piece in pieces]
+    rows: dict[str, list[Row]] = {name: [] for name in PIECES}
+    options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "progress": progress}
+    with Job.open(folder, (PARTS,), workers, **options) as job:
+        for name in PIECES if folder is not None else ():
+            check_writable(folder / f"{name}.parquet", resume or force)  # type: ignore[operator]
+        table = job.tables[PARTS]
+        table.rows = {key: done for key, done in table.rows.items() if done[0]["status"] == "done"}
+        for row in job.run(part, keys, PARTS).iter_rows(named=True):
+            if row["status"] != "done":
+                raise JobError(f"{row['table']}: {row['error']}; go on with --resume")
+            rows[row["table"]] += json.loads(row["rows"])
+    frames = {name: frame_of(entries) for name, entries in rows.items()}
+    if folder is not None:
+        files: dict[PathLike, str | bytes] = {
+            folder / f"{name}.parquet": parquet(frame) for name, frame in frames.items()
+        }
+        write_together(files, force=True)
+    return PaperStudy(frames)
 
 
-def part_keys(replications: int, seed: int) -> Iterator[Key]:
-    """One key per part: what takes long comes in pieces."""
-    common = {"replications": replications, "seed": seed}
-    pieces: dict[str, Any] = {"table_3": ARM_NAMES, "errata": range(len(CHECKS)), "figure_2": RUNS}
-    for name in NAMES:
-        for piece in pieces.get(name, (None,)):
-            yield {"table": name, "piece": piece, **common}
-
-
-def part(key: dict[str, Any], seed: np.random.SeedSequence) -> list[Row]:
+def part(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     """A piece of a table as one row: its own rows as JSON, as tables differ in their columns."""
-    number, own, piece = key["replications"], key["seed"], (key["piece"],)
-    match key["table"]:
-        case "table_1":
-            found = table_1()
-        case "table_2":
-            found = table_2()
-        case "table_3":
-            found = table_3(number, own, piece)
-        case "text":
-            found = text_figures()
-        case "errata":
-            found = errata(number, own, piece)
-        case "figure_1":
-            found = figure_1(number, own)
-        case _:
-            found = figure_2(number, own, piece)
-    return [{"rows": json.dumps(found.to_dicts())}]
-
-
-def assemble(found: pl.DataFrame) -> dict[str, pl.DataFrame]:
-    """Name -> table, of the parts in their order. Raises `JobError` with the reason if a part failed."""
-    rows: dict[str, list[Row]] = {name: [] for name in NAMES}
-    for row in found.iter_rows(named=True):
-        if row["status"] != "done":
-            raise JobError(f"{row['table']}: {row['error']}; go on with --resume")
-        rows[row["table"]] += json.loads(row["rows"])
-    return {name: frame_of(entries) for name, entries in rows.items()}
+    number, seed, piece = key["replications"], key["seed"], (key["piece"],)
+    made = {
+        "table_1": tables.table_1,
+        "table_2": tables.table_2,
+        "table_3": lambda: tables.table_3(number, seed, piece),
+        "text": tables.text_figures,
+        "errata": lambda: errata(number, seed, piece),
+        "figure_1": lambda: tables.figure_1(number, seed),
+        "figure_2": lambda: tables.figure_2(number, seed, piece),
+    }
+    return [{"rows": json.dumps(made[key["table"]]().to_dicts())}]

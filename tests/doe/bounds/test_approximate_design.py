@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from doe.bounds.approximate_design import SparseDesign, certified_design
+from doe.bounds.approximate_design import ApproximateDesign
 from doe.bounds.equivalence import largest_sensitivity
 from doe.plan.plan import Plan
 from doe.problem.candidates import grid
@@ -24,10 +24,9 @@ def judged(plan: Plan, status: Status = Status.converged):  # type: ignore[no-un
     largest = largest_sensitivity(
         case, candidates, np.linalg.inv(case.information(plan.postures, plan.shares)), PriorInformation()
     )
-    return certified_design(
-        SparseDesign(case, PriorInformation(), plan), largest, candidates=len(candidates), rigorous=True,
-        status=status, solver="by hand", solver_status="done", seconds=0.5,
-    )  # fmt: skip
+    return ApproximateDesign(
+        case, PriorInformation(), plan, None, largest, len(candidates), True, status, "done", "by hand", 0.5
+    )
 
 
 def test_certificate_of_any_weights() -> None:

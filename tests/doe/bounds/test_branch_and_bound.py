@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.branch_and_bound import Waves, maximum
-from doe.bounds.trigonometric import TrigonometricPolynomial
+from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum
 from identification.arrays import Array
 
 
@@ -92,13 +91,12 @@ def test_bounds_over_boxes(seed: int, n: int) -> None:
     """Termwise bound, slopes and curvature enclose what samples in the box show."""
     generator = np.random.default_rng(seed)
     polynomial = random_polynomial(generator, n, 6, 3)
-    waves = Waves.of(polynomial)
     center, half = generator.uniform(-3.0, 3.0, (1, n)), generator.uniform(0.01, 1.0, (1, n))
     q = center + half * generator.uniform(-1.0, 1.0, (200, n))
-    assert waves.termwise(center, half)[0] >= plainly(polynomial, q).max() - 1e-12
-    assert waves.bound(center, half)[1][0] >= plainly(polynomial, q).max() - 1e-12
-    low, high = waves.slopes(center, half)
-    curvature = waves.curvature(center, half)[0]
+    assert polynomial.termwise(center, half)[0] >= plainly(polynomial, q).max() - 1e-12
+    assert polynomial.bound(center, half)[1][0] >= plainly(polynomial, q).max() - 1e-12
+    low, high = polynomial.slopes(center, half)
+    curvature = polynomial.curvature(center, half)[0]
     for point in q[:20]:
         slope = numerical_slope(polynomial, point)
         assert np.all((slope >= low[0] - 1e-6) & (slope <= high[0] + 1e-6))

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from doe.bounds.continuous import ContinuousSet, distinct
+from doe.problem.feasible import random_postures
 from doe.problem.prior import PriorInformation
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
@@ -55,7 +56,7 @@ def test_climbs_within_the_set(case) -> None:  # type: ignore[no-untyped-def]
     generator = np.random.default_rng(1)
     everything = ContinuousSet(case, PriorInformation())
     gradient = some_gradient(case, generator)
-    starts = everything.random(generator, 50)
+    starts = random_postures(case, 50, generator)
     ends = everything.climb(starts, gradient)
     assert np.all((ends >= case.lower) & (ends <= case.upper))
     assert case.feasible(ends).all()
@@ -87,7 +88,7 @@ def test_nothing_higher_within_walls_by_scipy() -> None:
     everything, gradient = ContinuousSet(case, PriorInformation()), some_gradient(case, generator)
     best = everything.best(gradient, np.empty((0, 4)), generator)[1][0]
     walls = {"type": "ineq", "fun": lambda q: case.constraints[0].margin(q[None])[0] / 100.0}
-    for start in everything.random(generator, 40):
+    for start in random_postures(case, 40, generator):
         found = minimize(
             lambda q: -everything.sensitivities(q[None], gradient)[0],
             start, jac=lambda q: -everything.slopes(q[None], gradient)[0][0], method="SLSQP",

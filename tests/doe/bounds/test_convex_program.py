@@ -12,8 +12,7 @@ from identification.errors import JobError
 
 POINTS = np.linspace(-1.0, 1.0, 21)
 QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)
-UPPER = np.triu_indices(3)
-ROWS = (np.swapaxes(QUADRATIC, 1, 2) @ QUADRATIC)[:, UPPER[0], UPPER[1]]
+EACH = np.swapaxes(QUADRATIC, 1, 2) @ QUADRATIC
 
 
 @pytest.mark.parametrize("solver", SETTINGS)
@@ -24,10 +23,10 @@ ROWS = (np.swapaxes(QUADRATIC, 1, 2) @ QUADRATIC)[:, UPPER[0], UPPER[1]]
     ids=["D", "A", "E"],
 )
 def test_quadratic_regression(solver: str, criterion: Criterion, ends: float, middle: float) -> None:
-    answer = solve_program(ROWS, criterion, solver)
-    assert answer.status == "optimal"
-    assert answer.weights is not None
-    value = float(criterion.value(np.einsum("k,kda,kdb->ab", answer.weights, QUADRATIC, QUADRATIC)))
+    weights, status, _ = solve_program(EACH, criterion, solver)
+    assert status == "optimal"
+    assert weights is not None
+    value = float(criterion.value(np.einsum("k,kda,kdb->ab", weights, QUADRATIC, QUADRATIC)))
     best = np.zeros(21)
     best[[0, 10, 20]] = ends, middle, ends
     optimum = float(criterion.value(np.einsum("k,kda,kdb->ab", best, QUADRATIC, QUADRATIC)))
@@ -36,16 +35,16 @@ def test_quadratic_regression(solver: str, criterion: Criterion, ends: float, mi
 
 def test_dual_of_the_smallest_eigenvalue_is_a_bound() -> None:
     """G >= 0 with unit trace, and max tr(G F_i) is not below the optimum 1/5 (Pukelsheim)."""
-    found = smallest_eigenvalue_weights(QUADRATIC, PriorInformation())
-    assert np.linalg.eigvalsh(found.gradient)[0] >= -1e-12
-    assert np.trace(found.gradient) == pytest.approx(1.0, abs=1e-12)
-    largest = max(float(row @ found.gradient @ row) for row in QUADRATIC[:, 0])
+    _, gradient = smallest_eigenvalue_weights(QUADRATIC, PriorInformation())
+    assert np.linalg.eigvalsh(gradient)[0] >= -1e-12
+    assert np.trace(gradient) == pytest.approx(1.0, abs=1e-12)
+    largest = max(float(row @ gradient @ row) for row in QUADRATIC[:, 0])
     assert 0.2 - 1e-12 <= largest <= 0.2 + 1e-5
 
 
 def test_postures_that_do_not_identify() -> None:
     with pytest.raises(JobError, match="identify"):
-        solve_program(ROWS[:2], D(), "scs")
+        solve_program(EACH[:2], D(), "scs")
 
 
 def test_few_postures_of_many_parameters() -> None:
@@ -53,7 +52,7 @@ def test_few_postures_of_many_parameters() -> None:
     the equal eigenvalues w_i s_i^2 = 1 / sum_i s_i^-2 of the mean."""
     sizes = np.array([1.0, 2.0, 0.5, 3.0])
     jacobians = np.kron(np.diag(sizes), np.eye(2)).reshape(4, 2, 8)
-    found = smallest_eigenvalue_weights(jacobians, PriorInformation())
-    np.testing.assert_allclose(found.weights, sizes**-2.0 / np.sum(sizes**-2.0), atol=1e-5)
-    information = np.einsum("k,kda,kdb->ab", found.weights, jacobians, jacobians)
+    weights, _ = smallest_eigenvalue_weights(jacobians, PriorInformation())
+    np.testing.assert_allclose(weights, sizes**-2.0 / np.sum(sizes**-2.0), atol=1e-5)
+    information = np.einsum("k,kda,kdb->ab", weights, jacobians, jacobians)
     assert np.linalg.eigvalsh(information)[0] == pytest.approx(1.0 / np.sum(sizes**-2.0), rel=1e-5)

@@ -11,7 +11,6 @@ from doe.bounds.equivalence import (
     REACHED,
     CandidateJacobians,
     Certificate,
-    candidate_sensitivities,
     certify,
     largest_sensitivity,
     last_pass,
@@ -116,7 +115,7 @@ def test_sensitivities_of_candidates_are_traces(smallest: float) -> None:
     gradient = rotation @ np.diag(sizes) @ rotation.T
     candidates = np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (30, 4))
     jacobians = CandidateJacobians(case, PostureList(candidates))
-    found = np.concatenate([g for _, g in candidate_sensitivities(jacobians, gradient, case.prior.per_new_run(5))])
+    found = np.concatenate([g for _, g in jacobians.sensitivities(gradient, case.prior.per_new_run(5))])
     known = sum(b.T @ b for b in case.scaled_jacobians(kept))  # 7 runs beside 5 new ones: M = (5 B^T B + known) / 12
     for value, b in zip(found, case.scaled_jacobians(candidates), strict=True):
         assert value == pytest.approx(np.trace(gradient @ (5.0 * b.T @ b + known)) / 12.0, rel=1e-12)

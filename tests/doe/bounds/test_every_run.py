@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.bounds.best_known import best_known_bound
-from doe.bounds.every_run import LOOSE, EveryRunCertificate, bounds_of_runs
+from doe.bounds.best_known import LOOSE, EveryRunCertificate, best_known_bound, bounds_of_runs
 from doe.criteria import A
 from tests.doe.arms import FOUR, OFFSET, problem
 

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doe.bounds import column_generation as module
 from doe.bounds import equivalence
-from doe.bounds import multiplicative as module
-from doe.bounds.column_generation import column_generation
-from doe.bounds.multiplicative import multiplicative
+from doe.bounds.column_generation import column_generation, rough_design
 from doe.criteria import A, D, E
 from doe.problem.candidates import listed_candidates
 from identification.errors import InputError
@@ -26,7 +25,7 @@ def test_within_its_gap_of_the_optimum(criterion: D | A, deviations: dict[str, f
     """Its value is below the optimum and its bound above, both within the gap that it stops at."""
     case = replace(problem(FOUR, ECCENTRICITY, deviations=deviations), criterion=criterion)
     candidates = listed_candidates(case, np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (150, 4)))
-    found = multiplicative(case, candidates, runs=20)
+    found = rough_design(case, candidates, runs=20)
     exact = column_generation(case, candidates, runs=20)
     assert found.bound is not None
     assert exact.bound is not None
@@ -39,11 +38,11 @@ def test_within_its_gap_of_the_optimum(criterion: D | A, deviations: dict[str, f
 @pytest.mark.parametrize("criterion", [D(), A()])
 def test_many_candidates_in_parts(monkeypatch: pytest.MonkeyPatch, criterion: D | A) -> None:
     """A sample of 60 of 3,000, and what passes over all offer: still within the gap of the optimum over all."""
-    monkeypatch.setattr(module, "SAMPLE", 60)
+    monkeypatch.setattr(module, "WEIGHTED", 60)
     monkeypatch.setattr(module, "REMEMBERED", 0)
     case = replace(problem(FOUR, ECCENTRICITY, deviations=dict.fromkeys(NAMES, 5e-4)), criterion=criterion)
     candidates = listed_candidates(case, np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (3000, 4)))
-    found, exact = multiplicative(case, candidates, runs=20), column_generation(case, candidates, runs=20)
+    found, exact = rough_design(case, candidates, runs=20), column_generation(case, candidates, runs=20)
     assert (found.status, found.candidates) == (Status.converged, 3000)
     assert found.bound is not None
     assert exact.bound is not None
@@ -60,7 +59,7 @@ def test_no_bound_where_no_time_is_left_to_visit_every_candidate(monkeypatch: py
     monkeypatch.setattr(equivalence, "perf_counter", lambda: 0.0)  # no time passes, and all of it is over
     case = problem(FOUR, ECCENTRICITY, deviations=dict.fromkeys(NAMES, 5e-4))
     candidates = listed_candidates(case, np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (300, 4)))
-    found = multiplicative(case, candidates, runs=20, stop=lambda: True)
+    found = rough_design(case, candidates, runs=20, stop=lambda: True)
     assert (found.status, found.bound, found.gap) == (Status.time_limit, None, np.inf)
     assert found.efficiency_lower_bound == 0.0
     assert found.solver_status == "no bound: no time to visit every candidate"
@@ -72,4 +71,4 @@ def test_no_bound_where_no_time_is_left_to_visit_every_candidate(monkeypatch: py
 def test_other_criteria_are_refused() -> None:
     case = replace(problem(FOUR), criterion=E())
     with pytest.raises(InputError, match="criterion: E for solver multiplicative"):
-        multiplicative(case, listed_candidates(case, np.zeros((3, 4))))
+        rough_design(case, listed_candidates(case, np.zeros((3, 4))))

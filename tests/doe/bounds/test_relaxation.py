@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from doe.bounds import convex_program, relaxation
-from doe.bounds.convex_program import SolverAnswer
-from doe.bounds.relaxation import LARGEST, SOLVERS, relax
+from doe.bounds.relaxation import LARGEST, relax
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.candidates import PostureList, grid
 from identification.errors import InputError, JobError
@@ -15,6 +14,7 @@ from identification.status import Status
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 
 TEST_JACOBIANS = problem(FOUR).scaled_jacobians(np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (8, 4)))
+SOLVERS = (*LARGEST, "column_generation")
 CRITERIA: dict[str, Criterion] = {"D": D(), "A": A(), "I": I(TEST_JACOBIANS), "E": E()}
 # what an interior point of cvxpy's default accuracy (1e-8 on the program) leaves of the gap; a first-order method less
 GAPS = {"clarabel": 1e-3, "scs": 1e-5, "column_generation": 1e-6}
@@ -73,14 +73,14 @@ def test_a_status_other_than_solved_is_reported_and_is_no_bound(monkeypatch: pyt
 
 
 def test_no_weights_is_a_job_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(relaxation, "solve_program", lambda *_: SolverAnswer(None, "solver_error"))
+    monkeypatch.setattr(relaxation, "solve_program", lambda *_: (None, "solver_error", None))
     with pytest.raises(JobError, match=r"solver_error on 27 candidates.*column_generation"):
         relax(problem(FOUR), 3, "clarabel")
 
 
 def test_weights_of_a_liar_are_judged_for_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Uniform weights called optimal: the gap and the bound come from the weights, so that nothing false is said."""
-    uniform = SolverAnswer(np.full(125, 3.0), "optimal")
+    uniform = (np.full(125, 3.0), "optimal", None)
     monkeypatch.setattr(relaxation, "solve_program", lambda *_: uniform)
     found = relax(problem(FOUR), 5, "clarabel")
     expected = 4.0 * np.log(np.sin(np.radians(80.0)))

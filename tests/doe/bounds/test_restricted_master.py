@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds.restricted_master import Stage, generate_columns
+from doe.bounds.column_generation import Stage, generate_columns
 from doe.criteria import A, Criterion, D, E
 from doe.problem.prior import PriorInformation
 from identification.arrays import Array

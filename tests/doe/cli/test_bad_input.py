@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import click
 import numpy as np
 import polars as pl
 import pytest
 
-from doe.cli import main
-from doe.cli.options import OUTPUTS
 from identification.errors import InputError
 from tests.doe.cli.conftest import ARM, Folder
 
@@ -164,29 +161,6 @@ def test_an_output_that_is_another_file_of_the_call(
     before = {path.name: path.read_bytes() for path in folder.path.iterdir()}
     refused(folder, [*words.split(), *["--force"][:force]], other, file, "allowed: another name")
     assert {path.name: path.read_bytes() for path in folder.path.iterdir()} == before
-
-
-def test_every_file_of_a_verb_is_known_as_read_or_written() -> None:
-    """The check above goes by names: an option that is new here belongs to one side."""
-    read = {
-        "arm",
-        "arms",
-        "data",
-        "files",
-        "model",
-        "plan",
-        "truth",
-        "calibrated",
-        "targets",
-        "holdout",
-        "keep",
-        "candidates",
-        "prior_from",
-    }
-    for verb in main.commands.values():
-        for parameter in verb.params:
-            if isinstance(parameter.type, click.Path):
-                assert parameter.name in OUTPUTS | read | {"test_poses", "robot"}, (verb.name, parameter.name)
 
 
 def test_payloads_without_gravity(folder: Folder) -> None:

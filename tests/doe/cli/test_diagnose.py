@@ -42,7 +42,9 @@ def test_what_is_not_confirmed_is_said_and_not_written(sessions: Folder) -> None
     done = sessions.armcal(*words)
     assert done.code == 0
     said = " ".join(done.out.split())
-    assert said.startswith("not confirmed: no better than the geometry alone: ")
+    assert said.startswith(
+        "Not confirmed on rows that no fit has seen. This model predicts no better than the geometry"
+    )
     assert "; named: encoder_eccentricity:2" in said
     assert "does not hold for" in done.out
     lines = done.err.splitlines()
@@ -80,7 +82,7 @@ def test_before_is_what_identify_prints(sessions: Folder) -> None:
     found = sessions.armcal(*WORDS, "--json").data
     assert found["confirmed"] is None
     assert found["gap"]["held_out_after_mm"] is None
-    assert "held" not in sessions.armcal(*WORDS).out
+    assert "held out:" not in sessions.armcal(*WORDS).out
     fitted = sessions.armcal("identify", "arm.toml", "data.csv", "--json").data
     assert found["gap"]["rms_before_mm"] == pytest.approx(fitted["rms_after_mm"], rel=1e-9)
 
@@ -128,7 +130,8 @@ def test_the_diagnosis_is_shown_where_the_file_cannot_be_written(
     monkeypatch.setattr(arm_text, "with_calibration", refuse)
     done = sessions.armcal(*WORDS, "--out", "extended.toml")
     assert done.code == 2
-    assert done.out.startswith("named: encoder_eccentricity:2")
+    assert "(encoder_eccentricity:2)" in done.out.splitlines()[0]
+    assert "next:" not in done.out
     assert "armcal: length_errors_mm: found -231.6 for link 3" in done.err
 
 

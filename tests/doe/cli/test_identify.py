@@ -332,6 +332,6 @@ def test_every_command_says_one_figure_of_the_drawing(folder: Folder) -> None:
     for words, said in (
         (("identify", "arm.toml"), f"from {rms:.2f} mm (drawing, {fitted}) to"),
         (("check", "arm.toml"), f"drawing {rms:.4f} mm RMS, {fitted}"),
-        (("validate", "cal.toml"), f"drawing: {rms:.2f} mm RMS, {fitted}."),
+        (("validate", "cal.toml"), f"from {rms:.2f} mm (drawing, {fitted}) to"),
     ):
         assert said in " ".join(folder.armcal(*words, "data.csv").out.split())

@@ -10,7 +10,7 @@ import pytest
 
 from doe.cli import main
 from doe.cli.progress import lines
-from doe.report.monte_carlo import _cell_table
+from doe.report.studies import cell_table
 from identification.errors import LONGEST_LINE, InputError, in_one_line
 from identification.files.csv import read_table
 from tests.doe.cli.conftest import Folder
@@ -131,8 +131,8 @@ def test_a_score_that_cannot_be_finished_leaves_no_picture(folder: Folder, monke
 @pytest.mark.parametrize(
     ("words", "tables"),
     [
-        (["validate", "calibrated.toml", "data.csv"], "validation.validation_tables"),
-        (["advise", "arm.toml", "--runs", "4"], "advice.advice_tables"),
+        (["validate", "calibrated.toml", "data.csv"], "identification.validation_actions"),
+        (["advise", "arm.toml", "--runs", "4"], "design.advice_document"),
     ],
 )
 def test_an_answer_that_cannot_be_given_leaves_no_picture(
@@ -140,7 +140,7 @@ def test_an_answer_that_cannot_be_given_leaves_no_picture(
 ) -> None:
     """As that of data with a marker that the calibrated arm does not have."""
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise InputError("measurements.marker: unknown name '2', allowed: 1")
 
     folder.simulated()
@@ -229,7 +229,8 @@ def test_a_simulation_that_could_not_be_read_again(folder: Folder) -> None:
 def test_every_verb_says_that_it_is_at_work(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also those that have no steps to tell: here with a line at once instead of every ten seconds."""
     monkeypatch.setattr("doe.cli.progress.lines", partial(lines, interval=1e-4))
-    for words in (["score", "arm.toml", "plan.csv"], ["check", "arm.toml", "plan.csv"]):
+    folder.simulated()
+    for words in (["score", "arm.toml", "plan.csv"], ["check", "arm.toml", "data.csv"]):
         assert f"armcal {words[0]}: 0 s" in folder.armcal(*words).err
     assert folder.armcal("score", "arm.toml", "plan.csv", "--quiet").err == ""
 
@@ -238,8 +239,8 @@ def test_a_cell_of_a_study_without_figures(folder: Folder) -> None:
     """No fit succeeded, so there is no residual to show."""
     row = dict.fromkeys(("mean_error", "std", "expected_std", "coverage", "rms_mm"))
     row |= {"fits": 0, "failed": 3, "parameter": "length_error:1", "unit": "mm"}
-    table = _cell_table("arm, plan", [row])
-    assert str(table.title).endswith("0 fits, 3 failed, RMS - mm")
+    table = cell_table("arm, plan", [row])
+    assert table.title.endswith("0 fits, 3 failed, RMS - mm")
 
 
 def test_a_robust_plan_of_an_arm_that_hardly_moves(folder: Folder) -> None:

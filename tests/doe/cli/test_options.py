@@ -1,59 +1,99 @@
-"""Groups of options: the values of several options as one object, and the files that a verb writes."""
+"""Options from the signature of a verb, groups of them, and the files that a verb writes."""
 
 from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import click
 import pytest
 from click.testing import CliRunner
 
 from doe.cli import main
-from doe.cli.common import check_outputs
-from doe.cli.options import FILE, OUTPUTS, Output, grouped, output_options
+from doe.cli.common import Answer, CommonOptions, check_outputs, verb
+from doe.cli.options import FOLDER, File, FilePath, Names, Picture, WholeNumbers, written
 from identification.errors import InputError
 
 
 @dataclass(frozen=True)
 class Size:
-    width: int = 1
-    height: int = 2
-    depth: int = 3
+    """A group.
+
+    width : How wide.
+    depth : How deep,
+        in all.
+    """
+
+    width: int
+    depth: Annotated[int, click.IntRange(max=9)] = 3
 
 
-def test_grouped_options_come_as_one_object_and_those_left_out_keep_their_defaults() -> None:
+def test_a_signature_and_its_docstring_declare_a_command() -> None:
     got: dict[str, Any] = {}
 
-    @click.command()
-    @click.option("--color")
-    @grouped(Size, "size", click.option("--width", type=int), click.option("--height", type=int, default=7))
-    def command(**values: Any) -> None:
-        got.update(values)
+    @verb("armcal paint wall.toml")
+    def command(
+        common: CommonOptions,
+        arm: File,
+        data: tuple[File, ...],
+        *,
+        runs: WholeNumbers,
+        color: Literal["red", "blue"] = "red",
+        only: tuple[Names, ...] = (),
+        check: Annotated[bool, "--check/--no-check"] = True,
+        size: Size,
+        in_all: float | None = None,
+    ) -> Answer:
+        """Paint a wall.
 
-    assert CliRunner().invoke(command, ["--width", "5", "--color", "red"]).exit_code == 0
-    assert got == {"color": "red", "size": Size(5, 7, 3)}
-    assert [parameter.name for parameter in command.params] == ["color", "width", "height"]  # the order of the help
+        More of it.
+
+        runs : How often.
+        color : Which.
+        only : These.
+        check : Look.
+        in_all : Sum.
+        """
+        got.update(arm=arm, data=data, runs=runs, color=color, only=only, check=check, size=size, in_all=in_all)
+        got["seed"] = common.seed
+        return Answer({"here": arm})
+
+    line = "a.toml b.csv c.csv --runs 3,4 --width 5 --only x --only y,z --no-check --seed 7 --json"
+    done = CliRunner().invoke(command, line.split())
+    assert (done.exit_code, done.stdout) == (0, '{"here": "a.toml"}\n')
+    assert got == {
+        "arm": Path("a.toml"), "data": (Path("b.csv"), Path("c.csv")), "runs": [3, 4], "color": "red",
+        "only": ("x", "y,z"), "check": False, "size": Size(5, 3), "in_all": None, "seed": 7,
+    }  # fmt: skip
+    names = ["arm", "data", "runs", "color", "only", "check", "width", "depth", "in_all", "as_json", "seed", "quiet"]
+    assert [parameter.name for parameter in command.params] == names  # the order of the help
+    page = " ".join(CliRunner().invoke(command, ["--help"]).stdout.split())
+    assert command.short_help == "Paint a wall."
+    for text in (
+        "Paint a wall. More of it.",
+        "--only NAMES These.",
+        "How deep, in all. [default: 3; x<=9]",
+        "armcal paint",
+    ):
+        assert text in page
+    for wrong in (
+        "a.toml --runs 3 --width 5",
+        "a.toml b.csv --width 5",
+        "a.toml b.csv --runs 3",
+        "a b --runs 0 --width 5",
+    ):
+        assert CliRunner().invoke(command, wrong.split()).exit_code == 2
 
 
-def test_output_options_are_those_asked_for() -> None:
-    def names(**chosen: Any) -> list[str | None]:
-        return [p.name for p in click.command()(output_options(**chosen)(lambda output: None)).params]
-
-    assert names(out="Write.") == ["out", "force"]
-    assert names(picture="Draw.", out="Write.") == ["picture", "out", "force"]
-    assert names(picture="Draw.") == ["picture", "force"]
-
-
-def test_output_is_written_once_and_replaced_by_force_only(tmp_path: Path) -> None:
+def test_files_are_written_once_and_replaced_by_force_only(tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
-    assert Output().write("text", "plan") == []
-    assert Output(path).write("one", "plan") == [f"plan written to {path}"]
+    assert written({None: "text"}, force=False, what="plan") == []
+    assert written({path: "one", None: b""}, force=False, what="plan") == [f"plan written to {path}"]
     with pytest.raises(InputError, match="exists"):
-        Output(path).write("two", "plan")
-    Output(path, force=True).write("two", "plan")
+        written({path: "two"}, force=False)
+    written({path: "two"}, force=True)
     assert path.read_text() == "two"
 
 
@@ -61,7 +101,7 @@ WRITTEN = [
     (verb, parameter.name)
     for verb in main.commands.values()
     for parameter in verb.params
-    if parameter.type is FILE and parameter.name in OUTPUTS
+    if isinstance(parameter.type, FilePath) and parameter.type.written and parameter.type is not FOLDER
 ]
 
 
@@ -94,8 +134,22 @@ def test_verbs_that_write_files_are_all_there() -> None:
     }
 
 
+def test_every_file_of_a_verb_is_read_or_written() -> None:
+    """By its name, so that no new option stands on the wrong side."""
+    names = {True: set[str](), False: set[str]()}
+    for command in main.commands.values():
+        for parameter in command.params:
+            if isinstance(parameter.type, click.Path):
+                assert isinstance(parameter.type, FilePath), (command.name, parameter.name)
+                names[parameter.type.written].add(str(parameter.name))
+    assert names[True] == {"out", "picture", "aliases", "report", "curves", "urdf"}
+    assert not names[True] & names[False]
+
+
 def test_a_picture_is_made_only_when_asked_for() -> None:
     def never() -> Any:
         raise AssertionError
 
-    Output().draw(never)
+    written({None: never}, force=False)
+    assert any(getattr(parameter.type, "picture", False) for parameter in main.commands["score"].params)
+    assert Picture.__metadata__[0].picture  # type: ignore[attr-defined]

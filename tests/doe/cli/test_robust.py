@@ -85,6 +85,21 @@ def test_advice_where_no_effect_is_known(arm: Path) -> None:
     assert "--robust" not in armcal("design", known, "--runs", 8).output
 
 
+def test_every_plan_says_what_it_promises_beside_random_ones(arm: Path) -> None:
+    """By the fit that the plan asks for, in words and in JSON; of a robust plan it is the criterion's own figure."""
+    few = ("--robust", "--missing", "gear_ratio,encoder_eccentricity")
+    for words, fit in (((), None), (few, f"library-prior --missing {few[2]}")):
+        found = answer("design", arm, "--runs", 6, *words, "--seed", 1)
+        tip, shown = found["expected_tip"], flat(armcal("design", arm, "--runs", 6, *words, "--seed", 1).output)
+        assert (tip["fit"], tip["random_plans"]) == (fit, 50)
+        assert f"{tip['plan_mm']:.3g} mm by this plan, {tip['random_median_mm']:.3g} mm by the median of 50" in shown
+        assert ("no better than postures chosen at random" in shown) == (tip["better_than"] <= 0.5)
+        if fit is not None:
+            assert tip["plan_mm"] == pytest.approx(found["expected_error_mm"]["plan"], rel=1e-6)
+    arm.write_text(ARM.replace("[measurement]\nsigma_mm = 0.1\n", ""))
+    assert answer("design", arm, "--runs", 6)["expected_tip"] is None
+
+
 def test_what_to_fit_is_said_in_one_way(arm: Path, tmp_path: Path) -> None:
     """Also by the steps that `init` writes: what a robust plan promises is of a fit with the prior."""
     shown = armcal("design", arm, "--runs", 4, "--robust", "--missing", "gear_ratio").output

@@ -74,8 +74,9 @@ def test_closed_errors_and_a_pipe_that_ends_early(folder: Folder) -> None:
 
 
 def test_brackets_are_no_markup() -> None:
-    @verb("armcal effects", "A line.")
+    @verb("armcal effects")
     def command(session: CommonOptions) -> Answer:
+        """A line."""
         return Answer({}, ["transmission_ripple:1[k=20] and [red]"])
 
     assert CliRunner().invoke(command, []).stdout == "transmission_ripple:1[k=20] and [red]\n"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from doe.cli.validate import REFITS
+from doe.cli import main
 from identification.validate import validation
 from tests.doe.cli.conftest import Folder
 
@@ -54,4 +54,5 @@ def test_bad_input(folder: Folder, words: tuple[str, ...], sentence: str) -> Non
 
 
 def test_the_choices_are_those_of_the_library() -> None:
-    assert validation.REFITS == REFITS
+    (refit,) = (parameter for parameter in main.commands["validate"].params if parameter.name == "refit")
+    assert tuple(refit.type.choices) == validation.REFITS

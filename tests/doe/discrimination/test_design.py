@@ -17,12 +17,11 @@ from doe.discrimination.swaps import Swaps, extended_problem, has_repeats, impro
 from doe.problem.constraints import InsideBox
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.report import detectability_tables
+from doe.report import design as report
 from doe.solvers import solve
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import CELLS, arm_of, truth_of
-from doe.studies.blind.hidden_effects import base_jacobian, column
-from doe.studies.blind.simulator import TrueArm, session
+from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.model import Model
@@ -87,7 +86,7 @@ def likeness_of_sag(truth: TrueArm, postures: np.ndarray) -> float:
     """Cosine, off the base model, between bending links and equally soft joints, by the simulator of the study."""
     run = session(truth, postures, np.random.default_rng(0))
     base = np.linalg.qr(base_jacobian(truth, run))[0]
-    sag = [("link_bending", None, {"f": 1.0}), ("joint_compliance", None, {"c": np.ones(truth.n)})]
+    sag = [("link_bending", None, {"flexibility": 1.0}), ("joint_compliance", None, {"c": np.ones(truth.n)})]
     one, two = (column(replace(truth, effects=[]), run, effect) for effect in sag)
     one, two = (values - base @ (base.T @ values) for values in (one, two))
     return float(one @ two / np.linalg.norm(one) / np.linalg.norm(two))
@@ -192,12 +191,12 @@ def test_random_postures_are_plans_of_as_many_runs() -> None:
 
 def test_what_a_very_long_plan_can_detect_is_not_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor silently so."""
-    for module in (design, detectability_tables):
+    for module in (design, report):
         monkeypatch.setattr(module, "MOST_SEEN", 19)
     found = designed([-180, -120], [180, 120], 20, starts=1, seconds=0.1)
     assert found.sees is None
     assert found.best_sees is None
-    lines = [str(line) for line in detectability_tables.discriminating_tables(found)]
+    lines = [str(line) for line in report.discriminating_parts(found)]
     assert lines[-1] == "what a plan of more than 19 runs can detect is not worked out"
 
 

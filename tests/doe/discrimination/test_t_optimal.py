@@ -8,14 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from doe.discrimination import t_optimal as module
-from doe.discrimination.t_optimal import discriminate
+from doe.discrimination.t_optimal import POOL, RivalPredictions, discriminate, possible_conditions
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Gravity
 from identification.errors import InputError
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
-from identification.measurements import Measurements
+from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status
 from identification.workspace import WorkspaceBox
@@ -43,17 +42,18 @@ def ambiguous() -> tuple[Diagnosis, Measurements]:
     raise AssertionError("no seed gives an ambiguous case")
 
 
-def random_pool(seed: int) -> module._Options:
+def random_pool(seed: int) -> tuple[np.ndarray, Conditions]:
     generator = np.random.default_rng(seed)
-    return module._pool(ARM, generator.uniform(ARM.lower, ARM.upper, (module.POOL, 3)), generator, None)
+    postures = generator.uniform(ARM.lower, ARM.upper, (POOL, 3))
+    return postures, possible_conditions(ARM, POOL, generator, None)
 
 
 def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
-    found, data = ambiguous()
-    options = random_pool(1)
-    rivals = module._rivals(found, data, options)
+    found, _ = ambiguous()
+    postures, conditions = random_pool(1)
+    rivals = RivalPredictions.of(found, postures, conditions)
     chosen = [3, 40, 41]
-    settled, gain = module._noncentrality(rivals, chosen)
+    settled, gain = rivals.noncentrality(chosen)
     for i, truth in enumerate(found.candidates):
         for j, rival in enumerate(found.candidates):
             if i == j:
@@ -62,30 +62,28 @@ def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
             names = rival.calibration.parameter_names
             order = [names.index(name) for name in second.names]
             scaled = rival.calibration.covariance[np.ix_(order, order)] * np.outer(second.scales, second.scales)
-            picked = options.conditions.rows(chosen)
+            picked = conditions.rows(chosen)
             delta = (
-                first.position(options.postures[chosen], None, picked)
-                - second.position(options.postures[chosen], None, picked)
+                first.position(postures[chosen], None, picked) - second.position(postures[chosen], None, picked)
             ).ravel()
-            jacobian = second.jacobian(options.postures[chosen], None, picked).reshape(6, -1) / second.scales
+            jacobian = second.jacobian(postures[chosen], None, picked).reshape(6, -1) / second.scales
             scatter = found.sigma**2
             covariance = scatter * np.eye(6) + jacobian @ scaled @ jacobian.T
             expected = delta @ np.linalg.solve(covariance, delta)
             assert settled[i, j] == pytest.approx(expected, rel=1e-6, abs=1e-9)
             # adding posture 7 adds what the list with it has more
-            more, _ = module._noncentrality(rivals, [*chosen, 7])
+            more, _ = rivals.noncentrality([*chosen, 7])
             assert more[i, j] - settled[i, j] == pytest.approx(gain[i, j, 7], rel=1e-6, abs=1e-9)
 
 
 def test_chosen_postures_beat_random_ones() -> None:
     found, data = ambiguous()
     best = discriminate(ARM, found, data, 4, seed=1)
-    options = random_pool(2)
-    rivals = module._rivals(found, data, options)
+    rivals = RivalPredictions.of(found, *random_pool(2))
     chances = []
     for k in range(20):
-        settled, _ = module._noncentrality(rivals, list(range(4 * k, 4 * k + 4)))
-        chance = module._pair_chance(rivals, settled[:, :, None])[:, :, 0]
+        settled, _ = rivals.noncentrality(list(range(4 * k, 4 * k + 4)))
+        chance = rivals.pair_chance(settled[:, :, None])[:, :, 0]
         np.fill_diagonal(chance, 1.0)
         chances.append(rivals.right * rivals.weights @ chance.min(axis=1))
     assert best.chance >= max(chances)

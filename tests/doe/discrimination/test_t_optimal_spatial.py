@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from doe.discrimination.t_optimal import discriminate
-from doe.report.next_postures import next_data, next_text
 from identification.arm import Arm
 from identification.gap.diagnose import diagnose
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
@@ -41,7 +40,7 @@ def test_rivals_are_told_apart_where_they_differ() -> None:
     usual = rivals[0].position(anywhere) - rivals[1].position(anywhere)
     assert rms_distance(first - second) > rms_distance(usual)
     assert all(size > 0.0 for size in chosen.pairs.values())
-    assert next_text(chosen).startswith("run,q1_deg,q2_deg,q3_deg\n")
-    assert np.shape(next_data(found, chosen)["postures_deg"]) == (4, 3)
+    assert list(chosen.columns) == ["run", "q1_deg", "q2_deg", "q3_deg"]
+    assert np.shape(chosen.to_json()["postures_deg"]) == (4, 3)
     sliding = replace(chosen, joint_types=("revolute", "prismatic", "revolute"))
-    assert next_text(sliding).startswith("run,q1_deg,q2_mm,q3_deg\n")
+    assert list(sliding.columns) == ["run", "q1_deg", "q2_mm", "q3_deg"]

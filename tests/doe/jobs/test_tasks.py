@@ -6,8 +6,9 @@ import os
 import signal
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -70,9 +71,9 @@ def test_resume_does_only_what_is_missing(tmp_path: Path) -> None:
 
 def test_lost_workers_that_cannot_come_back_are_an_error(tmp_path: Path) -> None:
     keys = [{"task": task, "mark": str(tmp_path / "mark") if task == 3 else ""} for task in range(8)]
-    pool = processes(1)
+    workers = Workers(lambda: ProcessPoolExecutor(1, get_context("spawn")), 1)
     with RowTable.open(None) as table, pytest.raises(JobError, match="--resume"):
-        run_tasks(work.die_once, keys, table, Workers(pool.open, 1))
+        run_tasks(work.die_once, keys, table, workers)
 
 
 def test_killed_process_loses_nothing(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doe.plan import replicate_spacing
-from doe.plan.replicate_spacing import beside_earlier, distance_to_keep, separated, spread_free_joints, too_near
+from doe.plan.replicate_spacing import distance_to_keep, neighbor_counts, separated, spread_free_joints, too_near
 from doe.solvers import solve
 from identification.arm import Arm
 from tests.doe.arms import FOUR, OFFSET, problem
@@ -80,19 +80,15 @@ def test_measured_postures_are_not_repeated() -> None:
 
 
 def test_long_plans_are_compared_by_a_tree(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of rows that are too near each other one is found at least, always one with such an earlier row."""
+    """Neighbors are those of all pairs; of rows that are too near each other one is found at least."""
     generator = np.random.default_rng(0)
     points = generator.uniform(0.0, 1.0, (300, 2))
-    near = np.tril(np.abs(points[:, None] - points).max(axis=2) < 0.02, -1)
-    assert near[beside_earlier(points, 0.02)].any(axis=1).all()
-    while len(crowded := beside_earlier(points, 0.02)):
-        points = np.delete(points, crowded, axis=0)
-    assert 200 < len(points) < 300
-    assert smallest_gap(points) >= 0.02 * (1.0 - 1e-8)
+    near = np.abs(points[:, None] - points).max(axis=2) < 0.02
+    np.testing.assert_array_equal(neighbor_counts(points, 0.02), near.sum(axis=1) - 1)
     case = problem(NARROW, OFFSET)
     few = generator.uniform(case.lower, case.upper, (400, 2))
     exact = too_near(case, few)
-    monkeypatch.setattr(replicate_spacing, "MANY", 10)
+    monkeypatch.setattr(replicate_spacing, "CHUNK", 10)
     by_tree = too_near(case, few)
     assert set(exact.tolist()) <= set(by_tree.tolist())
     assert len(exact)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from rich.table import Table
 
 from doe.criteria.bayesian import Average, SoftWorst, Worst
 from doe.design import score
 from doe.problem.bayesian import ensemble_problem, prior_draws
 from doe.problem.problem import DesignProblem
-from doe.report.design_tables import accuracy_table
+from doe.report.design import accuracy
 from doe.solvers import solve
-from identification.arm import Arm, Calibration, EffectSpec
+from identification.arm import Arm, Calibration, EffectSpec, Machining
+from identification.document import Sheet
 from identification.errors import InputError
 from identification.model import Model
 
@@ -21,7 +23,8 @@ ARM = Arm(
     effects=(EffectSpec("gear_ratio", 2), EffectSpec("encoder_eccentricity", 3)),
 )  # fmt: skip
 MODEL = Model(ARM)
-DRAWS = prior_draws(MODEL, 3, np.random.default_rng(1), length=8.0, angle=np.radians(6.0))
+ROUGH = replace(ARM, machining=Machining(8.0, np.radians(6.0)))
+DRAWS = prior_draws(Model(ROUGH), 3, np.random.default_rng(1))
 
 
 def each_log_det(postures: np.ndarray) -> np.ndarray:
@@ -128,7 +131,7 @@ def test_expected_deviations_are_those_of_every_arm_by_itself() -> None:
         np.testing.assert_allclose(data[key]["length_mm"], length, rtol=1e-8)
         np.testing.assert_allclose(data[key]["orientation_deg"], np.degrees(turn), rtol=1e-8)
         np.testing.assert_allclose(data[key]["joint_offset_deg"], np.degrees(joint), rtol=1e-8)
-    table = accuracy_table(design)
-    assert isinstance(table, Table)
-    assert len(table.columns) == 7
+    table = accuracy(design)[0]
+    assert isinstance(table, Sheet)
+    assert len(table.headings) == 7
     assert "std_worst_draw" not in score(DesignProblem.of(MODEL), plan).to_json()

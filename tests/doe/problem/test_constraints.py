@@ -10,10 +10,10 @@ import pytest
 
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.problem.constraints import Constraint, Expression, constraints_of
+from doe.problem.derivatives import ConstraintDerivatives
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import Random, solve
-from doe.solvers.derivatives import ConstraintFunction
 from identification.arm import Arm, Calibration
 from identification.errors import InputError
 from identification.model import Model
@@ -87,25 +87,20 @@ def test_symbolic_has_the_same_sign(constraint: Constraint) -> None:
 
 def test_derivatives() -> None:
     problem = DesignProblem.of(Model(ARM))
-    function = ConstraintFunction(problem, (0, 1, 2, 3))
-    plan = random_postures(problem, 5, np.random.default_rng(1))
-    rows, step = function.rows, 1e-6
-    assert rows == 4 + 4 + 4
-    multipliers = np.random.default_rng(2).uniform(0.5, 1.5, 5 * rows)
-
-    def dense(postures: np.ndarray) -> np.ndarray:
-        pattern = function.sparsity(5)
-        return np.asarray(ca.DM(pattern, function.jacobian(postures)))
-
-    slopes, curvatures = [], []
-    for entry in range(plan.size):
-        move = np.zeros(plan.size)
-        move[entry] = step
-        up, down = plan + move.reshape(plan.shape), plan - move.reshape(plan.shape)
-        slopes.append((function.values(up) - function.values(down)) / (2 * step))
-        curvatures.append(multipliers @ (dense(up) - dense(down)) / (2 * step))
-    np.testing.assert_allclose(dense(plan), np.array(slopes).T, rtol=1e-5, atol=1e-4)  # of lengths up to 1000 mm
-    np.testing.assert_allclose(function.hessian(plan, multipliers), curvatures, rtol=1e-5, atol=1e-3)
+    walls, step = ConstraintDerivatives(problem, range(4)), 1e-6
+    postures = random_postures(problem, 5, np.random.default_rng(1))
+    values, slopes = walls.first(postures)
+    assert values.shape == (5, 4 + 4 + 4)
+    np.testing.assert_array_equal(values, walls.values(postures))
+    weights = np.random.default_rng(2).uniform(0.5, 1.5, values.shape)
+    np.testing.assert_allclose(walls.slope(postures, weights), np.einsum("mk,mka->ma", weights, slopes))
+    bend = walls.bend(postures, weights)
+    for joint, move in enumerate(step * np.eye(4)):
+        up, down = postures + move, postures - move
+        differences = (walls.values(up) - walls.values(down)) / (2 * step)
+        np.testing.assert_allclose(slopes[..., joint], differences, rtol=1e-5, atol=1e-4)  # of lengths up to 1000 mm
+        differences = (walls.slope(up, weights) - walls.slope(down, weights)) / (2 * step)
+        np.testing.assert_allclose(bend[..., joint], differences, rtol=1e-5, atol=1e-3)
 
 
 @pytest.mark.parametrize("solver", ["exchange", "ipopt", "exchange_ipopt", Random(20)])

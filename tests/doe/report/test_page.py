@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from doe.design import score
 from doe.plan.file import load_plan
 from doe.problem.problem import DesignProblem
-from doe.report.gap_tables import estimate_sheet
-from doe.report.page import Action, Section, Sheet, page, page_picture
+from doe.report.gap import estimate_rows
+from doe.report.page import page, page_picture, strips, svg
+from identification.document import Action, Document, PlanSteps, Section, Sheet
 from identification.files.arm import load_arm
 from identification.model import Model
 from tests.doe.cli.conftest import Folder
@@ -64,8 +65,9 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Folder]:
         folder.write("six.csv", "\n".join(["run," + ",".join(f"q{j}_deg" for j in range(1, 7)), *lines]) + "\n")
         done = folder.armcal("report", "six.toml", "six.csv", "--out", "six.html")
         assert done.code == 0, done.err
-        sheets = [estimate_sheet(RIPPLE), Sheet(["", *"abcde"], [["held out: other postures", *["-1234.5678"] * 5]])]
-        folder.write("wide.html", page("Calibration report: arm", "Wide.", [Section("Tables", "", sheets)]))
+        wide = Sheet(["", *"abcde"], [["held out: other postures", *["-1234.5678"] * 5]])
+        tables = Section("Tables", [Sheet(*estimate_rows(RIPPLE)), wide])
+        folder.write("wide.html", page(Document("Calibration report: arm", ["Wide."], [tables])))
         yield folder
 
 
@@ -76,7 +78,8 @@ def test_everything_is_escaped_and_nothing_is_fetched(pages: Folder) -> None:
     assert "<i>" not in text
     assert 'onerror="' not in text
     assert "http" not in text.replace("http-equiv", "").replace("http://www.w3.org/", "").lower()
-    bare = page(NASTY, NASTY, [Section(NASTY, NASTY, [Sheet([NASTY], [[NASTY]])], steps={"x": NASTY})], [Action(NASTY)])
+    parts = [NASTY, Sheet([NASTY], [[NASTY]], NASTY), PlanSteps({"x": NASTY}, NASTY)]
+    bare = page(Document(NASTY, [NASTY], [Section(NASTY, parts)], [Action(NASTY, NASTY)], [NASTY]))
     assert NASTY not in bare
     assert bare.count("<script>") == 1
 
@@ -215,12 +218,14 @@ def test_wide_pictures_are_stacked_on_a_phone(pages: Folder, opened: Any) -> Non
 def test_strips_part_a_picture_between_its_columns() -> None:
     figure = Figure(figsize=(10.0, 3.0), layout="constrained")
     figure.subplots(2, 3)
-    ends = page_picture(figure)["strips"]
+    svg(figure)  # drawn
+    ends = strips(figure)
     assert len(ends) == 3
     assert sum(width for _, width in ends) == pytest.approx(720.0, abs=0.1)
     for (left, width), (after, _) in pairwise(ends):
         assert left + width == pytest.approx(after, abs=0.02)
-    assert page_picture(Figure(figsize=(5.0, 3.0)))["strips"] == []  # narrow enough
+    assert page_picture(figure).count('class="strip"') == 3
+    assert 'class="panel"' in page_picture(Figure(figsize=(5.0, 3.0)))  # narrow enough
     lonely = Figure(figsize=(10.0, 3.0))
     lonely.subplots()
-    assert page_picture(lonely)["strips"] == []  # nothing to part
+    assert 'class="wide pan"' in page_picture(lonely)  # nothing to part

@@ -8,17 +8,15 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from doe.report.gap_figures import workspace_arrows
 from doe.report.page import svg
 from doe.report.signed_residuals import (
     Compared,
     caption,
     dense,
     draw_errors,
-    fitted_curve,
     joint_error,
     joint_errors,
-    kth_distances,
+    line_between,
     signed_figures,
 )
 from identification.arm import Arm, Calibration, EffectSpec
@@ -47,29 +45,20 @@ def test_a_joint_that_turns_too_far_has_a_positive_error_of_that_size() -> None:
     np.testing.assert_array_equal(joint_errors(np.concatenate([short, np.ones((1, 2, 1))]), np.ones((2, 2)))[0], 0.0)
 
 
-def test_the_curve_is_the_change_where_there_are_rows_and_nothing_elsewhere() -> None:
+def test_the_line_is_the_change_where_there_are_rows_and_is_broken_elsewhere() -> None:
     generator = np.random.default_rng(2)
     q = np.concatenate([generator.uniform(-3.0, 0.0, 400), generator.uniform(2.0, 3.0, 200)])
     lever = generator.normal(size=(600, 2))
     change = lever * (1e-3 * np.sin(4.0 * q))[:, None]
-    grid, found = fitted_curve(q, lever, change, 1e-3)
-    seen = np.isfinite(found)
-    gap = (grid > 0.61) & (grid < 1.39)  # farther than a tenth of the range, 0.6, from every row
-    assert not seen[gap].any()
-    inside = (grid < -0.05) | (grid > 2.05)
-    assert seen[inside].all()
-    # a line through ten rows, some 0.04 rad to each side, misses by f'' h^2 / 2 = 16e-3 * 0.04^2 / 2, a few times that
-    np.testing.assert_allclose(found[inside], 1e-3 * np.sin(4.0 * grid[inside]), atol=8e-5)
-    one_angle = fitted_curve(np.full(5, 0.3), np.ones((5, 2)), np.full((5, 2), 2e-3))[1]
-    np.testing.assert_allclose(one_angle[0], 2e-3)
-
-
-def test_the_nearest_rows_are_those_of_a_search_among_all() -> None:
-    generator = np.random.default_rng(3)
-    q, grid = generator.normal(size=30), np.linspace(-3.0, 3.0, 50)
-    for k in (1, 3, 10):
-        expected = np.sort(np.abs(q - grid[:, None]), axis=1)[:, k - 1]
-        np.testing.assert_allclose(kth_distances(q, grid, k), expected)
+    angles, errors = line_between(q, lever, change)
+    (gap,) = np.flatnonzero(np.isnan(angles))
+    assert np.isnan(errors[gap])
+    assert angles[gap - 1] < 0.0 < 2.0 < angles[gap + 1]
+    seen = np.isfinite(angles)
+    # ten rows, some 0.04 rad to each side, whose weighted mean is off by up to 4e-3 * 0.04 where the slope is largest
+    np.testing.assert_allclose(errors[seen], 1e-3 * np.sin(4.0 * angles[seen]), atol=1.6e-4)
+    one_angle = line_between(np.full(5, 0.3), np.ones((5, 2)), np.full((5, 2), 2e-3))
+    np.testing.assert_allclose(one_angle, [[0.3], [2e-3]])
 
 
 def model_with(effect: EffectSpec, **values: float) -> Model:
@@ -147,17 +136,8 @@ def test_without_effects_the_line_is_what_lies_between_the_two_models() -> None:
     offset = 200.0 * 4e-3 * np.stack([-np.sin(q.sum(axis=1)), np.cos(q.sum(axis=1))], axis=1)
     _, second = (f.axes[0] for f in signed_figures(Compared(arm, q, offset, np.zeros((60, 2)), model=Model(arm))))
     line = points_and_line(second)[2]
-    np.testing.assert_allclose(np.radians(line[:, 1]), 4e-3, rtol=1e-2)
+    np.testing.assert_allclose(np.radians(line[np.isfinite(line[:, 1]), 1]), 4e-3, rtol=1e-2)
     assert "Line: the difference of the two" in caption("the drawing", "the model", ["base_drift"])
-
-
-def test_the_base_is_drawn_where_the_arm_stands() -> None:
-    place = {"base_offset.x0": 1200.0, "base_offset.y0": -300.0}
-    stands = Arm(LENGTHS, effects=(EffectSpec("base_offset"),), calibration=Calibration(place))
-    for arm, expected in ((stands, (1200.0, -300.0)), (Arm(LENGTHS), (0.0, 0.0))):
-        points, residuals = np.random.default_rng(8).normal(size=(2, 5, 2))
-        axes = workspace_arrows(arm, points, ((residuals, "before"), (residuals, "after"))).axes
-        assert [tuple(np.ravel(axis.lines[0].get_xydata())) for axis in axes] == [expected] * 2
 
 
 def test_no_label_leaves_a_small_picture() -> None:

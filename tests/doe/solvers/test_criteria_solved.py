@@ -10,7 +10,7 @@ from doe.solvers import solve
 from identification.arm import Arm
 from tests.doe.arms import FOUR, problem
 
-SEARCHED = 1e-7  # plans whose values differ by less are the same to the solver (`AGREES` in doe/solvers/driver.py)
+SEARCHED = 1e-7  # plans whose values differ by less are the same to the solver (`AGREES` in doe/solvers/solving.py)
 POSES = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (20, 4))
 CASES = {
     "A": A(), "I": I(problem(FOUR).scaled_jacobians(POSES)), "Ds": Ds((0, 1, 2, 3)),

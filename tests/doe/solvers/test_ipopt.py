@@ -11,8 +11,7 @@ from scipy.optimize import minimize
 
 from doe.bounds.bound import Bound
 from doe.solvers import Ipopt, solve
-from doe.solvers.derivatives import PlanFunction
-from doe.solvers.ipopt import Climber
+from doe.solvers.ipopt import Climber, PlanFunction
 from doe.solvers.solver import Budget
 from identification.errors import InputError
 from identification.status import Status
@@ -32,7 +31,7 @@ def test_ends_are_stationary_within_the_limits() -> None:
         assert case.objective(plan) > case.objective(start)
         assert np.all(plan >= case.lower)
         assert np.all(plan <= case.upper)
-        slope = PlanFunction(case, 7, case.active_joints).expand(plan)[1].reshape(7, -1)
+        slope = PlanFunction(case, case.active_joints).expand(plan)[1].reshape(7, -1)
         inside = (plan > case.lower)[:, joints] & (plan < case.upper)[:, joints]
         assert np.abs(slope[inside]).max() < 1e-6
         assert np.all(slope[plan[:, joints] == case.lower[joints]] < 1e-6)  # nothing to gain by moving in

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -10,14 +12,25 @@ import pytest
 
 from doe.design import score_plan
 from doe.problem.problem import DesignProblem
-from doe.solvers import solve
-from doe.solvers.driver import SearchResult
-from doe.solvers.random import Random
-from doe.solvers.solver import LONG_PLAN
-from doe.solvers.solving import spread_out
+from doe.solvers import Offer, solve
+from doe.solvers.solver import LONG_PLAN, Budget
+from doe.solvers.solving import PlanSearch, named_offers
 from identification.errors import InputError
-from identification.status import Status
-from tests.doe.arms import FIVE, FOUR, OFFSET, problem
+from identification.progress import silent
+from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
+
+
+@dataclass
+class Crowded:
+    """A solver whose postures are all one."""
+
+    name: str = "crowded"
+
+    def starts_for(self, _: object) -> int:
+        return 1
+
+    def offers(self, case: DesignProblem, runs: int, *_: object) -> Iterator[Offer]:
+        yield Offer(np.tile(case.lower, (runs, 1)), 1)
 
 
 @pytest.mark.parametrize("solver", [None, "exchange", "ipopt", "exchange_ipopt", "random", "analytic"])
@@ -59,16 +72,15 @@ def test_what_is_no_plan_is_not_scored(plan: Any, expected: str) -> None:
 
 
 def test_of_very_many_runs_a_random_plan_is_better_than_none() -> None:
-    """What a search found of 100,000 runs came too near each other, and no time was left to move it apart: a random
-    plan keeps the distance, by the distances of all pairs; another result, and fewer runs, stay as they are."""
-    case = problem(FOUR, OFFSET, minimum_distance=np.radians(1.0))
-    near = SearchResult(np.tile(FOUR.lower, (LONG_PLAN + 100, 1)), -np.inf, Status.time_limit, 3)
-    found, solver = spread_out(case, LONG_PLAN + 100, 0, near, Random(7))
-    assert found.postures is not None
-    apart = np.abs(found.postures[:, None] - found.postures).max(axis=2)[np.triu_indices(LONG_PLAN + 100, 1)]
-    assert apart.min() >= np.radians(1.0)
-    assert np.all((FOUR.lower <= found.postures) & (found.postures <= FOUR.upper))
-    assert found.value == pytest.approx(case.objective(found.postures))
-    assert (found.status, solver) == (Status.time_limit, Random())
-    for result, runs in ((replace(near, value=-3.0), LONG_PLAN + 100), (near, LONG_PLAN)):
-        assert spread_out(case, runs, 0, result, Random(7)) == (result, Random(7))
+    """What the search offers comes too near each other: the random plan beside it keeps the distance, by the distances
+    of all pairs."""
+    case, runs = problem(FOUR, OFFSET, ECCENTRICITY), LONG_PLAN + 100
+    offers = named_offers(case, runs, Crowded(), Budget(1), 0, None, theory_first=True)
+    search = PlanSearch(case, None, lambda _: True)
+    search.run(offers, Budget(1, deadline=perf_counter() - 1.0), silent)
+    assert search.postures is not None
+    assert search.solver == "random"
+    apart = np.abs(search.postures[:, None] - search.postures).max(axis=2)[np.triu_indices(runs, 1)]
+    assert apart.min() >= np.radians(1.0) * (1 - 1e-9)
+    assert np.all((FOUR.lower <= search.postures) & (search.postures <= FOUR.upper))
+    assert search.value == pytest.approx(case.objective(search.postures))

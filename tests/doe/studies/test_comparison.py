@@ -19,7 +19,7 @@ from doe.jobs.isolated import Outcome
 from doe.jobs.row_table import RowTable, frame_of
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
-from doe.report.comparison import comparison_tables, performance_profile, profile_figure, time_figure
+from doe.report.studies import comparison_parts, performance_profile, profile_figure, time_figure
 from doe.solvers import Offer, Random
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
 from identification.arm import Arm
@@ -79,7 +79,7 @@ def test_rows_without_any_success_have_tables_and_pictures() -> None:
     failed = ROWS.filter(solver="c", repeat=0)
     assert summary(failed)["best"].to_list() == [None]
     for rows in (failed, ROWS):
-        assert len(comparison_tables(rows)) == 2  # the problem, and the sentence about the hang
+        assert len(comparison_parts(rows)) == 2  # the problem, and the sentence about the hang
         assert len(time_figure(rows).axes) == 1
         assert profile_figure(rows).axes[0].get_xscale() == "log"
 
@@ -164,7 +164,7 @@ def test_solvers_on_a_spatial_arm() -> None:
     assert [rows[name]["correct"] for name in solvers] == [True, None]
     assert rows["random"]["value"] < rows["random"]["bound"]
     assert "analytic has no plan" in rows["analytic"]["error"]
-    assert "elbow, D, 9 runs" in str(comparison_tables(found)[0].title)
+    assert "elbow, D, 9 runs" in comparison_parts(found)[0].title
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ def test_criterion_and_own_solver_are_settings() -> None:
         found.filter(criterion="A")["loss"].to_numpy(), 1.0 - a_values.max() / a_values, atol=1e-9
     )
     assert len(summary(rows)) == 4
-    assert len(comparison_tables(rows)) == 2
+    assert len(comparison_parts(rows)) == 2
 
 
 @pytest.mark.usefixtures("in_this_process")

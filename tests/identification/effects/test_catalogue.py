@@ -14,9 +14,7 @@ from identification.effects.base import _LIBRARY
 from identification.effects.catalogue import GRAVITY, SUPPLY, entries, entry
 from identification.effects.joint import Backlash
 from identification.errors import InputError
-from identification.files.arm_effects import gravity_of
-from identification.files.arm_schema import GravityTable
-from identification.files.arm_schema_spatial import SpatialGravityTable
+from identification.files.arm import arm_from_tables
 
 README = (Path(__file__).parents[3] / "identification/README.md").read_text()
 
@@ -53,14 +51,16 @@ def test_every_effect_can_be_read_from_the_example_once_its_settings_are_given()
 
 def test_the_block_of_gravity_is_read_as_it_stands_and_as_it_says_for_space() -> None:
     assert max(map(len, GRAVITY.splitlines())) <= 79  # else a terminal breaks what is to be pasted
-    table = tomllib.loads(GRAVITY)["gravity"]
-    found = gravity_of(GravityTable.model_validate(table), 3)
+    found = arm_from_tables({"links_mm": [3.0, 2.0, 1.0], **tomllib.loads(GRAVITY)}).gravity
     assert found is not None
     assert (found.acceleration.tolist(), found.link_masses.tolist()) == ([0.0, -9.81], [10.0, 8.0, 5.0])
     assert (found.center_of_mass.tolist(), found.payload) == ([0.5] * 3, 0.0)
     (there,) = re.findall(r"in space: (\[.*\])", GRAVITY)
-    in_space = tomllib.loads(f"acceleration_m_s2 = {there}")
-    assert SpatialGravityTable.model_validate(table | in_space).acceleration_m_s2 == [0.0, 0.0, -9.81]
+    tables = tomllib.loads(GRAVITY.replace("[0.0, -9.81]", there, 1))
+    row = {"a_mm": 1.0, "alpha_deg": 0.0, "d_mm": 0.0}
+    in_space = arm_from_tables({"kind": "spatial", "dh": [row] * 3, **tables}).gravity
+    assert in_space is not None
+    assert in_space.acceleration.tolist() == [0.0, 0.0, -9.81]
 
 
 def test_what_is_needed_says_how_to_give_it() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from doe.report.identification_tables import conventions, corrected_sheet, corrected_table
+from doe.report.identification import conventions, corrected_table
 from identification.arm import Arm, Calibration, EffectSpec
+from identification.document import as_text
 from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.prior import Prior
@@ -155,9 +154,7 @@ def test_of_a_frame_in_gimbal_lock_the_turns_from_the_drawing_are_given() -> Non
 def test_the_table_fits_80_columns() -> None:
     model = Model(arm(EffectSpec("encoder_eccentricity", 2)))
     rows = estimate(model, data(model, plan(30))).corrected_values
-    console = Console(width=80, record=True, file=io.StringIO())
-    console.print(corrected_table(rows))
-    lines = console.export_text().splitlines()
+    lines = as_text(corrected_table(rows, "Corrected values"), 80).splitlines()
     assert len([line for line in lines if line.strip()]) == len(rows) + 3  # title, headings, rule: no row is broken
     assert "encoder_eccentricity:2.a" in "".join(lines)
 
@@ -178,7 +175,7 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
     assert length.weak is (weak := m * deviation**2 < 3.0)
     zero = by_name(found.corrected_values)["zero of joint 1"]
     assert (zero.prior_std, zero.held_by_prior) == (None, False)
-    shown = corrected_sheet(found.corrected_values).rows[0][0], " ".join(conventions(found.corrected_values, False))
+    shown = corrected_table(found.corrected_values).rows[0][0], " ".join(conventions(found.corrected_values, False))
     assert ("*" in shown[0], "* 1 of 2 are weakly determined" in shown[1]) == (weak, weak)
 
 

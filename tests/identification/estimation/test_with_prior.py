@@ -15,15 +15,8 @@ from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.checks import weighting
 from identification.estimation.prior import Prior
-from identification.estimation.prior_sizes import (
-    TOGETHER,
-    WIDTHS,
-    ZERO_WIDTHS,
-    LinearizedProblem,
-    Widths,
-    likeliest,
-)
 from identification.estimation.problem import Problem
+from identification.estimation.restricted_likelihood import WIDTHS, ZERO_WIDTHS, LinearizedProblem, Widths, likeliest
 from identification.gap.library.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -251,36 +244,6 @@ def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[
     expected = min(product(WIDTHS, ZERO_WIDTHS), key=minus_log)
     assert (expected[0] > 1.0, expected[1] > 1.0) == (factors[0] > 1.0, factors[1] > 1.0)
     assert likeliest(linear, noise, given=True) == (1.0, Widths(*expected))
-
-
-RIPPLES = library_prior(ARM, names=["encoder_eccentricity", "transmission_ripple"])
-
-
-@pytest.mark.parametrize("waves", [1, 16])
-def test_as_many_waves_at_once_as_are_likeliest(waves: int) -> None:
-    """Of all rows' covariance at the nominal arm: each of K orders has n / K of one wave's variance where n are there
-    at once, and n other than 1 must lower -2 log by more than 4."""
-    model, prior, generator = RIPPLES.model, RIPPLES.prior, np.random.default_rng([37, waves])
-    truth, several = np.zeros(len(model.names)), np.array(["ripple" in name for name in model.names])
-    for orders in np.flatnonzero(several).reshape(2, 62, 2):  # of each joint
-        there = generator.choice(orders, waves, replace=False)
-        truth[there] = 1e-4 * generator.standard_normal(there.shape)
-    postures = generator.uniform([-np.pi, -1.0], [np.pi, 1.0], (150, 2))
-    positions = model.position(postures, truth) + 0.01 * generator.standard_normal((150, 2))
-    data, jacobian = Measurements(postures, positions), model.jacobian(postures, 0.0 * truth).reshape(300, -1)
-    residual = (positions - model.position(postures, 0.0 * truth)).ravel()
-
-    def minus_log(n: float) -> float:
-        spread = model.parameters.vector(prior.deviations, 0.0) * np.where(several, np.sqrt(min(n, 62)), 1.0)
-        spread = np.where(spread > 0.0, spread, 1e3 / model.scales)
-        covariance = 0.01**2 * np.eye(300) + (jacobian * spread**2) @ jacobian.T
-        left = np.linalg.slogdet(covariance)[1] + residual @ np.linalg.solve(covariance, residual)
-        return float(left) + 4.0 * (n != 1.0)
-
-    found = estimate_with_prior(replace(model, arm=replace(model.arm, sigma=0.01)), data, prior, sigma="given")
-    assert found.prior is not None
-    assert found.prior.together == min(TOGETHER, key=minus_log)
-    assert (found.prior.together > 4.0) == (waves > 1)
 
 
 @pytest.mark.parametrize("degrees", [20.0, 110.0])

@@ -17,9 +17,8 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import readonly
 from identification.errors import InputError
 from identification.files.arm import arm_from_tables, load_arm
-from identification.files.arm_text import dump_arm, with_calibration, with_effects
+from identification.files.arm_text import append_tables, dump_arm, replace_table, with_calibration, with_effects
 from identification.files.io import read_text
-from identification.files.toml import append_tables, replace_table
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
 FULL = """\
@@ -205,22 +204,12 @@ BAD = [
     (f"links_mm = {[1.0] * 13}\n", ["links_mm", "found 13 values", "allowed: 1 to 12"]),
     ("links_mm = [260, 0]\n", ["links_mm[2]", "found 0", "> 0"]),
     ("links_mm = [-260.0, 1]\n", ["links_mm[1]", "found -260.0", "> 0"]),
-    ("links_mm = [260, nan]\n", ["links_mm[2]", "found nan", "> 0"]),
-    ("links_mm = [260, inf]\n", ["links_mm[2]", "found inf", "> 0"]),
-    ("links_mm = [260, '180']\n", ["links_mm[2]", "found '180'", "> 0"]),
-    ("links_mm = [260, true]\n", ["links_mm[2]", "found true", "> 0"]),
-    ("links_mm = 260\n", ["links_mm", "found 260", "> 0"]),
-    ("name = 5\n" + PLAIN, ["name", "found 5", "allowed: a text"]),
     ("lenghts_mm = [1]\n", ["lenghts_mm: unknown key", "did you mean 'links_mm'", "allowed: calibration"]),
     (PLAIN + LIMITS.format("[0, 0]", "[90, -90]"), ["joint_limits_deg", "joint 2", "-90", "allowed: lower < upper"]),
     (PLAIN + LIMITS.format("[0]", "[90, 90]"), ["joint_limits_deg.lower", "1 values", "allowed: 2"]),
-    (PLAIN + LIMITS.format("[0, nan]", "[9, 9]"), ["joint_limits_deg.lower[2]", "found nan", "one angle [deg]"]),
     (PLAIN + "[joint_limits_deg]\nlower = [0, 0]\n", ["joint_limits_deg.upper: is missing", "allowed: one angle"]),
-    (PLAIN + "[joint_limits_deg]\nuper = [0, 0]\n", ["joint_limits_deg.uper", "did you mean 'upper'"]),
-    ("joint_limits_deg = 5\n" + PLAIN, ["joint_limits_deg", "found 5", "allowed: a table with lower and upper"]),
     (PLAIN + "[measurement]\nsigma_mm = 0\n", ["measurement.sigma_mm", "found 0", "allowed: a number > 0"]),
     (PLAIN + "[measurement]\nsigma_mm = -0.1\n", ["measurement.sigma_mm", "found -0.1", "allowed: a number > 0"]),
-    (PLAIN + "[measurement]\nsigma = 1\n", ["measurement.sigma", "did you mean 'sigma_mm'"]),
     (PLAIN + GRAVITY + "link_masses_kg = [1]\n", ["gravity.link_masses_kg", "found 1 values", "allowed: 2"]),
     (PLAIN + GRAVITY + "link_masses_kg = [1, -1]\n", ["gravity.link_masses_kg[2]", "found -1", "mass >= 0"]),
     (
@@ -249,10 +238,6 @@ BAD = [
         ["constraints[1].radius_mm", "found 0", "allowed: a number > 0"],
     ),
     (
-        PLAIN + '[[constraints]]\nkind = "keep_out_circle"\ncentre_mm = [0, 0]\nradius_mm = 1\n',
-        ["constraints[1].centre_mm", "did you mean 'center_mm'"],
-    ),
-    (
         PLAIN
         + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [0, 0]\nhalf_angle_deg = 200\ntoward_mm = [1, 0]\n',
         ["constraints[1].half_angle_deg", "found 200", "<= 180"],
@@ -269,8 +254,6 @@ BAD = [
     (PLAIN + '[[effects]]\nname = "backlash"\njoint = 1.5\n', ["effects[1].joint", "found 1.5", "allowed: the whole"]),
     (PLAIN + BASE + "joint = 1\n", ["effects", "base_offset", "not allowed"]),
     (PLAIN + BASE + "x0 = 1\n", ["effects[1].x0", "did you mean 'x0_mm'", "y0_mm"]),
-    (PLAIN + BASE + "x0_mm = nan\n", ["effects[1].x0_mm", "found nan", "allowed: a finite number"]),
-    (PLAIN + BASE + "x0_mm = '1'\n", ["effects[1].x0_mm", "found '1'", "allowed: a finite number"]),
     (PLAIN + BASE + BASE, ["effects", "base_offset", "2 times", "allowed: once"]),
     (
         PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 0\n',
@@ -285,7 +268,6 @@ BAD = [
         ["calibration.length_errors_mm", "found 1 values", "allowed: 2"],
     ),
     (PLAIN + "[calibration]\nlength_errors_mm = [0, 0]\n", ["calibration.joint_offsets_deg: is missing", "allowed"]),
-    (PLAIN + CALIBRATION + "length_eror_mm = 1\n", ["calibration.length_eror_mm", "did you mean 'length_errors_mm'"]),
     (PLAIN + CALIBRATION + "covariance = [[1]]\n", ["calibration.parameters: is missing", "allowed"]),
     (
         PLAIN + CALIBRATION + 'parameters = ["length_error:1"]\ncovariance = [[1], [2]]\n',

@@ -110,7 +110,7 @@ def test_arm_files(tmp_path: Path) -> None:
         ('kind = "plane"\nnormal = [1.0, 2.0, 3.0]', "instrument.normal: found, allowed: of a plane, with center_mm"),
         (
             'kind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]\nnormal = [0, 0, 0]',
-            "instrument.normal: found .0.0, 0.0, 0.0., allowed: a direction",
+            "instrument.normal: found .0, 0, 0., allowed: a direction",
         ),
         ('kind = "distance"\ncenter_mm = [1.0, 2.0]', "instrument.center_mm: found 2 values, allowed: three numbers"),
         ('kind = "distance"\nmiddle_mm = 3.0', "instrument.middle_mm: unknown key"),

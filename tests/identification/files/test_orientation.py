@@ -9,7 +9,7 @@ import pytest
 
 from identification.errors import InputError
 from identification.files.csv import read_table
-from identification.files.orientation import angle_columns, orientation_columns_of, read_orientations
+from identification.files.measurement_columns import angle_columns, orientation_columns_of, read_orientations
 from identification.kinematics.frames import from_own_axes
 
 ANGLES = np.array([[10.0, -20.0, 30.0], [0.0, 45.0, 170.0]])
@@ -55,7 +55,7 @@ def test_none(tmp_path: Path) -> None:
         (
             "rx_deg,ry_deg,rz_deg",
             "1,,3",
-            "row 1 (line 2), column ry_deg: found an empty cell, allowed: a finite angle, up to 1e+06, in every row",
+            "row 1 (line 2), column ry_deg: found an empty cell, allowed: a finite angle, up to 1e+06",
         ),
     ],
 )

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.studies.blind.simulator import session
-from doe.studies.blind.spatial_cells import SpatialCell, arm_of, measured, random_truth
+from doe.studies.blind.cells import CellSpec, arm_of, truth_of
+from doe.studies.blind.simulator import measure, session
 from identification.arm import Arm
 from identification.effects import Effect
 from identification.gap.diagnose import diagnose
@@ -95,10 +95,10 @@ def test_found_again(effect: str, names: tuple[str, ...]) -> None:
 def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
     """No effect of the library: the axis of joint 3 leans by 0.3 mrad and goes round twice a turn, 0.25 mm at the tip
     against noise of 0.05 mm."""
-    cell, generator = SpatialCell(60), np.random.default_rng(9)
-    truth = replace(random_truth(cell, generator), sigma=0.05, effects=[("axis_wobble", 3, {"c": 3e-4})])
-    run = session(truth, generator.uniform(truth.lower, truth.upper, (60, 6)), generator)  # type: ignore[arg-type]
-    found = diagnose(arm_of(cell, truth, generator), measured(truth, cell, run, generator))
+    cell, generator = CellSpec(60, space=True), np.random.default_rng(9)
+    truth = replace(truth_of(cell, generator), sigma=0.05, effects=[("axis_wobble", 3, {"c": 3e-4})])
+    run = session(truth, generator.uniform(truth.lower, truth.upper, (60, 6)), generator)
+    found = diagnose(arm_of(cell, truth, generator), measure(truth, run, generator))
     assert (found.verdict, found.where) == ("unknown", "joint:3")
     assert found.shape == "tilt or shift across the axis"
 
@@ -108,12 +108,12 @@ def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
 def test_a_heavy_load_beside_the_reflector(said: bool) -> None:
     """15 kg hang 240 mm from the reflector: the load's place is named, beside the compliance through which it shows,
     and its three coordinates hold the truth; an arm file that says where has nothing to name but the compliance."""
-    cell, generator = SpatialCell(100, 8.0), np.random.default_rng(8)
-    truth = random_truth(cell, generator)
+    cell, generator = CellSpec(100, 8.0, space=True), np.random.default_rng(8)
+    truth = truth_of(cell, generator)
     away, compliance = np.array([180.0, -120.0, 100.0]), [("joint_compliance", None, {"c": np.full(6, 4e-6)})]
     truth = replace(truth, payload=15.0, sigma=0.05, load=truth.tools[0] + away, effects=compliance)
-    run = session(truth, generator.uniform(truth.lower, truth.upper, (100, 6)), generator)  # type: ignore[arg-type]
-    data, arm = measured(truth, cell, run, generator), arm_of(cell, truth, generator)
+    run = session(truth, generator.uniform(truth.lower, truth.upper, (100, 6)), generator)
+    data, arm = measure(truth, run, generator), arm_of(cell, truth, generator)
     assert arm.gravity is not None
     if said:
         arm = replace(arm, gravity=replace(arm.gravity, payload_at=truth.load))

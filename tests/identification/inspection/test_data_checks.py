@@ -209,6 +209,14 @@ def test_there_is_doubt_where_another_arm_was_measured() -> None:
     assert certainly_wrong_units(measured(), ARM) is None
 
 
+def test_a_few_rows_of_a_planar_arm_tell_no_unit() -> None:
+    """Two positions have one distance between them, which some factor of the lengths always explains."""
+    wrong = simulated(3.0, lengths=4.2)
+    assert certainly_wrong_units(wrong.rows(slice(0, 2)), PLANAR) is None
+    assert data_warnings(wrong.rows(slice(0, 5)), PLANAR) == []
+    assert data_warnings(wrong.rows(slice(0, 8)), PLANAR) != []
+
+
 def test_another_number_of_links() -> None:
     with pytest.raises(InputError, match="found 2 joints, allowed: 3"):
         data_warnings(simulated(1.0), Arm(lengths=[1.0, 1.0, 1.0]))

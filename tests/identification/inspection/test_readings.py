@@ -9,12 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
 
 from identification import load_arm, load_measurements
 from identification.arm import Arm
 from identification.inspection.inspection import inspect
-from identification.inspection.readings import read_differently
+from identification.inspection.readings import Reading, Readings, parallel_joints, read_differently
+from identification.kinematics.counting import Counting
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
+from tests.identification.exponentials import drawing
+from tests.identification.kinematics.test_counting import countings
 
 DATA = Path(__file__).parents[2] / "data"
 PLANAR = Arm(np.array([612.0, 572.3, 115.7]))
@@ -213,3 +218,103 @@ def test_a_wrist_whose_axes_meet_has_two_explanations(tmp_path: Path) -> None:
         "joint 4 has another zero than the drawing: add 180 deg to it, or, equally well, joint 5 turns the other way"
         in said
     )
+
+
+# -- a reading in words, and what it makes of columns ------------------------------------------------------------------
+PLAIN = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), rms=300.0)
+SWAPPED = Reading((1, 0, 2), (1, 1, -1), (0, 3, 0), mirrored=True, turn=0.1, rms=0.9)
+REVERSED = Reading((0, 1, 2), (-1, 1, 1), (0, 0, 0), rms=0.91)
+
+
+def test_columns_are_read_and_named() -> None:
+    assert SWAPPED.changes == 4
+    assert SWAPPED.words == (
+        "columns of joints 1 and 2 are swapped",
+        "joint 3 turns the other way",
+        "joint 2 has another zero than the drawing: add -90 deg to it",
+        "an axis of the positions points the other way",
+    )
+    assert np.allclose(SWAPPED.postures(np.array([[0.1, 0.2, 0.3]])), [[0.2, 0.1 + 1.5 * np.pi, -0.3]])
+    assert np.allclose(SWAPPED.positions(np.array([[5.0, 6.0]])), [[5.0, -6.0]])
+
+
+def test_joints_counted_from_farther_back() -> None:
+    """Columns a = q1, b = q1 + q2 and c = q3 - q2, whose axis points the other way."""
+    found = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), sums=((1, 0, 0), (1, 1, 0), (0, -1, 1)))
+    assert found.words == (
+        "joint 2 is counted from the base, not from link 1 (its angle: column - q1)",
+        "joint 3 is counted from link 1, not from link 2 (its angle: column + q2)",
+    )
+    assert (found.changes, found.moved_zeros) == (1, False)
+    q = np.array([[0.1, 0.2, 0.3], [1.0, -2.0, 0.5]])
+    columns = np.column_stack([q[:, 0], q[:, 0] + q[:, 1], q[:, 2] - q[:, 1]])
+    assert np.allclose(found.postures(columns), q)
+
+
+@given(countings(joints=4), countings(joints=4))
+def test_how_a_controller_counts(before: Counting, true: Counting) -> None:
+    """Columns of one controller, read as the arm file says of another: the reading that makes them the joints' says the
+    first, whatever the file said, where signs and sums of the joints so far say it."""
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (6, 4))
+    read = before.joints(true.columns(q))
+    # read = matrix q + zero, to be signs * sums and zeros
+    matrix = before.inverse @ true.matrix
+    signs = np.sign(np.diag(matrix)).astype(int)
+    assume(np.all(np.abs(np.diag(matrix)) == 1.0))
+    sums = signs[:, None] * matrix
+    zeros = -signs * (before.inverse @ (np.array(true.zero) - before.zero))
+    rows = tuple(tuple(int(x) for x in row) for row in sums)
+    reading = Reading((0, 1, 2, 3), tuple(signs.tolist()), tuple((zeros / (0.5 * np.pi)).tolist()), sums=rows)
+    np.testing.assert_allclose(reading.postures(read), q, atol=1e-9)
+    found = reading.counting(before)
+    assert found is not None
+    turns = (found.columns(q) - true.columns(q)) / (2.0 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns[0]) * np.ones((6, 1)), atol=1e-9)  # zeros by the shorter way
+
+
+def test_what_no_arm_file_says() -> None:
+    assert SWAPPED.counting(None) is None
+    found = REVERSED.counting(None)
+    assert found is not None
+    assert found.toml == "[joints]\nsign = [-1, 1, 1]"
+    every = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), sums=((1, 0, 0), (0, 1, 0), (1, 1, 1)))
+    assert every.counting(None) is None
+
+
+def test_one_two_or_no_explanations() -> None:
+    assert Readings(PLAIN, None).sentences == []
+    assert Readings(PLAIN, None).to_json() is None
+    way = "joint 1 turns the other way"
+    both = Readings(PLAIN, REVERSED, (SWAPPED,))
+    assert both.sentences[0].startswith(
+        f"it looks as if {way}, or, equally well, columns of joints 1 and 2 are swapped"
+    )
+    assert both.to_json() == {
+        "changes": (way,), "arm_file": None, "rms_mm": 0.91, "explains": True, "equally_good": [SWAPPED.words]
+    }  # fmt: skip
+    (said,) = Readings(PLAIN, REVERSED, explained=False).sentences
+    assert said.endswith(f"Closest: {way}, which leaves 0.91 mm instead of 300")
+
+
+# -- runs of parallel axes, counted by hand ----------------------------------------------------------------------------
+
+
+def test_of_an_elbow_arm_joints_two_to_four() -> None:
+    assert parallel_joints(Arm.of_chain(drawing())) == [(1, (1, 1, 1))]
+
+
+def test_in_the_plane_all_and_of_a_single_link_none() -> None:
+    assert parallel_joints(Arm(np.array([300.0, 200.0, 100.0]))) == [(0, (1, 1, 1))]
+    assert parallel_joints(Arm(np.array([300.0]))) == []
+
+
+def test_an_axis_that_points_the_other_way() -> None:
+    """Half a turn about x between joints 1 and 2; a quarter to joint 3, and to joint 4 none."""
+    rows = [DHRow(300.0, np.pi, 0.0), DHRow(200.0, np.pi / 2.0, 0.0), DHRow(100.0, 0.0, 0.0), DHRow(100.0, 0.0, 0.0)]
+    assert parallel_joints(Arm.of_chain(chain_of(rows))) == [(0, (1, -1)), (2, (1, 1))]
+
+
+def test_a_sliding_joint_ends_a_run() -> None:
+    slide = DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 300.0))
+    rows = [DHRow(300.0, 0.0, 0.0), DHRow(200.0, 0.0, 0.0), slide, DHRow(100.0, 0.0, 0.0)]
+    assert parallel_joints(Arm.of_chain(chain_of(rows))) == [(0, (1, 1))]

@@ -13,9 +13,9 @@ import pytest
 from scipy.stats import t as student
 
 from doe.studies.blind import simulator
-from doe.studies.blind.cells import CELLS, PHYSICS_SIZES, SEVERAL_SIZES, SMALL_SIZES, DataSet, data_set
+from doe.studies.blind.cells import CELLS, DataSet, data_set, random_truth
 from doe.studies.blind.hidden_effects import EXPLAINED, PHYSICS, physics_effect, place_of
-from doe.studies.blind.rare_effects import joint_physics, relays
+from doe.studies.blind.simulator import RowConditions, TrueArm, angle_error, relays
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import Array
 from identification.model import Model
@@ -45,7 +45,7 @@ def sizes(data: DataSet) -> Iterator[float]:
 
 @pytest.mark.parametrize(
     ("cell", "limits", "counts"),
-    [("many small effects, m=100", SMALL_SIZES, (14, 22)), ("six to nine effects, m=100", SEVERAL_SIZES, (6, 9))],
+    [("many small effects, m=100", (1.5, 12.0), (14, 22)), ("six to nine effects, m=100", (5.0, 40.0), (6, 9))],
 )
 def test_many_effects_are_of_the_sizes_and_number_asked_for(
     cell: str, limits: tuple[float, float], counts: tuple[int, int]
@@ -69,7 +69,7 @@ def test_many_effects_are_of_the_sizes_and_number_asked_for(
     assert counts[0] <= min(numbers) < max(numbers) <= counts[1]
 
 
-def library_of(truth: simulator.TrueArm) -> list[EffectSpec]:
+def library_of(truth: TrueArm) -> list[EffectSpec]:
     """Effects that look most like others: of each joint and of the whole arm."""
     names = ("encoder_eccentricity", "encoder_second_harmonic", "gear_ratio", "joint_coupling", "backlash")
     specs = [EffectSpec(name, j) for name in names for j in range(1 + (name == "joint_coupling"), truth.n + 1)]
@@ -86,20 +86,21 @@ def library_of(truth: simulator.TrueArm) -> list[EffectSpec]:
 def test_what_is_outside_the_library_is_mostly_outside_it(name: str) -> None:
     """Of the size asked for, and none of the program's own effects explains more than half of its square."""
     rng = np.random.default_rng([20261130, PHYSICS.index(name)])
-    truth = simulator.random_truth(rng, 3)
-    truth = replace(truth, length_errors=np.zeros(3), joint_offsets=np.zeros(3))
+    drawn, zero = random_truth(rng, 3), np.zeros(3)
+    rest = {name: getattr(drawn, name) for name in ("masses", "payload", "lower", "upper", "sigma")}
+    truth = TrueArm.planar(drawn.lengths, zero, zero, **rest)
     run = simulator.session(truth, rng.uniform(truth.lower, truth.upper, (80, 3)), rng)
     if name == "payload_swap":
-        truth = replace(truth, known=[("joint_compliance", None, {"c": np.full(3, 1e-5)})])
+        truth = replace(truth, modelled=[("joint_compliance", None, {"c": np.full(3, 1e-5)})])
     effect = physics_effect(truth, run, name, 20.0, rng)
-    gravity = Gravity(np.array([0.0, -simulator.G]), truth.masses, truth.center, truth.payload)
+    gravity = Gravity(np.array([0.0, -simulator.G]), truth.masses, np.full(3, truth.center), truth.payload)
     model = Model(Arm(truth.lengths, gravity=gravity, effects=tuple(library_of(truth))))
-    conditions = simulator.recorded(truth, run, np.zeros(80, dtype=complex)).conditions
+    conditions = simulator.recorded(truth, run, np.zeros((80, 2))).conditions
     jacobian = model.jacobian(run.q, np.zeros(len(model.names)), conditions).reshape(160, -1)
     owner = np.array([name.rpartition(".")[0] for name in model.names])
     base = jacobian[:, owner == ""]
     hidden = simulator.position(replace(truth, effects=[effect]), run) - simulator.position(truth, run)
-    moved = left_over(base, np.column_stack([hidden.real, hidden.imag]).ravel())
+    moved = left_over(base, hidden.ravel())
     assert np.linalg.norm(moved) == pytest.approx(20.0 * truth.sigma, rel=0.02)  # to second order in the effect
     for one in sorted({*owner} - {""}):
         share = 1.0 - np.sum(left_over(np.hstack([base, jacobian[:, owner == one]]), moved) ** 2) / (moved @ moved)
@@ -113,7 +114,7 @@ def test_a_cell_of_each_hides_it() -> None:
     for name in PHYSICS:
         data = data_set(f"outside, {name}", 900)
         assert (data.outside, data.effects, len(data.measurements) in (50, 100, 300)) == (name, (), True)
-        assert CELLS[f"outside, {name}"].sizes == PHYSICS_SIZES == (10.0, 40.0)
+        assert CELLS[f"outside, {name}"].sizes == [10.0, 40.0]
         assert data.exact is not None
         assert data.reachable is not None
         assert 0.0 < data.reachable < 2.0 * data.arm.sigma  # parameters fewer than the coordinates measured
@@ -127,7 +128,8 @@ def test_loops_and_slips_by_hand() -> None:
     expected = np.array([0.0, 2.0, 3.0, 2.0, 1.0, 0.0, -3.0]) / 3.0
     np.testing.assert_allclose(relays(angles, 0.0, 1.0), expected)
     q, s = np.array([[0.0], [0.1], [3.1]]), np.ones((3, 1))
-    slip = joint_physics(q, s, "stick_slip", 1, {"b": 2e-3, "width": 1.0})[:, 0]
+    run = RowConditions(q, np.zeros(3), np.zeros(3), s, np.zeros(3), np.zeros(3, dtype=int))
+    slip = angle_error(run, "stick_slip", 1, {"b": 2e-3, "width": 1.0}, np.zeros((3, 1)))
     np.testing.assert_allclose(slip, 2e-3 * (1.0 - 2.0 * np.array([0.0, np.exp(-0.1), np.exp(-3.0)])))
 
 
@@ -156,11 +158,11 @@ def test_reads_of_a_posture_share_its_error() -> None:
 def noises(kind: str, m: int) -> tuple[Array, Array]:
     """(m, 2) noise in units of sigma, and what the instrument says in the same."""
     rng = np.random.default_rng(20261131)
-    truth = simulator.random_truth(rng, 3)
+    truth = random_truth(rng, 3)
     run = simulator.session(truth, rng.uniform(truth.lower, truth.upper, (m, 3)), rng)
     error = simulator.noise(truth, run, rng, kind)
     shown = simulator.recorded(truth, run, error).positions / truth.sigma
-    return np.column_stack([error.real, error.imag]) / truth.sigma, shown
+    return error / truth.sigma, shown
 
 
 def test_student_t3_has_the_stated_deviation() -> None:
@@ -181,10 +183,10 @@ def test_a_display_shows_steps_of_sigma() -> None:
 def test_a_random_walk_is_of_one_sigma_about_its_mean() -> None:
     """The mean square of sets of 50 rows about their means: 1 of the walk, and white noise of 49 / 50."""
     rng = np.random.default_rng(20261132)
-    truth = simulator.random_truth(rng, 2)
+    truth = random_truth(rng, 2)
     run = simulator.session(truth, rng.uniform(truth.lower, truth.upper, (50, 2)), rng)
     errors = np.array([simulator.noise(truth, run, rng, "walk") for _ in range(2_000)]) / truth.sigma
-    squares = np.array([[np.var(part) for part in (one.real, one.imag)] for one in errors]).ravel()
+    squares = np.var(errors, axis=1).ravel()
     assert np.mean(squares) == pytest.approx(1.0 + 49.0 / 50.0, abs=3.0 * np.std(squares) / np.sqrt(len(squares)))
     data = data_set("none, random walk", 900)
     assert (data.outside, data.place, data.effects, data.holdout) == ("walk", "time", (), None)

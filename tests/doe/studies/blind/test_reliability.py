@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doe.studies.blind import cells
-from doe.studies.blind.reliability import calibration, intervals_judged, probability_judged, reliability
+from doe.studies.blind.score import calibration, intervals_judged, probability_judged, reliability
 from identification.model import Model
 
 TRUTH = {"hidden": [], "place": None}

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.studies.blind import hidden_effects, rare_effects, simulator
+from doe.studies.blind import hidden_effects, simulator
+from doe.studies.blind.cells import random_truth
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.measurements import Conditions, past_from_order
 from identification.model import Model
@@ -24,17 +25,17 @@ VALUES = {
     "joint_coupling": ({"c": 1e-3},) * 2,
     "backlash": ({"b": 1e-3},) * 2,
     "gravity_backlash": ({"b": 1e-3},) * 2,
-    "link_bending": ({"f": 3e-5}, {"flexibility": 3e-5}),
+    "link_bending": ({"flexibility": 3e-5},) * 2,
     "thermal_growth": ({"a": 2e-4},) * 2,
-    "base_offset": ({"x": 1.0, "y": -2.0}, {"x0": 1.0, "y0": -2.0}),
-    "base_drift": ({"x": 1.0, "y": -2.0}, {"vx": 1.0, "vy": -2.0}),
+    "base_offset": ({"x0": 1.0, "y0": -2.0},) * 2,
+    "base_drift": ({"v": np.array([1.0, -2.0])}, {"vx": 1.0, "vy": -2.0}),
     "base_rotation_drift": ({"w": 2e-3},) * 2,
     "axes_skew": ({"a": 1e-3, "b": -2e-3},) * 2,
     "thermal_transient": ({"a": 3e-4, "tau": 0.2},) * 2,
     "joint_step": ({"b": 1e-3, "at": 0.1},) * 2,
     "link_step": ({"d": 0.3, "at": -0.2},) * 2,
     "base_step": ({"x": 0.2, "y": -0.3, "at": 0.05}, {"x": 0.2, "y": -0.3, "at": 0.05, "side": 1.0}),
-    "joint_hysteresis": ({"b": 1e-3, "width": 0.9}, {"b": 1e-3, "width_deg": np.degrees(0.9)}),
+    "joint_hysteresis": ({"b": 1e-3, "width_deg": np.degrees(0.9)},) * 2,
     "payload_error": ({"d": 2.0},) * 2,
     "gravity_tilt": ({"angle": 0.1},) * 2,
 }
@@ -43,26 +44,26 @@ VALUES = {
 @pytest.mark.parametrize("name", VALUES)
 def test_two_implementations_agree(name: str) -> None:
     rng = np.random.default_rng(1)
-    truth = simulator.random_truth(rng, 3)
+    truth = random_truth(rng, 3)
     run = simulator.session(truth, rng.uniform(-np.pi, np.pi, (40, 3)), rng)
-    joint = None if name in hidden_effects.LIBRARY_WHOLE + rare_effects.RARE_WHOLE else 2
+    joint = None if name in hidden_effects.OF_ARM else 2
     theirs, ours = VALUES[name]
-    c = 1e-5 * np.arange(1.0, 4.0) if name in rare_effects.LOADS else np.zeros(3)
+    c = 1e-5 * np.arange(1.0, 4.0) if name in hidden_effects.LOADS else np.zeros(3)
     known = EffectSpec("joint_compliance", None, {f"c{j}": value for j, value in enumerate(c, 1)})
     truth = replace(truth, effects=[(name.rstrip("*"), joint, theirs)])
-    if name in rare_effects.LOADS:
-        truth = replace(truth, known=[("joint_compliance", None, {"c": c})])
+    if name in hidden_effects.LOADS:
+        truth = replace(truth, modelled=[("joint_compliance", None, {"c": c})])
     arm = Arm(
         truth.lengths,
-        gravity=Gravity(np.array([0.0, -simulator.G]), truth.masses, truth.center, truth.payload),
+        gravity=Gravity(np.array([0.0, -simulator.G]), truth.masses, np.full(3, truth.center), truth.payload),
         effects=(*((known,) if c.any() else ()), EffectSpec(name.rstrip("*"), joint, ours)),
-        calibration=Calibration.of(truth.length_errors, truth.joint_offsets),
+        calibration=Calibration.of(truth.links[:, 0] - truth.lengths, truth.offsets),
     )
     conditions = Conditions(run.payload, run.warm, run.t, run.s, past=past_from_order(run.q))
     position = Model(arm).position(run.q, None, conditions)
     expected = simulator.position(truth, run)
     # 1e-9 mm: rounding of sums of some 1000 mm; every effect moves the tip by more than 0.01 mm
-    np.testing.assert_allclose(position @ [1.0, 1.0j], expected, atol=1e-9)
+    np.testing.assert_allclose(position, expected, atol=1e-9)
     assert np.abs(expected - simulator.position(replace(truth, effects=[]), run)).max() > 0.01
 
 
@@ -74,23 +75,31 @@ def test_a_leaning_axis_seen_in_the_plane() -> None:
     shorter = lengths * np.where(np.arange(4) >= 2, 1.0 - square / 4.0, 1.0)
     factor = square / 4.0 * np.exp(2j * beta)
     arm = Arm(shorter, effects=(EffectSpec("axis_tilt", 3, {"a": factor.real, "b": factor.imag}),))
-    expected = rare_effects.leaning_tip(q, lengths, 3, square, beta)
-    np.testing.assert_allclose(Model(arm).position(q) @ [1.0, 1.0j], expected, atol=660.0 * square**2)
-    straight = np.exp(1j * np.cumsum(q, axis=1)) @ lengths
-    assert np.abs(expected - straight).max() > 0.05
+    zero = np.zeros(4)
+    rest = {"masses": zero, "payload": 0.0, "lower": zero, "upper": zero, "sigma": 1.0}
+    truth = simulator.TrueArm.planar(lengths, zero, zero, **rest)
+    run = simulator.session(truth, q, rng)
+    straight = simulator.position(truth, run)
+    leaning, mirrored = (
+        simulator.position(replace(truth, effects=[("axis_tilt", 3, {"square": sign * square, "beta": beta})]), run)
+        for sign in (1.0, -1.0)
+    )
+    np.testing.assert_allclose(Model(arm).position(q), leaning, atol=660.0 * square**2)
+    np.testing.assert_allclose(leaning - straight, straight - mirrored, atol=1e-9)
+    assert np.abs(leaning - straight).max() > 0.05
 
 
 def test_hidden_effect_has_the_size_asked_for() -> None:
     rng = np.random.default_rng(2)
-    truth = simulator.random_truth(rng, 4)
+    truth = random_truth(rng, 4)
     run = simulator.session(truth, rng.uniform(-np.pi, np.pi, (50, 4)), rng)
-    effect = hidden_effects.random_effect(truth, run, 8.0, rng)
+    names = hidden_effects.LIBRARY_JOINT + hidden_effects.LIBRARY_WHOLE
+    effect = hidden_effects.random_effect(names, truth, run, 8.0, rng)
     moved = simulator.position(replace(truth, effects=[effect]), run) - simulator.position(
         replace(truth, effects=[]), run
     )
-    stacked = np.column_stack([moved.real, moved.imag]).ravel()
     # the base errors of the truth turn the effect's column by their size, some 0.01 rad
-    size = np.linalg.norm(hidden_effects.off(hidden_effects.base_jacobian(truth, run), stacked)) / truth.sigma
+    size = np.linalg.norm(simulator.off(simulator.base_jacobian(truth, run), moved.ravel())) / truth.sigma
     assert size == pytest.approx(8.0, rel=0.05)
 
 

@@ -7,14 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.studies.blind import spatial_cells
-from doe.studies.blind.cells import DataSet
-from doe.studies.blind.hidden_effects import COUNTS, off
+from doe.studies.blind import cells
+from doe.studies.blind.cells import CELLS, DataSet, data_set
+from doe.studies.blind.hidden_effects import COUNTS, SPACE_OUTSIDE, SPACE_PHYSICS, library_columns, random_effect
 from doe.studies.blind.rivals import true_arm
-from doe.studies.blind.simulator import session
-from doe.studies.blind.spatial_cells import CELLS, data_set
-from doe.studies.blind.spatial_hidden_effects import OUTSIDE, PHYSICS, column, library_span, outside_effect
-from doe.studies.blind.spatial_simulator import base_jacobian, position
+from doe.studies.blind.simulator import base_jacobian, column, off, position, session
 from identification.arm import Arm, EffectSpec
 from identification.effects import build_all
 from identification.gap.fit import Rows, fit
@@ -53,18 +50,18 @@ def missing(data: DataSet) -> np.ndarray:
 def test_every_hidden_effect_is_one_of_the_library() -> None:
     """With the parameters that are said to be true; one in each cell, none outside the library, some of each family."""
     counts = {"robot": (8, 9), **COUNTS}
-    others = set(PHYSICS) - {"two_warm_ups"}  # drawn by the same lines, which takes time
+    others = set(SPACE_PHYSICS) - {"two_warm_ups"}  # drawn by the same lines, which takes time
     for cell, spec in CELLS.items():
-        if spec.physics in others:
+        if not spec.space or spec.physics in others:
             continue
         data = data_set(cell, 901)
         effects = build_all(data.specs, data.arm.links, data.arm.lengths, 3)
         assert sorted(effect.key for effect in effects) == sorted(data.effects)
         assert len({*data.effects}) == len(effects)
-        expected = 0 if spec.lam is None or spec.outside else 2 if spec.gravity == "place" else spec.effects
+        expected = 0 if spec.lam is None or spec.outside else 2 if spec.wrong == "place" else spec.effects
         low, high = counts[spec.many] if spec.many else (expected, expected)
         assert low <= len(effects) <= high
-        assert len({effect.family for effect in effects}) == len(effects) or spec.many or spec.gravity == "place"
+        assert len({effect.family for effect in effects}) == len(effects) or spec.many or spec.wrong == "place"
         assert (data.place is not None) == (data.outside is not None) == (spec.outside or bool(spec.physics))
         assert spec.physics in ("", data.outside)
         assert {p.name for effect in effects for p in effect.parameters} >= set(data.values)
@@ -72,8 +69,8 @@ def test_every_hidden_effect_is_one_of_the_library() -> None:
 
 def test_what_the_arm_file_is_wrong_about() -> None:
     spec, rng = CELLS["space, gravity, lambda 8"], np.random.default_rng(7)
-    truth = spatial_cells.random_truth(spec, rng)
-    arms = {kind: spatial_cells.arm_of(replace(spec, gravity=kind), truth, rng) for kind in ("known", "masses", "tool")}
+    truth = cells.random_six_axes(rng)
+    arms = {kind: cells.arm_of(replace(spec, wrong=kind), truth, rng) for kind in ("known", "masses", "tool")}
     loads = {kind: arm.gravity for kind, arm in arms.items()}
     assert loads["known"] is not None and loads["masses"] is not None and loads["tool"] is not None  # noqa: PT018
     np.testing.assert_array_equal(loads["known"].link_masses, truth.masses)
@@ -82,7 +79,7 @@ def test_what_the_arm_file_is_wrong_about() -> None:
     assert ratios.max() <= 1.3
     assert (loads["known"].payload, loads["tool"].payload) == (truth.payload, 0.0)
     assert [effect.name for effect in arms["tool"].effects] == ["tool_mass"]
-    lean = spatial_cells.leaning(truth, rng).gravity
+    lean = cells.leaning(truth, rng).gravity
     assert np.linalg.norm(lean) == pytest.approx(9.81)
     assert 1.0 <= np.degrees(np.arccos(-lean[2] / 9.81)) <= 3.0
 
@@ -101,25 +98,25 @@ def test_outliers_are_15_sigma_away() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "names"), [*((number, OUTSIDE) for number in NUMBERS), (1, ("cross_talk",)), (1, ("warm_offset",))]
+    ("number", "names"), [*((number, SPACE_OUTSIDE) for number in NUMBERS), (1, ("cross_talk",)), (1, ("warm_offset",))]
 )
 def test_what_is_outside_the_library_is_of_the_size_asked_for(number: int, names: tuple[str, ...]) -> None:
     """Off the geometry and all that the simulator draws from the library lambda sigma long."""
-    spec, rng = CELLS["space, outside, lambda 10"], np.random.default_rng(number)
-    truth = spatial_cells.random_truth(spec, rng)
-    run = session(truth, rng.uniform(truth.lower, truth.upper, (60, truth.n)), rng)  # type: ignore[arg-type]
-    effect = outside_effect(truth, run, 10.0, rng, names)
+    rng = np.random.default_rng(number)
+    truth = cells.random_six_axes(rng)
+    run = session(truth, rng.uniform(truth.lower, truth.upper, (60, truth.n)), rng)
+    effect = random_effect(names, truth, run, 10.0, rng, library_columns(truth, run))
     step = position(replace(truth, effects=[effect]), run) - position(truth, run)
     left = {
         name: step.ravel() - span @ np.linalg.lstsq(span, step.ravel(), rcond=1e-10)[0]
-        for name, span in (("geometry", base_jacobian(truth, run)), ("library", library_span(truth, run)))
+        for name, span in (("geometry", base_jacobian(truth, run)), ("library", library_columns(truth, run)))
     }
     assert np.linalg.norm(left["library"]) == pytest.approx(10.0 * truth.sigma, rel=1e-2)  # of second order the rest
     assert np.linalg.norm(left["geometry"]) >= np.linalg.norm(left["library"])
     assert effect[0] in names
     one = ("encoder_eccentricity", 3, {"a": 0.3, "b": -0.4})
-    inside = column(truth, run, None, one)
-    assert np.linalg.norm(off(library_span(truth, run), inside)) < 1e-6 * np.linalg.norm(inside)
+    inside = column(truth, run, one)
+    assert np.linalg.norm(off(library_columns(truth, run), inside)) < 1e-6 * np.linalg.norm(inside)
 
 
 def test_many_small_effects_are_of_the_sizes_asked_for() -> None:

@@ -9,9 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.studies.blind import spatial_simulator
-from doe.studies.blind.simulator import RowConditions, session
-from doe.studies.blind.spatial_simulator import SpatialTruth
+from doe.studies.blind import simulator
+from doe.studies.blind.simulator import RowConditions, TrueArm, session
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
 from identification.gap.fit import Rows, fit
@@ -40,38 +39,38 @@ VALUES: dict[str, tuple[dict, dict, float]] = {
     "joint_coupling:5": ({"c": 1e-3}, {"c": 1e-3}, 1e-9),
     "backlash:3": ({"b": 1e-3}, {"b": 1e-3}, 1e-9),
     "thermal_growth": ({"a": 2e-4}, {"a": 2e-4}, 1e-9),
-    "base_drift": ({"vx": 1.0, "vy": -2.0, "vz": 0.5}, {"v": [1.0, -2.0, 0.5]}, 1e-9),
-    "base_rotation_drift": ({"wx": 1e-4, "wy": -2e-4, "wz": 1e-4}, {"w": [1e-4, -2e-4, 1e-4]}, 1e-4),
+    "base_drift": ({"vx": 1.0, "vy": -2.0, "vz": 0.5}, {"v": np.array([1.0, -2.0, 0.5])}, 1e-9),
+    "base_rotation_drift": ({"wx": 1e-4, "wy": -2e-4, "wz": 1e-4}, {"w": np.array([1e-4, -2e-4, 1e-4])}, 1e-4),
 }
 
 
-def truth_and_session(seed: int = 1) -> tuple[SpatialTruth, RowConditions]:
+def truth_and_session(seed: int = 1) -> tuple[TrueArm, RowConditions]:
     """An arm as drawn, 30 postures of it."""
     generator = np.random.default_rng(seed)
     base = pose((300.0, -200.0, 900.0), from_own_axes(0.3, -0.2, 2.0))
-    zero, limit = np.zeros(5), np.full(5, 2.0)
-    lines = np.zeros((5, 3))
-    plain = SpatialTruth(TABLE, lines, lines, zero, base, TOOLS, MASSES, 4.0, -limit, limit, 0.05)
-    home = plain.home[:-1]
-    truth = replace(plain, axes=home[:, :3, 2], points=home[:, :3, 3])
-    return truth, session(truth, generator.uniform(-2.0, 2.0, (30, 5)), generator)  # type: ignore[arg-type]
+    limit = np.full(5, 2.0)
+    loads = {"masses": MASSES, "payload": 4.0, "lower": -limit, "upper": limit, "sigma": 0.05}
+    truth = TrueArm.built(
+        TABLE, np.random.default_rng(0), 0.0, 0.0, offsets=np.zeros(5), base=base, tools=TOOLS, **loads
+    )
+    return truth, session(truth, generator.uniform(-2.0, 2.0, (30, 5)), generator)
 
 
-def model_of(truth: SpatialTruth, *specs: EffectSpec) -> Model:
+def model_of(truth: TrueArm, *specs: EffectSpec) -> Model:
     """The program's model of the same arm, base and tools known."""
     chain = chain_of([DHRow(a, alpha, d) for a, alpha, d in truth.table.tolist()])
     tools = dict(zip("12", truth.tools, strict=True))
     chain = replace(chain, base=truth.base, tools=tools, known=frozenset({"base", "tool"}))
-    gravity = Gravity(truth.gravity, truth.masses, np.full(truth.n, truth.share), truth.payload, truth.load)
+    gravity = Gravity(truth.gravity, truth.masses, np.full(truth.n, truth.center), truth.payload, truth.load)
     return Model(Arm.of_chain(chain, gravity=gravity, effects=specs))
 
 
-def difference(truth: SpatialTruth, run: RowConditions, *specs: EffectSpec) -> float:
+def difference(truth: TrueArm, run: RowConditions, *specs: EffectSpec) -> float:
     """Largest distance [mm] of a coordinate, of both measured points."""
-    marker = np.arange(len(run.q)) % 2
-    conditions = Conditions(run.payload, run.warm, run.t, run.s, marker=1.0 * marker)
+    run = replace(run, marker=np.arange(len(run.q)) % 2)
+    conditions = Conditions(run.payload, run.warm, run.t, run.s, marker=1.0 * run.marker)
     ours = model_of(truth, *specs).position(run.q, conditions=conditions)
-    return float(np.abs(ours - spatial_simulator.position(truth, run, marker)).max())
+    return float(np.abs(ours - simulator.position(truth, run)).max())
 
 
 @pytest.mark.parametrize("key", VALUES)
@@ -94,7 +93,7 @@ def test_loads_that_are_wrong() -> None:
     for name, short in (("payload_error", "d"), ("tool_mass", "m")):
         assert difference(heavy, run, known, EffectSpec(name, None, {short: 3.0})) < 1e-9
     assert difference(heavy, run, known) > 0.01
-    lean = replace(truth, effects=[c, ("gravity_tilt", None, {"angle": [2e-3, -3e-3]})])
+    lean = replace(truth, effects=[c, ("gravity_tilt", None, {"x": 2e-3, "y": -3e-3})])
     # turns about x, then y, against one about a vector: 3e-6 rad of gravity, which moves the tip by 1 mm
     assert difference(lean, run, known, EffectSpec("gravity_tilt", None, {"x": 2e-3, "y": -3e-3})) < 1e-5
     assert difference(lean, run, known) > 1e-3
@@ -110,10 +109,10 @@ def test_a_payload_that_hangs_elsewhere() -> None:
         assert difference(away, run, known) < 1e-5
         beside = replace(away, load=None)  # the model's payload is at the first point
         shift = dict(zip("xyz", (away.load - truth.tools[0]).tolist(), strict=True))  # type: ignore[operator]
-        marker = np.arange(len(run.q)) % 2
-        conditions = Conditions(run.payload, run.warm, run.t, run.s, marker=1.0 * marker)
+        run = replace(run, marker=np.arange(len(run.q)) % 2)
+        conditions = Conditions(run.payload, run.warm, run.t, run.s, marker=1.0 * run.marker)
         ours = model_of(beside, known, EffectSpec("payload_place", None, shift))
-        theirs = spatial_simulator.position(away, run, marker)
+        theirs = simulator.position(away, run)
         assert np.abs(ours.position(run.q, conditions=conditions) - theirs).max() < 1e-5
         assert np.abs(model_of(beside, known).position(run.q, conditions=conditions) - theirs).max() > 1e-3
 
@@ -122,7 +121,7 @@ def test_effects_outside_the_library() -> None:
     """An error of an angle is the arm at that angle; an axis that wobbles turns what lies beyond about the origin of
     its frame, whose place is that of a chain of Denavit-Hartenberg rows in plain numpy."""
     truth, run = truth_and_session()
-    here, joint = spatial_simulator.position(truth, run), 3
+    here, joint = simulator.position(truth, run), 3
     q = run.q[:, joint - 1]
     errors = {
         "bump": ({"h": 1e-3, "at": 0.5, "width": 0.4}, 1e-3 * np.exp(-0.5 * ((q - 0.5) / 0.4) ** 2)),
@@ -134,10 +133,10 @@ def test_effects_outside_the_library() -> None:
         moved[:, joint - 1] += error
         hidden = replace(truth, effects=[(name, joint, values)])
         np.testing.assert_allclose(
-            spatial_simulator.position(hidden, run), spatial_simulator.position(truth, replace(run, q=moved)), atol=1e-9
+            simulator.position(hidden, run), simulator.position(truth, replace(run, q=moved)), atol=1e-9
         )
     wobbling = replace(truth, effects=[("axis_wobble", joint, {"c": 1e-5})])
-    found = spatial_simulator.position(wobbling, run) - here
+    found = simulator.position(wobbling, run) - here
     for row, posture in enumerate(run.q):
         frame = truth.base
         for j, (a, alpha, d) in enumerate(TABLE[: joint - 1]):
@@ -162,14 +161,14 @@ def test_what_the_geometry_can_be_wrong_about() -> None:
         (model.position(run.q, model.values + step) - model.position(run.q, model.values - step)).ravel() / 2e-4
         for step in np.diag(steps)
     ]
-    space = spatial_simulator.base_jacobian(replace(truth, tools=truth.tools[:1]), run)
+    space = simulator.base_jacobian(replace(truth, tools=truth.tools[:1]), run)
     for column in columns:
         left = column - space @ np.linalg.lstsq(space, column, rcond=1e-10)[0]
         assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(column)  # of differences: (1e-4)^2 and 1e-13 / 1e-4
 
 
 def test_the_simulator_does_not_know_the_model() -> None:
-    code = "import sys, doe.studies.blind.spatial_simulator; print(*sys.modules)"
+    code = "import sys, doe.studies.blind.simulator; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "casadi" not in loaded
     assert not [name for name in loaded if name.startswith(("identification.effects", "identification.model"))]
@@ -182,7 +181,7 @@ def test_the_mass_of_a_tool_that_nobody_weighed() -> None:
     c = 1e-5 * np.array([0.0, 2.0, 1.0, 3.0, 4.0])
     heavy = replace(truth, effects=[("joint_compliance", None, {"c": c}), ("payload_error", None, {"d": 3.0})])
     run = replace(run, payload=np.zeros(len(run.q)))
-    rows = Rows.of(Measurements(run.q, spatial_simulator.position(heavy, run)))
+    rows = Rows.of(Measurements(run.q, simulator.position(heavy, run)))
     compliances = [EffectSpec("joint_compliance", j) for j in range(2, 6)]
     found = fit(model_of(truth, *compliances, EffectSpec("tool_mass")), rows).by_name
     assert found["tool_mass.m"] == pytest.approx(3.0, abs=1e-6)

@@ -24,7 +24,7 @@ from scipy.stats import binom
 
 from doe.cli.study import command
 from doe.jobs.row_table import frame_of
-from doe.report.blind import blind_tables, confusion_matrix
+from doe.report.studies import blind_parts, blind_pictures, confusion_matrix
 from doe.studies.blind import cells
 from doe.studies.blind import study as blind
 from doe.studies.blind.rivals import error, gaussian_process, has_processes, share_inside_tip, true_arm
@@ -162,7 +162,7 @@ def test_the_study_in_space_of_few_sets(tmp_path: Path) -> None:
         check(one, (cell, measure))
     assert found[1].sets["hidden"].n_unique() == 2
     assert found[1].value(cells[1], "gap / true") < 1.3  # of 28 parameters from 180 equations, 200 rows
-    assert len(blind_tables(found[1])) >= 2
+    assert len(blind_parts(found[1])) >= 2
 
 
 def test_an_ambiguous_set_is_measured_further(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -454,11 +454,9 @@ def test_an_unknown_cell_is_named() -> None:
 
 
 def test_tables_and_picture_can_be_made(small: tuple[BlindStudy, Path], tmp_path: Path) -> None:
-    from doe.report.blind import write_pictures
-
     found, _ = small
-    assert len(blind_tables(found)) >= 3
-    write_pictures(tmp_path, found)
+    assert len(blind_parts(found)) >= 3
+    blind_pictures(tmp_path, found)
     assert (tmp_path / "confusion.png").stat().st_size > 1000
     assert (tmp_path / "reliability.png").stat().st_size > 1000
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from doe.plan.plan import Plan
+from doe.problem.spatial import without_prior
 from doe.studies.monte_carlo import Fitted, Study, Truth, load_study, run_study
-from doe.studies.monte_carlo.spatial import fitted_model, in_api_units, in_file_units, true_values
+from doe.studies.monte_carlo.replications import in_api_units, in_file_units, true_values
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
 from identification.files.arm_text import dump_arm
@@ -42,7 +43,7 @@ values = {"rotation_y:3" = 0.1}
 
 def test_true_values_put_the_point_where_the_truth_does() -> None:
     """Without noise the fitted set, which is smaller than that of the errors, ends at the positions of all of them."""
-    model, truth = fitted_model(ARM), Model(MACHINED.of(ARM))
+    model, truth = Model(without_prior(ARM)), Model(MACHINED.of(ARM))
     assert len(model.names) < len(truth.names)
     postures = np.random.default_rng(5).uniform(-3.0, 3.0, (30, 3))
     found = model.position(postures, true_values(model, truth))
@@ -54,7 +55,7 @@ def test_intervals_hold_and_a_missing_effect_is_a_bias() -> None:
     study = Study([ARM], [("plan", PLAN), "dft"], [15], (), truths, [Fitted("geometry", ())], SETS, SETS)
     cells = run_study(study, seed=3).cells
     rows = cells.filter(cells["plan"] == "plan", cells["truth"] == "machined")
-    assert rows["failed"].to_list() == [0] * len(fitted_model(ARM).names)
+    assert rows["failed"].to_list() == [0] * len(Model(without_prior(ARM)).names)
     spread = 5.0 / np.sqrt(2.0 * SETS)  # five standard errors of a standard deviation
     np.testing.assert_allclose(rows["std"] / rows["expected_std"], 1.0, atol=spread)
     assert (rows["mean_error"].abs() < 5.0 * rows["mean_error_se"]).all()
@@ -72,7 +73,7 @@ def test_a_study_file_with_values(tmp_path: Path) -> None:
     path.write_text(FILE)
     study = load_study(path)
     assert study.truths[0].values == {"rotation_y:3": pytest.approx(np.radians(0.1))}
-    assert run_study(study).cells["fits"].to_list() == [5] * len(fitted_model(ARM).names)
+    assert run_study(study).cells["fits"].to_list() == [5] * len(Model(without_prior(ARM)).names)
     for old, new, sentence in (
         ("rotation_y:3", "rotation_w:3", "truths[1].values: unknown parameter 'rotation_w:3', did you mean"),
         ("elbow.toml", "planar.toml", "truths[1].values: arm arm is planar, allowed: spatial arms"),
@@ -96,7 +97,7 @@ def test_every_point_and_frame_is_measured_at_every_posture(measured: dict[str, 
     arm = Arm.of_chain(chain, sigma=0.05, name="elbow")
     study = Study([arm], [("plan", Plan(PLAN.postures[:8])), "random"], [9], (), [MACHINED], replications=100)
     cells = run_study(study, seed=4).cells
-    model, count = fitted_model(arm), len(chain.tools)
+    model, count = Model(without_prior(arm)), len(chain.tools)
     values = true_values(model, Model(MACHINED.of(study.arms[0])))
     q, marker = np.repeat(PLAN.postures[:8], count, axis=0), Conditions(marker=np.arange(8 * count) % count)
     if chain.angle_scale is not None:

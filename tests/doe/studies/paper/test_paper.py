@@ -15,14 +15,14 @@ from click.testing import CliRunner
 
 from doe.cli.study import command
 from doe.jobs.workers import processes, serial
-from doe.report.paper import figure_1_picture, figure_2_picture
+from doe.report.studies import figure_1_picture, figure_2_picture
 from doe.studies.paper import study as paper_run
-from doe.studies.paper.equations import Erratum
-from doe.studies.paper.errata import errata
-from doe.studies.paper.figures import figure_1, figure_2
+from doe.studies.paper.errata import Shown, errata
 from doe.studies.paper.tables import (
     agreement,
     consistent,
+    figure_1,
+    figure_2,
     joint_offset_std,
     table_1,
     table_2,
@@ -125,8 +125,8 @@ def test_every_erratum_is_confirmed() -> None:
 
 
 def test_a_correct_statement_is_no_erratum() -> None:
-    assert not Erratum("eq. 1", "x", "x", 1e-6, 1e-12, 1e-9).confirmed
-    assert not Erratum("eq. 1", "x", "y", 0.5, 1e-3, 1e-9).confirmed
+    assert not Shown(1e-6, 1e-12, 1e-9).confirmed
+    assert not Shown(0.5, 1e-3, 1e-9).confirmed
 
 
 def test_figure_1_is_made_of_determinants() -> None:
@@ -209,7 +209,7 @@ def plain_tables() -> tuple[pl.DataFrame, ...]:
 def test_parts_make_the_same_tables_on_any_workers() -> None:
     """One process stands for any number: rows depend on keys alone (tests/doe/jobs/test_tasks.py)."""
     found = paper_run.paper_study(folder=None, workers=processes(1), resume=False, **ARGUMENTS).tables
-    assert tuple(found) == paper_run.NAMES
+    assert tuple(found) == tuple(paper_run.PIECES)
     for frame, other in zip(found.values(), plain_tables(), strict=True):
         assert frame.equals(other)
 
@@ -234,6 +234,6 @@ def test_resume_keeps_finished_parts(tmp_path: Path, monkeypatch: pytest.MonkeyP
     resumed = paper_run.paper_study(resume=True, **options).tables
     assert sorted(asked) == sorted([*range(15), 5, 7])  # nothing else twice
     monkeypatch.undo()
-    for name, frame in zip(paper_run.NAMES, plain_tables(), strict=True):
+    for name, frame in zip(paper_run.PIECES, plain_tables(), strict=True):
         assert frame.equals(resumed[name])
         assert frame.equals(pl.read_parquet(tmp_path / "out" / f"{name}.parquet"))

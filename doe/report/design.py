@@ -1,0 +1,453 @@
+"""Plans as documents: a design or a scored plan, how many runs, weights, what a plan could show, the next postures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from doe.advise import Advice
+from doe.bounds.approximate_design import ApproximateDesign
+from doe.bounds.bound import bound_in_words, postures_in_words
+from doe.cross_check import CrossCheck
+from doe.design import BEST_KNOWN, Design, optimality_in_words
+from doe.discrimination.design import MOST_SEEN, DiscriminationDesign
+from doe.discrimination.misidentification import LAMBDA
+from doe.discrimination.t_optimal import NextPostures
+from doe.plan.expected_accuracy import ExpectedDeviations, over_draws
+from doe.plan.plan import Plan
+from doe.plan.replicate_spacing import distance_to_keep
+from doe.problem.problem import DesignProblem
+from doe.problem.spatial import COLLISIONS
+from doe.report.identification import identify_command
+from doe.solvers.solver import LONG_PLAN
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet
+from identification.estimation.corrected_values import NARROWED
+from identification.files.csv import Table as CsvTable
+from identification.files.measurement_columns import posture_columns
+from identification.gap.detectability import Detectability
+from identification.gap.result import Diagnosis
+from identification.gap.words import untested
+from identification.kinematics.parameters import EFFECT
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.numbers_in_text import in_a_sentence, number
+
+Data = Mapping[str, Any]  # what a command says with --json
+
+NEAR = 0.9  # of the bound, which a plan of whole runs should reach where it determines every parameter
+WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
+    "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
+    "and only of such a fit is the error at the tip that is expected here"
+)
+
+
+# -- armcal design, score ----------------------------------------------------------------------------------------------
+def design_document(design: Design) -> Document:
+    """Everything about a plan: value, bound, efficiency, what a person reads first; then the postures, the accuracy."""
+    data = design.to_json()
+    rows = [[str(run), *(f"{angle:.3f}" for angle in q)] for run, q in enumerate(design.plan.displayed, start=1)]
+    plan = Sheet(["run", *posture_headings(design.plan)], rows, "Plan", 24)
+    parts = [design_facts(data, design.status.value), *remarks(design), plan, *accuracy(design)]
+    return Document("Plan", [design_verdict(data)], parts)
+
+
+def design_verdict(data: Data) -> str:
+    """How good a plan is, in a sentence or two."""
+    sure = optimality_in_words(data.get("optimality"), data.get("bound")) if data["certified_optimal"] else ""
+    optimal = f", {sure}" if sure else ""
+    if not (error := data.get("expected_error_mm")):
+        known = "" if data["efficiency"] is None else f" has the efficiency {data['efficiency']:.4f}"
+        return f"The plan of {data['runs']} runs{known or ' has no known bound'} ({data['criterion']}{optimal})."
+    said = f"With the plan of {data['runs']} runs (criterion {data['criterion']}{optimal}) expect an error of "
+    said += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace or --test-poses"
+    said += f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""
+    if error["bound"] is None or data["efficiency"] is None or data.get("outside_limits"):
+        return f"{said}."  # no bound applies to a plan outside the limits
+    bound = data.get("bound") or {"source": "continuous"}  # which older files do not have
+    kind = "" if bound.get("rigorous", False) else " (a numerical bound)"
+    said += f"; no plan from {postures_in_words(bound)} is below {in_a_sentence(error['bound'])} mm{kind}"
+    hope = "Do not expect it near 1: the" if data["efficiency"] < NEAR else "The"
+    judge = f"{hope} bound allows fractions of a run. Judge by the mm."
+    return f"{said}. Efficiency {data['efficiency']:.4f}. {judge}"
+
+
+def design_facts(data: Data, status: str) -> Facts:
+    """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""
+    bound, kind, in_mm = data["bound"], data["criterion"], data.get("expected_error_mm") is not None
+    known, table_1 = bound and not data["outside_limits"], data["table_1_max_residual"]
+    words, value = bound_in_words(bound) if known else "-", f"{number(bound['value'], 7)} " if known else ""
+    efficiency = f"-: {data['no_efficiency']}" if data["no_efficiency"] else number(data["efficiency"], 6)
+    searched = f"{data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
+    optimal = optimality_in_words(data["optimality"], bound) or "no"
+    optimal += ": the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else ""
+    if outside := data["outside_limits"]:
+        listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")
+        are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
+        optimal = f"no: {are} outside joint limits or constraints"
+    return Facts(
+        [
+            ("criterion", f"{kind}, {data['runs']} runs, {data['links']} links"),
+            (f"value of {kind}", None if kind == "D" or in_mm else number(data["value"], 7)),
+            ("information (log det M')", None if kind == "I" else number(data["log_det"], 7)),
+            (
+                "upper bound" if kind == "D" else f"upper bound of {kind}",
+                f"{value}({words})" if value and not in_mm else None,
+            ),
+            ("efficiency", f"{efficiency} of the bound ({words})" if known and in_mm else efficiency),
+            ("optimal", optimal),
+            ("deviation from orthogonality (Table I)", None if table_1 is None or kind == "I" else number(table_1, 6)),
+            ("solver", data["solver"] and f"{data['solver']}, {searched}"),
+            ("status", status),
+        ]
+    )
+
+
+def posture_headings(plan: Plan) -> list[str]:
+    """`q1 [deg]` and so on."""
+    return [f"q{joint} [{unit}]" for joint, unit in enumerate(plan.units, start=1)]
+
+
+def remarks(design: Design) -> list[str]:
+    """Why there is no log det, where there is none, and what the rule against repeats may cost, where it binds and the
+    bound is not reached."""
+    lines, runs, apart = [], len(design.plan), design.problem.spacing
+    if not np.isfinite(design.log_det):
+        still, combinations = design.problem.without_effect, design.not_identifiable
+        if design.identifies_all:
+            why = "the information matrix of the plan is singular to the precision of the computer"
+        elif still:
+            why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
+        else:
+            more = ", ..." if len(combinations) > 4 else ""
+            why = f"not estimable from the plan: {', '.join(combinations[:4])}{more}"
+        lines.append(f"no log det: {why}")
+    better = "armcal design --repeats lets them be equal, which can be better"
+    if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs ends with, see `spread_out`
+        lines.append(f"the plan is random: none was found that is better with {runs} postures {apart} apart; {better}")
+    elif not design.certified_optimal and distance_to_keep(design.problem, runs) > 0.0:
+        lines.append(f"postures are kept {apart} apart; {better}")
+    return lines
+
+
+def accuracy(design: Design) -> list[Sheet | str]:
+    """Expected standard deviations per link of a planar arm, else per parameter, those that may be missing and those
+    that the prior of [machining] holds left out and counted; or why there are none."""
+    problem, sigma, mean = design.problem, design.problem.model.sigma, design.deviations
+    if sigma is None:
+        return ["No expected standard deviations: the arm file has no sigma_mm."]
+    if mean is None:
+        return ["No expected standard deviations: not every parameter is estimable from the plan."]
+    each = design.deviations_per_draw
+    over = "" if each is None else ", mean over the draws of the arm and worst of them"
+    columns = deviation_columns(mean)
+    worst = {} if each is None else deviation_columns(over_draws(each, np.max))
+    missing = missing_parameters(problem)
+    weak = [
+        p.name
+        for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
+        if not mean.planar and p.kind != EFFECT and std > NARROWED * problem.deviations.get(p.name, np.inf)
+    ]
+    hidden = {*missing, *weak}
+    names = ["" if p.name in hidden else f"{p.name} [{p.file_unit}]" for p in mean.parameters]
+    names = [str(link) for link in range(1, mean.length.size + 1)] if mean.planar else names
+    values = zip(*columns.values(), *worst.values(), strict=True)
+    rows = [[name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True) if name]
+    given = "if effects of typical size may be missing" if missing else "if the model is complete"
+    headings = ["link" if mean.planar else "parameter", *columns, *(f"worst {heading}" for heading in worst)]
+    held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
+    table = Sheet(headings, rows, f"Expected standard deviations {given} (sigma = {sigma:g} mm{over})")
+    return [table, *([f"and {len(weak)} {held}"] if weak else [])]
+
+
+def deviation_columns(deviations: ExpectedDeviations) -> dict[str, Array]:
+    """Heading -> figures in the units of files, (n,) per link of a planar arm, else (p,) per parameter."""
+    if not deviations.planar:
+        return {"std": deviations.values * [p.to_file for p in deviations.parameters]}
+    return {
+        "length [mm]": deviations.length,
+        "orientation [deg]": np.degrees(deviations.orientation),
+        "joint offset [deg]": np.degrees(deviations.joint_offset),
+    }
+
+
+def missing_parameters(problem: DesignProblem) -> list[str]:
+    """Names of the parameters of effects that may be missing."""
+    return [p.name for p in problem.model.parameters if p.kind == EFFECT and p.name in problem.deviations]
+
+
+def missing_lines(design: Design) -> list[str]:
+    """What a plan is for where effects may be missing; or, where the model has none, that they may be."""
+    problem, missing = design.problem, missing_parameters(design.problem)
+    held = len(problem.deviations) - len(missing)
+    lines = [f"{held} corrections of the geometry have the prior of its machining"] if held else []
+    if missing:
+        effects = {name.partition(":")[0].partition(".")[0] for name in missing}
+        known = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
+        lines.append(f"may be missing, each of its typical size: {known}; {WHAT_TO_FIT}")
+        equations = len(design.plan) * problem.model.dimension
+        if equations < problem.parameters:
+            few = f"{equations} equations for {problem.parameters} parameters"
+            lines.append(f"{few}: so few runs stay far from the bound")
+    elif problem.model.sigma is not None and not any(p.kind == EFFECT for p in problem.model.parameters):
+        lines.append("The model has no effects, a real arm has: --robust chooses postures with the library's in mind.")
+    return lines
+
+
+def criteria_lines(data: Data) -> list[str]:
+    """The value of every criterion, all of which are better the larger they are, and the indices O1 to O5, to compare
+    with published plans;  data : of `armcal score --json`"""
+    values, error = data["criteria"], data["workspace_error_mm"]
+    figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
+    tip = "the tip over the workspace" + ("" if error is None else f", {in_a_sentence(error)} mm RMS")
+    indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
+    every = f"every criterion, the larger the better: {figures} (I: {tip}; Ds: what is in mm)"
+    return [every, f"observability indices: {indices}"]
+
+
+def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv", fit: str = "") -> list[Action]:
+    """From a plan to a calibration;  fit : of the plan"""
+    why = ", as the plan is meant: what it promises is of this fit" if fit else ""
+    return [
+        Action(f"Measure the postures of {plan}, and write the positions beside the angles (armcal help formats)."),
+        Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
+        Action(f"Identify the arm{why}:", identify_command(arm, "data.csv", fit)),
+    ]
+
+
+# -- a plan to step through --------------------------------------------------------------------------------------------
+STEPS = (
+    "Step through the runs, move them, or strike them out: what is left is computed in this page, and the edited plan "
+    "is a file that armcal score reads. The figures are of criterion D for the model of the arm file alone, also where "
+    "the plan was chosen by another criterion or with missing effects in mind (--robust)."
+)
+MOST_RUNS, MOST_NUMBERS = 200, 150_000  # that a person steps through; of the Jacobians, some 12 characters each
+DECIMAL = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
+
+
+def plan_section(
+    arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = "plan.csv", lead: str = ""
+) -> Section:
+    """A part of a page in which the plan is stepped through, reordered and cut; a long one or one of weights is drawn.
+
+    table : the file of the plan, whose columns the edited plan keeps
+    """
+    from doe.report.figures import plan_figure  # deferred: tables need no pictures
+
+    lead = lead if arm.chain is None else f"{lead} {COLLISIONS}".strip()
+    title = f"The plan {name}" if table is not None else "The plan"
+    if (steps := plan_steps(arm, plan, table, Path(name).stem)) is not None:
+        return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
+    said = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
+    return Section(title, [Pictures(lambda: [said.strip(), plan_figure(arm, plan.postures)])])
+
+
+def plan_steps(arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = "plan") -> dict[str, Any] | None:
+    """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
+    Jacobians to 12 digits. None for a plan that is too long for it, or one of weights.
+
+    name : of the edited file, without its ending
+    """
+    from doe.report.figures import FORBIDDEN, outlines
+
+    problem = DesignProblem.of(Model(arm))
+    numbers = len(plan) * problem.model.dimension * problem.parameters
+    if plan.weights is not None or len(plan) > MOST_RUNS or numbers > MOST_NUMBERS:
+        return None
+    jacobians = problem.scaled_jacobians(plan.postures).reshape(len(plan), -1)
+    if table is None:  # else its cells, with decimal points as the file separates columns by commas
+        angles = posture_columns(plan.postures, plan.joint_types or None)
+        cells = {name: [repr(float(angle)) for angle in column] for name, column in angles.items()}
+    else:
+        texts = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
+        pointed = table.decimal_commas
+        cells = {
+            name: [text.replace(",", ".") if pointed and DECIMAL.fullmatch(text) else text for text in column]
+            for name, column in texts.items()
+        }
+    return {
+        "file": f"{name}-edited.csv",
+        "comment": f"# fit: {plan.fit}" if plan.fit else "",
+        "columns": list(cells),
+        "rows": [list(row) for row in zip(*cells.values(), strict=True)],
+        "joints": posture_headings(plan),
+        "postures": to_digits(plan.displayed, 6),
+        "jacobians": to_digits(jacobians, 12),
+        "parameters": problem.parameters,
+        "known": to_digits(problem.precisions, 12),
+        "points": to_digits(Model(arm).points(plan.postures), 5),
+        "outlines": [{"line": to_digits(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
+    }
+
+
+def to_digits(values: Array, digits: int) -> Any:
+    """Nested lists of numbers rounded to this many significant digits."""
+    array = np.asarray(values, dtype=float)
+    return np.array([float(f"{value:.{digits}g}") for value in array.ravel()]).reshape(array.shape).tolist()
+
+
+# -- armcal advise -----------------------------------------------------------------------------------------------------
+ENOUGH = 0.999  # of the bound
+# figure of `TipError` -> heading
+TIP_ERRORS = {
+    "right": "model\nright\n[mm]",
+    "worst": "worst\npose\n[mm]",
+    "missing": "effects\nmissing\n[mm]",
+    "with_prior": "library\nprior\n[mm]",
+}
+RIGHT = (
+    "Expected errors of the tip where nothing was measured (RMS over the workspace): if the model is right, and then "
+    "at the worst pose."
+)
+DIAGNOSED = (
+    "The model has the effects that its diagnosis found, at the sizes measured; others are not counted: armcal "
+    "diagnose says which sizes its data rule out. armcal validate compares it with new measurements."
+)
+MISSING = (
+    "The last two columns: if effects of typical size are missing, and if these are allowed for by identify "
+    "--library-prior. They may rise with the runs: more runs do not help against a missing effect; the fit hides it in "
+    "wrong lengths and zeros. Where effects may be missing, choose the postures "
+    "with armcal design --robust."
+)
+
+
+def advice_document(advice: Advice) -> Document:
+    """The answer in one sentence, a row for some of the numbers of runs, and what the figures do not promise."""
+    known = [design.deviations for design in advice.designs]
+    missing = any(np.isfinite(error.missing) for error in advice.tip_errors)  # as in a model that was not diagnosed
+    stars = [" *" if (design.efficiency or 0.0) >= ENOUGH else "  " for design in advice.designs]
+    columns: dict[str, Iterable[str]] = {
+        "runs": map(str, advice.runs),
+        "efficiency": [f"{number(d.efficiency, 5)}{star}" for d, star in zip(advice.designs, stars, strict=True)],
+    }
+    if not advice.of_tip and any(known):
+        columns["length\nstd\n[mm]"] = [number(None if d is None else d.largest_length, 5) for d in known]
+        columns["angle\nstd\n[deg]"] = [number(None if d is None else np.degrees(d.largest_angle), 5) for d in known]
+    for key, heading in [*TIP_ERRORS.items()][: 4 if missing else 2] if advice.tip_errors else ():
+        columns[heading] = [number(getattr(error, key), 4) for error in advice.tip_errors]
+    every, shown = list(zip(*columns.values(), strict=True)), set(shown_runs(advice))
+    rows = [row for m, row in zip(advice.runs, every, strict=True) if m in shown]
+    parts: list[Any] = [Sheet(list(columns), rows)]
+    parts += ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
+    parts += [f"{len(rows)} of {len(every)} numbers of runs; --json has all of them."] if len(rows) < len(every) else []
+    parts += [RIGHT, MISSING if missing else DIAGNOSED] if advice.tip_errors else []
+    return Document("How many runs", [advice_sentence(advice)], parts)
+
+
+def shown_runs(advice: Advice) -> list[int]:
+    """The numbers of runs that a table shows: the smallest for the target, and about twelve of the others, spread so
+    that each is the same factor above the one before."""
+    runs = sorted(set(advice.runs))
+    spread = {min(runs, key=lambda m: abs(np.log(m / wanted))) for wanted in np.geomspace(runs[0], runs[-1], 12)}
+    smallest = {len(advice.smallest.plan)} if advice.smallest else set()
+    return sorted((set(runs) if len(runs) <= 12 else spread) | smallest)
+
+
+def advice_sentence(advice: Advice) -> str:
+    """What to do, in one line."""
+    good = ", ".join(spans(advice.efficient_runs()))
+    efficient = f"Plans within 0.1 % of the bound exist for m = {good}."
+    efficient = efficient if good else "None of these plans is within 0.1 % of the bound."
+    if advice.target is None:
+        return efficient
+    smallest = advice.smallest
+    if smallest is None:
+        return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {efficient}"
+    of = "at the tip" if advice.of_tip else "in each length"
+    errors = (e for design, e in zip(advice.designs, advice.tip_errors, strict=False) if design is smallest)
+    lacks = (in_a_sentence(e.missing) for e in errors if np.isfinite(e.missing))
+    missing = "".join(f"; at the tip {error} mm if effects of typical size are missing" for error in lacks)
+    suffice = f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, if the model is right{missing}."
+    return f"{suffice} {efficient}"
+
+
+def spans(runs: Sequence[int]) -> list[str]:
+    """`4`, `6 to 40`: stretches of rising whole numbers, each said once."""
+    stretches: list[list[int]] = []
+    for m in sorted(runs):
+        if stretches and m - stretches[-1][-1] == 1:
+            stretches[-1].append(m)
+        else:
+            stretches.append([m])
+    return [str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in stretches]
+
+
+# -- armcal relax ------------------------------------------------------------------------------------------------------
+def relax_document(design: ApproximateDesign) -> Document:
+    """Value, bound and efficiency, then the support, heaviest first."""
+    where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
+    order = np.argsort(-design.plan.shares, kind="stable")
+    weighted = zip(design.plan.shares[order], design.plan.displayed[order], strict=True)
+    rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted]
+    facts: list[tuple[str, str | None]] = [
+        ("criterion", f"{design.criterion} over {where}, {len(design.plan)} with positive weight"),
+        ("value", number(design.value, 9)),
+        ("upper bound", "-" if design.bound is None else str(design.bound)),
+        (f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})", number(design.gap, 3)),
+        ("efficiency at least", number(design.efficiency_lower_bound, 9)),
+        ("solver", f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s"),
+        ("status", design.status.value),
+    ]
+    return Document(
+        "Weights", [], [Facts(facts), Sheet(["weight", *posture_headings(design.plan)], rows, "Support", 24)]
+    )
+
+
+def cross_check_table(compared: CrossCheck) -> Sheet:
+    """Independent answers side by side."""
+    digits = {"value": 7, "bound": 7, "table_1_max_residual": 4}
+    rows = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared.rows()]
+    title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
+    return Sheet(("method", "over", "value", "upper bound", "Table I"), rows, title)
+
+
+# -- missing effects ---------------------------------------------------------------------------------------------------
+def preflight_parts(sees: Detectability) -> list[Sheet | str]:
+    """Visible fraction, smallest size and look-alikes of every effect."""
+    rows = []
+    for name, visible in zip(sees.names, sees.norm_fractions, strict=True):
+        alike = [f"{other} ({likeness:.2f})" for one, other, likeness in sees.pairs() if one == name]
+        more = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
+        rows.append([name, f"{visible:.2f}", str(sees.detectable[name]), ",\n".join(alike[:2]) + more])
+    title = "What this plan can show of missing effects (smallest: with 90 % power)"
+    table = Sheet(("effect", "visible", "smallest found", "looks like"), rows, title)
+    never = [f"never identifiable: {key}: equivalent to {why}" for key, why in sees.aliases.items()]
+    return [table, f"{sees.freedom} residual degrees of freedom", *untested(sees.skipped), *never]
+
+
+def discriminating_parts(result: DiscriminationDesign) -> list[Sheet | str]:
+    """The efficiency that the plan gives up, and what it can detect in return."""
+    parts: list[Sheet | str] = [
+        f"D-efficiency relative to the best plan found: {result.relative_efficiency:.4f}",
+        f"probability that a missing effect gets a wrong name: at most {result.wrong:.3f} "
+        f"(the best plan: {result.best_wrong:.3f}, random postures: {result.random_wrong:.3f})",
+        f"  for effects whose total shift (root sum of squares) at as many random postures is {LAMBDA:g} sigma; "
+        "gear ripple, backlash and drift are left out",
+    ]
+    if result.sees is not None and result.best_sees is not None:
+        data = result.to_json()
+        clear, blind = (", ".join(data[f"not_visible{which}"]) or "none" for which in ("", "_in_best_plan"))
+        return [*parts, f"effects it cannot see: {clear} (the best plan: {blind})", *preflight_parts(result.sees)]
+    if len(result.design.plan) > MOST_SEEN:
+        parts.append(f"what a plan of more than {MOST_SEEN:,} runs can detect is not worked out")
+    return parts
+
+
+# -- armcal discriminate -----------------------------------------------------------------------------------------------
+def missing_payload(arm: Arm, measurements: Measurements, result: NextPostures) -> list[str]:
+    """What to do before the rows can be appended: data without a payload column mean the arm's own payload."""
+    if result.payload is None or measurements.payload is not None or arm.gravity is None:
+        return []
+    return [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
+
+
+def next_document(diagnosis: Diagnosis, result: NextPostures) -> Document:
+    """The rivals, the chance, the postures."""
+    columns = result.columns
+    rows = [[f"{value:g}" for value in row] for row in zip(*columns.values(), strict=True)]
+    return Document("Next postures", [str(result)], [diagnosis.sentence, Sheet(list(columns), rows, "Next postures")])

@@ -1,0 +1,401 @@
+"""Studies as documents and pictures: solvers compared, Monte Carlo, the paper reproduced, blind diagnoses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+from doe.report.figures import AFTER, BEFORE, save
+from doe.report.page import svg
+from doe.studies.blind.score import ALL, KEEPS, BlindStudy
+from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
+from doe.studies.monte_carlo.specification import CELL
+from doe.studies.monte_carlo.study import StudyResult
+from doe.studies.paper.study import PaperStudy
+from identification.arrays import Array
+from identification.document import Part, Sheet
+from identification.files.io import write_whole
+
+Setting = tuple[str, int]  # solver and starts
+Curve = tuple[Array, Array]  # x and y of a step function
+
+
+def cell_text(value: Any, kind: str = ".4g") -> str:
+    """A cell: a number in this format, a dash for none, text as it is."""
+    return "-" if value is None else format(value, kind) if isinstance(value, float) else str(value)
+
+
+# -- armcal compare ----------------------------------------------------------------------------------------------------
+FLOOR = 1e-9  # losses below this are shown there
+
+
+def comparison_parts(rows: pl.DataFrame) -> list[Part]:
+    """One table per problem, the best setting first, and what went wrong, equal sentences once."""
+    parts: list[Part] = []
+    runs = with_hits(rows)
+    headings = ("solver", "best", "median", "effi-\nciency", "hits", "time\n[s]", "to hit\n[s]", "MB", "wrong")
+    for part in summary(rows).partition_by(*PROBLEM, maintain_order=True):
+        arm, arm_hash, criterion, m = (part[name][0] for name in PROBLEM)
+        bounds = runs.filter(arm_hash=arm_hash, criterion=criterion, runs=m)["bound"].drop_nulls().to_list()
+        cells = [
+            [
+                label((row["solver"], row["starts"])),
+                *(
+                    cell_text(row[name], "z.5f" if abs(row[name] or 0.0) < 10.0 else ".3f")
+                    for name in ("best", "median")
+                ),
+                cell_text(row["efficiency"], ".5f"),
+                f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}",
+                *(cell_text(row[name], ".2g") for name in ("seconds", "seconds_to_hit")),
+                cell_text(row["peak_memory_mb"], ".0f"),
+                str(row["not_correct"] or "-"),
+            ]
+            for row in part.iter_rows(named=True)
+        ]
+        bound = f", bound {min(bounds):z.7f}" if bounds else ""
+        parts.append(Sheet(headings, cells, f"{arm}, {criterion}, {m} runs{bound}"))
+    failed = runs.filter(pl.col("status") != "done")
+    kinds = failed.group_by("arm", "criterion", "runs", *SETTING, "status", "error", maintain_order=True).len()
+    lines = [
+        f"{row['arm']}, {row['criterion']}, {row['runs']} runs, {label((row['solver'], row['starts']))}: "
+        f"{row['len']} x {row['status']}: {row['error']}"
+        for row in kinds.iter_rows(named=True)
+    ]
+    more = [f"and {len(lines) - 10} more; the rows have all"] if len(lines) > 10 else []
+    return [*parts, *lines[:10], *more]
+
+
+def label(setting: Setting) -> str:
+    """`ipopt, 10 starts`; only `ipopt` with its own number of starts."""
+    solver, starts = setting
+    return f"{solver}, {starts} start{'s' * (starts > 1)}" if starts else solver
+
+
+def performance_profile(rows: pl.DataFrame) -> dict[Setting, Curve]:
+    """Setting -> (tau, fraction): fraction of the instances that it solved within tau times the fastest setting's time.
+
+    An instance is a problem and a repeat, solved where the run is a hit; an instance nobody solved counts against all.
+    E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math. Program. 91 (2002),
+    equations 1 and 2.
+    """
+    timed = with_hits(rows).with_columns(time=pl.when("hit").then("seconds").otherwise(float("inf")))
+    fastest = pl.col("time").min().over(*PROBLEM, "repeat")
+    finite = pl.col("time").is_finite()
+    timed = timed.with_columns(ratio=pl.when(finite).then(pl.col("time") / fastest).otherwise(float("inf")))
+    curves = {}
+    for part in timed.partition_by(*SETTING, maintain_order=True):
+        ratios = np.sort(part["ratio"].to_numpy())
+        tau = np.unique(ratios[np.isfinite(ratios)])
+        curves[part["solver"][0], part["starts"][0]] = tau, np.searchsorted(ratios, tau, side="right") / len(ratios)
+    return curves
+
+
+def profile_figure(rows: pl.DataFrame) -> Figure:
+    """The performance profile: on the left who is fastest, on the right who gets there at all."""
+    curves = performance_profile(rows)
+    styles = _styles(list(curves))
+    end = 1.3 * max((float(tau[-1]) for tau, _ in curves.values() if tau.size), default=1.0)
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    for above, (setting, (tau, fraction)) in enumerate(curves.items()):
+        color, dashes, _ = styles[setting]
+        width = 1.5 + 1.2 * (len(curves) - 1 - above)  # the narrow ones on top: equal curves hide none
+        x, y = np.r_[0.9, tau, end], np.r_[0.0, fraction, fraction[-1] if fraction.size else 0.0]
+        name = f"{label(setting)}: {100.0 * y[-1]:.0f} %"
+        axes.step(x, y, where="post", color=color, ls=dashes, lw=width, label=name)
+    axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.04, 1.04))
+    _plain_numbers(axes)
+    axes.set(xlabel="time / time of the fastest", ylabel="fraction of instances at the best known value")
+    figure.legend(fontsize=8, loc="outside right center", title="solved in the end", title_fontsize=8)
+    return figure
+
+
+def time_figure(rows: pl.DataFrame) -> Figure:
+    """Value against time, one panel per problem: loss of efficiency of every run, those without loss at the bottom."""
+    rows = with_hits(rows)
+    problems = rows.select(PROBLEM).unique(maintain_order=True).rows()
+    styles = _styles(rows.select(SETTING).unique(maintain_order=True).rows())
+    across = min(len(problems), 3)
+    down = -(-len(problems) // across)
+    figure = Figure(figsize=(4.2 * across + 2.0, 0.5 + 3.5 * down), layout="constrained")
+    grid = figure.subplots(down, across, sharey=True, squeeze=False)
+    panels = grid.ravel()
+    for unused in panels[len(problems) :]:
+        unused.set_axis_off()
+    for axes, problem in zip(panels, problems, strict=False):
+        part = rows.filter("good", **dict(zip(PROBLEM, problem, strict=True)))
+        for setting, (color, _, marker) in styles.items():
+            runs = part.filter(**dict(zip(SETTING, setting, strict=True)))
+            loss = np.maximum(runs["loss"].to_numpy(), FLOOR)
+            axes.plot(runs["seconds"].to_numpy(), loss, marker, color=color, ms=5, alpha=0.7, label=label(setting))
+        axes.set(xscale="log", yscale="log", ylim=(FLOOR / 2.0, 1.5), xlabel="time of a run [s]")
+        _plain_numbers(axes)
+        axes.set_title(f"{problem[0]}, {problem[2]}, {problem[3]} runs", fontsize=9)
+    for first in grid[:, 0]:
+        first.set_ylabel(f"efficiency below the best (floor {FLOOR:g})")
+    handles, names = panels[0].get_legend_handles_labels()
+    figure.legend(handles, names, fontsize=8, loc="outside right center")
+    return figure
+
+
+def _plain_numbers(axes: Axes) -> None:
+    """1, 2, 5, 10 along a logarithmic x axis: powers of ten crowd each other where there is less than a decade."""
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _styles(settings: list[Any]) -> dict[Setting, tuple[Any, str, str]]:
+    """Setting -> colour (of the solver), dashes and marker (of the number of starts)."""
+    solvers = list(dict.fromkeys(solver for solver, _ in settings))
+    starts = sorted({number for _, number in settings})
+    places = {setting: (solvers.index(setting[0]) % 10, starts.index(setting[1]) % 4) for setting in settings}
+    return {s: (colormaps["tab10"](color), ("-", "--", ":", "-.")[k], "os^D"[k]) for s, (color, k) in places.items()}
+
+
+# -- armcal study STUDY.toml -------------------------------------------------------------------------------------------
+def monte_carlo_parts(result: StudyResult) -> list[Part]:
+    """One table per cell, up to twelve, and the cells that could not be simulated."""
+    parts: list[Part] = [str(result)]
+    cells = result.cells.partition_by(*CELL, maintain_order=True)
+    for cell in cells[:12]:
+        rows = cell.to_dicts()
+        first = rows[0]
+        plan = f"{first['arm']}, plan {first['plan']}, {first['runs']} runs, sigma {first['sigma_mm']:g} mm"
+        title = f"{plan}, truth {first['truth']}, model {first['model']}"
+        if first["error"] is not None:
+            parts.append(f"{title}: {first['status']}: {first['error']}")
+        else:
+            parts.append(cell_table(title, rows))
+    return [*parts, *([f"first 12 of {len(cells)} cells"] if len(cells) > 12 else [])]
+
+
+def cell_table(title: str, rows: Sequence[dict[str, Any]]) -> Sheet:
+    """Errors, deviations and coverage of each parameter; dashes where no fit succeeded."""
+    failed = f", {rows[0]['failed']} failed" if rows[0]["failed"] else ""
+    formats = {"parameter": "", "mean_error": ".4g", "std": ".4g", "expected_std": ".4g", "coverage": ".2%", "unit": ""}
+    cells = [[cell_text(row[name], kind) for name, kind in formats.items()] for row in rows]
+    headings = ("parameter", "mean error", "std", "expected std", "95 % intervals hold", "unit")
+    return Sheet(headings, cells, f"{title}: {rows[0]['fits']} fits{failed}, RMS {cell_text(rows[0]['rms_mm'])} mm")
+
+
+# -- armcal study paper ------------------------------------------------------------------------------------------------
+def paper_parts(result: PaperStudy) -> list[Part]:
+    """Verdict, printed, theory and simulation side by side, and the errata with their evidence."""
+    tables = result.tables
+    every = [verdict for name in ("table_1", "table_2", "table_3", "text") for verdict in tables[name]["verdict"]]
+    words = {"agrees": "agree", "erratum": "are errata", "not identifiable": "cannot be identified"}
+    counts = ", ".join(f"{every.count(word)} {text}" for word, text in (words | {"added": "added here"}).items())
+    sentence = f"theory and simulation {'agree everywhere' if result.passed else 'DISAGREE somewhere'}"
+    parts: list[Part] = [f"The paper reproduced: {sentence}. Printed statements: {counts}."]
+    formats = {"printed": ".3f", "theory": ".5f", "simulated": ".5f"}
+    headings = ["place", "links", "runs", "item", *formats, "unit", "verdict"]
+    for name, title in (("table_3", "Table III and joint limits"), ("text", "Numbers in the text (Section VI)")):
+        rows = tables[name].iter_rows(named=True)
+        cells = [[cell_text(row.get(key), formats.get(key, "")) for key in headings] for row in rows]
+        parts.append(Sheet(headings, cells, title))
+    errata = [
+        [
+            *(row[name] for name in ("place", "printed", "correct")),
+            f"{row['printed_error']:.2g}",
+            f"{row['correct_error']:.1g}",
+            "yes" if row["confirmed"] else "NO",
+        ]
+        for row in tables["errata"].iter_rows(named=True)
+    ]
+    names = ("place", "printed", "correct", "error of printed", "error of correct", "shown")
+    return [*parts, Sheet(names, errata, "Errata, each checked by numbers")]
+
+
+def figure_1_picture(data: pl.DataFrame) -> Figure:
+    """Figure 1: determinants of random plans, the optimal plan marked."""
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.hist(data["det_d"].to_numpy(), bins=60, color=AFTER)
+    left.axvline(1.0, color=BEFORE, lw=2)
+    left.set(xlabel="det D' of random plans; red: optimal plans", ylabel="plans", xlim=(0.0, 1.03))
+    right.plot(data["det_c"].to_numpy(), data["det_s"].to_numpy(), ".", ms=2, alpha=0.4, color=AFTER)
+    right.plot(1.0, 0.0, "*", ms=14, color=BEFORE)
+    right.set(xlabel="det C'", ylabel="det S'", xlim=(0.0, 1.03))
+    right.set_title("D*: det C' to 1 and det S' to 0 (star: optimal plans)", fontsize=9)
+    return figure
+
+
+def figure_2_picture(data: pl.DataFrame) -> Figure:
+    """Figure 2: deviations against the number of measurements, lengths left, orientations of all links right."""
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    panels = figure.subplots(1, 2)
+    ticks = [digit * 10.0**power for power in range(-4, 1) for digit in (1, 2, 5)]
+    for axes, kind, unit in zip(panels, ("length_error", "orientation_offset"), ("mm", "deg"), strict=True):
+        for link, color in enumerate((AFTER, BEFORE, "#55a868", "#8172b2"), start=1):
+            rows = data.filter(item=f"{kind}:{link}")
+            m = rows["runs"].to_numpy()
+            axes.plot(m, rows["optimal"].to_numpy(), "-", color=color, label=f"link {link}")
+            axes.plot(m, rows["optimal_simulated"].to_numpy(), "x", color=color, ms=5)
+            axes.plot(m, rows["ordinary"].to_numpy(), "o", color=color, ms=4, mfc="none")
+            axes.plot(m, rows["random_mean"].to_numpy(), "--", color=color, lw=1)
+        axes.set(xlabel="measurements m", ylabel=f"standard deviation of the {kind.replace('_', ' ')} [{unit}]")
+        axes.set(yscale="log", xticks=np.arange(4, 21, 4))
+        axes.set_yticks([tick for tick in ticks if axes.get_ylim()[0] < tick < axes.get_ylim()[1]])
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("")
+    panels[1].legend(fontsize=8)
+    figure.suptitle(
+        "line: eq. 25;  x: optimal plan, simulated;  o: one random plan, simulated;  dashed: mean over random plans",
+        fontsize=9,
+    )
+    return figure
+
+
+def paper_pictures(folder: Path, result: PaperStudy) -> None:
+    """figure_1.svg and figure_2.svg in the folder."""
+    write_whole(folder / "figure_1.svg", svg(figure_1_picture(result.tables["figure_1"])), force=True)
+    write_whole(folder / "figure_2.svg", svg(figure_2_picture(result.tables["figure_2"])), force=True)
+
+
+# -- armcal study blind ------------------------------------------------------------------------------------------------
+# title -> measures side by side, where a cell has the first of them
+MEASURES = {
+    "Blind study": (
+        "alarm",
+        "exact",
+        "class",
+        "in the set",
+        "size of the set",
+        "located",
+        "gap / true",
+    ),
+    "Many effects at once": ("error / true", "effects named", "false names", "intervals, all", "false unknown"),
+    "Outside the library": ("no effect", "named at 0.9", "located", "wrong place"),
+    "The model that is written": (
+        "inside tip intervals",
+        "error / geometry",
+        "promised / reached",
+        KEEPS,
+        "contradiction",
+    ),
+}
+FURTHER = ("right", "right, gravity", "right, others", "right, alone", "class", "predicted")
+WAYS = {"next": "{} of armcal discriminate", "loaded": "{}, two payloads", "random": "{} at random"}
+
+
+def blind_parts(result: BlindStudy) -> list[Part]:
+    """Verdict, figures of the cells, further postures, reliability, targets, and the most frequent mistakes."""
+    parts: list[Part] = [str(result)]
+    cells = {
+        part["cell"][0]: {row["measure"]: row for row in part.iter_rows(named=True)}
+        for part in result.cells.partition_by("cell", maintain_order=True)
+    }
+    for title, measures in MEASURES.items():
+        rows = [
+            [cell, str(figures[measures[0]]["count"]), *(with_error(figures.get(name)) for name in measures)]
+            for cell, figures in cells.items()
+            if measures[0] in figures and (cell != ALL or title != "Blind study")
+        ]
+        parts.append(Sheet(("hidden", "sets", *measures), rows, title))
+    every = {name: row for figures in cells.values() for name, row in figures.items()}
+    rows = [["none", with_error(every["next_0 right"]), *[""] * 5]] if "next_0 right" in every else []
+    for count in (2, 8, 16):
+        for way, text in WAYS.items():
+            if f"{way}_{count} right" in every:
+                figures = (with_error(every.get(f"{way}_{count} {measure}")) for measure in FURTHER)
+                rows.append([text.format(count), *figures])
+    sets = next((row["count"] for name, row in every.items() if name.endswith(" right")), 0)
+    headings = ("postures", "right", "gravity", "others", "right and alone", "right class", "predicted")
+    parts.append(Sheet(headings, rows, f"{sets} ambiguous sets after further postures"))
+    if len(result.reliability):
+        rows = [
+            [f"{row['from']:g} to {row['to']:g}", f"{row['said']:.3f}", f"{row['right']:.3f}", str(row["count"])]
+            for row in result.reliability.iter_rows(named=True)
+        ]
+        error = result.value(ALL, "calibration error")
+        title = f"Said with probability p: right in p? Expected calibration error {error:.3f}"
+        parts.append(Sheet(("said", "mean", "right", "sets"), rows, title))
+    bars = result.bars.iter_rows(named=True)
+    rows = [[row["cell"], row["measure"], row["asked"], with_error(row), row["outcome"]] for row in bars]
+    parts.append(Sheet(("cell", "measure", "asked", "measured", "outcome"), rows, "Bars"))
+    wrong = [
+        [row["hidden"], row["named"], str(row["count"])]
+        for row in result.confusion.iter_rows(named=True)
+        if row["hidden"] != row["named"]
+        and not (row["hidden"] == "outside the library" and row["named"].endswith("unknown"))
+    ]
+    return [*parts, Sheet(("hidden", "named", "sets"), wrong, "Most frequent mistakes between classes", 12)]
+
+
+def with_error(row: dict[str, Any] | None) -> str:
+    """`.931(13)`: the value and its standard error in units of its last digit; empty without a row."""
+    if row is None:
+        return ""
+    value = f"{row['value']:.3f}".removeprefix("0" if row["value"] < 1.0 else "")
+    error = 1000.0 * row["standard_error"]
+    return f"{value}({error:.0f})" if np.isfinite(error) else value
+
+
+def blind_pictures(folder: Path, result: BlindStudy) -> None:
+    """confusion.png and reliability.png in the folder, replaced if they are there."""
+    if len(result.confusion):
+        save(confusion_figure(result.confusion), folder / "confusion.png", force=True)
+    if len(result.reliability):
+        save(reliability_figure(result.reliability), folder / "reliability.png", force=True)
+
+
+def reliability_figure(rows: pl.DataFrame) -> Figure:
+    """Reliability diagram: share right against stated probability, bars of two standard errors, and number of sets."""
+    said, right, count = (rows[name].to_numpy() for name in ("said", "right", "count"))
+    error = 2.0 * np.sqrt(np.maximum(right * (1.0 - right), 0.25 / count) / count)
+    figure = Figure(figsize=(5.0, 5.6), layout="constrained")
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="gray", linewidth=1.0, label="as often as said")
+    axes.errorbar(said, right, error, fmt="o", markersize=5, capsize=3, label="data sets, +- 2 standard errors")
+    axes.set(ylabel="share that was right", ylim=(0.0, 1.02), title="Said with probability p: right in p?")
+    axes.legend(loc="lower right", frameon=False)
+    low, high = rows["from"].to_numpy(), rows["to"].to_numpy()
+    below.bar(low, count, high - low, align="edge", edgecolor="white")
+    below.set(yscale="log", ylim=(10.0 ** np.floor(np.log10(max(count.min(), 1))), None))
+    below.set(ylabel="data sets", xlabel="probability that was said", xlim=(0.0, 1.02))
+    below.yaxis.set_minor_formatter(NullFormatter())
+    return figure
+
+
+def confusion_figure(confusion: pl.DataFrame) -> Figure:
+    """Fraction of the sets with a class hidden (row) in which a class was named (column); single classes only."""
+    rows, columns, fractions, totals = confusion_matrix(confusion)
+    figure = Figure(figsize=(1.5 + 0.55 * len(columns), 1.8 + 0.42 * len(rows)), layout="constrained")
+    axes = figure.add_subplot()
+    axes.imshow(fractions, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    axes.set_xticks(range(len(columns)), columns, rotation=45, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(rows)), [f"{name} ({total})" for name, total in zip(rows, totals, strict=True)])
+    for (i, j), fraction in np.ndenumerate(fractions):
+        if fraction >= 0.0005:
+            color = "white" if fraction > 0.5 else "black"
+            axes.text(j, i, f"{fraction:.3f}".lstrip("0"), ha="center", va="center", color=color, fontsize=7)
+    axes.set(xlabel="named", ylabel="hidden (data sets)")
+    axes.set_title("What was hidden and what was named: fraction of each row")
+    return figure
+
+
+def confusion_matrix(confusion: pl.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
+    """Row names, column names, fractions and row totals; sets with several effects hidden are left out, several names
+    at once go into one column, unless the rest of the gap stayed unknown; special names are last."""
+    last = ("nothing", "several", "outside the library", "unknown")
+    counts: dict[tuple[str, str], int] = {}
+    for row in confusion.iter_rows(named=True):
+        several = "several" if " + " in row["named"] else row["named"]
+        pair = row["hidden"], "unknown" if row["named"].endswith("unknown") else several
+        counts[pair] = counts.get(pair, 0) + row["count"]
+    counts = {(hidden, named): count for (hidden, named), count in counts.items() if " + " not in hidden}
+    classes = {hidden for hidden, _ in counts}
+    names = classes, ({*classes, "unknown"} - {"outside the library"}) | {named for _, named in counts}
+    rows, columns = (sorted(every - set(last)) + [one for one in last if one in every] for every in names)
+    fractions = np.array([[counts.get((hidden, named), 0.0) for named in columns] for hidden in rows])
+    totals = fractions.sum(axis=1)
+    return rows, columns, fractions / totals[:, None], [int(total) for total in totals]

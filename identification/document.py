@@ -1,0 +1,226 @@
+"""What a result says, once: a document of paragraphs, tables, pictures and sections, of which terminal, notebook and
+page (doe/report/page.py) are renderings.
+
+A paragraph is a string. Everything is ready text, taken to the letter: `[mm]` is no markup, `<b>` no element.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from identification.html_tables import html_facts, html_lines, html_table, in_symbols
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import RenderableType
+
+MOST = 200  # rows of a table in HTML, where its text says that there may be more
+NUMBER = re.compile(r"[<>]? ?[-+–]?([\d.,]+(e[-+]?\d+)?)?( \*|%)?", re.IGNORECASE)  # or a dash in place of one
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Headings and rows of ready text.
+
+    most : rows that a terminal shows;  where : all of them are, said where there are more
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+    most: int | None = None
+    where: str = "--out writes all"
+
+    def cut(self, most: int | None) -> tuple[Sequence[Sequence[str]], str]:
+        """The first rows, and a line that says so if these are not all."""
+        if self.most is None or most is None or len(self.rows) <= most:
+            return self.rows, ""
+        return self.rows[:most], f"first {most} of {len(self.rows)}; {self.where}"
+
+    def figures(self) -> list[bool]:
+        """Of each column whether most of its cells are numbers."""
+        columns = [[row[k] for row in self.rows if row[k].strip()] for k in range(len(self.headings))]
+        return [2 * sum(bool(NUMBER.fullmatch(cell.strip())) for cell in column) > len(column) for column in columns]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names and what is to be said of each; those of which nothing is are left out."""
+
+    rows: Sequence[tuple[str, str | None]]
+
+    def said(self) -> list[tuple[str, str]]:
+        """The rows that have a text."""
+        return [(name, text) for name, text in self.rows if text]
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Figures and paragraphs on how they are read, made where a rendering shows them, which no terminal does."""
+
+    draw: Callable[[], Sequence[Figure | str]]
+
+
+@dataclass(frozen=True)
+class PlanSteps:
+    """A plan to be stepped through in a page (doe/report/page.js), as the script reads it;  caption : how"""
+
+    data: Mapping[str, Any]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part with a title;  folded : closed until a reader opens it, as no terminal does"""
+
+    title: str
+    parts: Sequence[Part]
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class Action:
+    """What to do next, in words, and the command for it where there is one."""
+
+    text: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Document:
+    """All that is said of a result.
+
+    verdict : sentences, the first of them the most important
+    """
+
+    title: str
+    verdict: Sequence[str]
+    parts: Sequence[Part]
+    actions: Sequence[Action] = ()
+    warnings: Sequence[str] = ()
+
+    def plus(self, *parts: Part) -> Document:
+        """The same with more at the end, before what to do next."""
+        return replace(self, parts=[*self.parts, *parts])
+
+    def __str__(self) -> str:
+        return as_text(self)
+
+    def _repr_html_(self) -> str:
+        steps = "".join(html_lines([f"{action.text} {action.command}".strip()]) for action in self.actions)
+        head = html_lines(map(in_symbols, [*self.warnings, *self.verdict]), strong=True)
+        return head + "".join(html(part) for part in self.parts) + steps
+
+
+Part: TypeAlias = str | Sheet | Facts | Pictures | PlanSteps | Section | Document
+
+
+def html(part: Part, picture: Callable[[Figure], str] | None = None, name: str = "") -> str:
+    """A part as HTML, everything escaped.
+
+    picture : a figure as HTML, left out: as an image;  name : of the section around it, for those who hear the page
+    """
+    if isinstance(part, str):
+        return html_lines([in_symbols(part)]) if part else ""
+    if isinstance(part, Sheet):
+        rows, more = part.cut(MOST)
+        title = f"<h3>{escape(part.title)}</h3>\n" if part.title else ""
+        label = escape(f"{name}, table".removeprefix(", "))
+        box = f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
+        return f"{title}{box}{html_table(part.headings, rows)}</div>\n{html(more)}" if part.rows else ""
+    if isinstance(part, Facts):
+        return html_facts((in_symbols(fact), in_symbols(text)) for fact, text in part.said())
+    if isinstance(part, Pictures):
+        drawn = part.draw()
+        shown = "".join((picture or html_image)(one) for one in drawn if not isinstance(one, str))
+        return "".join(html(one) for one in drawn if isinstance(one, str)) + f'<div class="pictures">{shown}</div>\n'
+    if isinstance(part, PlanSteps):
+        return html(part.caption)
+    if isinstance(part, Section):
+        inside = "".join(html(one, picture, part.title) for one in part.parts)
+        head = f"<h2>{escape(part.title)}</h2>\n"
+        return f"<details>\n<summary>{head}</summary>\n{inside}</details>\n" if part.folded else head + inside
+    return part._repr_html_() if isinstance(part, Document) else ""
+
+
+def html_image(figure: Figure) -> str:
+    """A figure as an image of a notebook."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=100)
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">\n'
+
+
+def as_text(part: Part, width: int = 100) -> str:
+    """A part as a terminal of this many characters shows it."""
+    from rich.console import Console
+
+    plain: dict[str, Any] = {"force_terminal": False, "force_jupyter": False, "color_system": None}
+    console = Console(file=(text := io.StringIO()), width=width, highlight=False, markup=False, **plain)
+    for one in rendered(part, width):
+        console.print(one)
+    return "".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines())
+
+
+def rendered(part: Part, width: int) -> Iterator[RenderableType]:
+    """What a terminal of this many characters shows of a part (rich), from the top."""
+    from rich.text import Text
+
+    if isinstance(part, str):
+        yield Text(part)
+    elif isinstance(part, Sheet) and part.rows:
+        rows, more = part.cut(part.most)
+        yield from [Text(part.title, "italic")] if part.title else []
+        yield terminal_table(part, rows, width)
+        yield from [Text(more)] if more else []
+    elif isinstance(part, Facts):
+        yield terminal_facts(part)
+    elif isinstance(part, Section) and not part.folded:
+        shown: list[Part] = [one for one in part.parts if not isinstance(one, Pictures | PlanSteps)]
+        yield from [Text(f"\n{part.title}", "bold italic")] if shown else []
+        for one in shown:
+            yield from rendered(one, width)
+    elif isinstance(part, Document):
+        yield from (Text(sentence, "bold") for sentence in (*part.warnings, *part.verdict) if sentence)
+        for one in part.parts:
+            yield from rendered(one, width)
+        for action in part.actions:
+            yield Text(f"next: {action.text}" + (f"\n      {action.command}" if action.command else ""))
+
+
+def terminal_table(table: Sheet, rows: Sequence[Sequence[str]], width: int) -> RenderableType:
+    """Figures end at the right and are never broken; where it would be too wide, columns stand closer together."""
+    from rich import box
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    shown = RichTable(box=box.SIMPLE_HEAD)
+    for heading, figures in zip(table.headings, table.figures(), strict=True):
+        shown.add_column(Text(heading), justify="right" if figures else "left", overflow="fold", no_wrap=figures)
+    for row in rows:
+        shown.add_row(*map(Text, row))
+    free = Console(width=10_000, force_jupyter=False)
+    for shown.padding in ((0, 0, 0, 1), 0):
+        if Measurement.get(free, free.options, shown).maximum <= width:
+            return shown
+    for column in shown.columns:
+        column.no_wrap = False  # a figure in two lines is better than one that is cut off
+    return shown
+
+
+def terminal_facts(facts: Facts) -> RenderableType:
+    """Names and texts, one below the other, without lines."""
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    shown = RichTable(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for row in facts.said():
+        shown.add_row(*map(Text, row))
+    return shown

@@ -1,0 +1,78 @@
+"""The simulator of the spatial demo against the chain of its drawing, and the loop on what it hides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doe.demo.run import Demo, run_demo
+from doe.demo.scenarios import ARM, AXES, FLANGE, POINTS, REFLECTOR, URDF, hidden_arm, spatial
+from doe.report.demo import demo_document, overview_figure
+from doe.studies.blind.simulator import position, session
+from identification.files.arm import load_arm
+from identification.files.urdf import read_urdf
+from identification.model import Model
+
+
+def test_lines_without_errors_are_the_chain_that_is_drawn(tmp_path: Path) -> None:
+    real = hidden_arm()
+    turned = np.degrees(np.arctan2(real.base[1, 0], real.base[0, 0]))
+    place = "".join(f"{axis}_mm = {value!r}\n" for axis, value in zip("xyz", real.base[:3, 3].tolist(), strict=True))
+    tool = "".join(f"{axis}_mm = {v}\n" for axis, v in zip("xyz", (REFLECTOR - FLANGE).tolist(), strict=True))
+    (tmp_path / "robot.urdf").write_text(URDF)
+    (tmp_path / "arm.toml").write_text(f"{ARM}\n[base]\n{place}rz_deg = {float(turned)!r}\n[tool]\n{tool}")
+    arm = load_arm(tmp_path / "arm.toml")
+    rng = np.random.default_rng(1)
+    postures = rng.uniform(arm.lower, arm.upper, (20, 6))
+    run = session(real, postures, rng)
+    drawn = replace(real, points=POINTS, axes=AXES, offsets=np.zeros(6), effects=[])
+    np.testing.assert_allclose(position(drawn, run), Model(arm).position(postures), atol=1e-9)
+    wave = ("encoder_eccentricity", 2, {"a": 0.002, "b": 0.003})
+    wrong = replace(drawn, offsets=np.eye(6)[1] * 0.01, effects=[wave])
+    shown = postures[:, 1]
+    moved = postures + np.eye(6)[1] * (0.01 + 0.002 * np.cos(shown) + 0.003 * np.sin(shown))[:, None]
+    np.testing.assert_allclose(position(wrong, run), Model(arm).position(moved), atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Demo]:
+    """With random postures: the search for better ones takes a quarter of a minute."""
+    folder = tmp_path_factory.mktemp("spatial")
+    with pytest.warns(UserWarning, match="the measured point is not known"):
+        found = run_demo(folder, replace(spatial(), effort={"solver": "random", "starts": 1}))
+    return folder, found
+
+
+def test_the_hidden_effect_is_named_and_the_gap_closes(demo: tuple[Path, Demo]) -> None:
+    _, found = demo
+    assert found.diagnosis.effects == ("encoder_eccentricity:2",)
+    assert found.diagnosis.confirmed is True
+    assert found.drawing_gap > 2.0 > 4.0 * found.gap(found.base) > 4.0 * found.gap(found.extended)
+    # 27 combinations of geometry and 2 parameters of the effect, from 108 equations at postures of this efficiency
+    share = 29.0 / 108.0 / (found.design.efficiency or np.nan)
+    spread = 1.0 + 3.0 / np.sqrt(2.0 * 29.0)  # three standard deviations of the root of 29 squares
+    assert found.model_error < found.noise * np.sqrt(share) * spread
+    assert found.gap(found.extended) < found.noise * np.sqrt(1.0 + share * spread**2) * (1.0 + 3.0 / np.sqrt(1200.0))
+    drawn, corrected = found.target_errors
+    assert corrected < found.noise * np.sqrt(share) * spread < 2.0 < drawn
+    assert [row["name"] for row in found.checked] == ["encoder_eccentricity:2.a", "encoder_eccentricity:2.b"]
+    assert all(abs(row["value"] - row["hidden"]) < 4.0 * row["std"] for row in found.checked)
+
+
+def test_its_files_and_what_is_said(demo: tuple[Path, Demo]) -> None:
+    folder, found = demo
+    assert all((folder / name).stat().st_size for name in found.files)
+    written = read_urdf(folder / "corrected.urdf").chain("base_link", "flange")
+    assert found.base.geometry is not None
+    for joint, real in zip(written.joints, found.base.geometry.real.joints, strict=True):
+        np.testing.assert_allclose(joint.origin, real.origin, atol=1e-9)
+    assert len(load_arm(folder / "extended.toml").effects) == 1
+    with pytest.warns(UserWarning, match="beside the last axis is assumed"):  # of the plan
+        shown = str(demo_document(found))
+    assert "with encoder_eccentricity:2" in shown
+    assert "corrected.urdf" in found.to_json(folder)["files"]
+    assert found.to_json(folder)["hidden"]["targets_reached"] == len(found.compensation.targets)
+    assert [axes.name for axes in overview_figure(found).axes] == ["3d", "rectilinear", "rectilinear"]

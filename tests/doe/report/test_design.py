@@ -1,0 +1,172 @@
+"""What a person reads of a plan, and what a page gets of it to compute log det and to write its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from doe.bounds.bound import Bound
+from doe.design import score
+from doe.plan.file import load_plan
+from doe.plan.plan import Plan
+from doe.problem.problem import DesignProblem
+from doe.problem.robust import missing_effects, robust_problem
+from doe.report.design import (
+    accuracy,
+    design_document,
+    design_facts,
+    design_verdict,
+    missing_lines,
+    missing_payload,
+    plan_section,
+    plan_steps,
+    remarks,
+)
+from identification.arm import Arm, Gravity
+from identification.document import Pictures, Sheet, as_text
+from identification.files.csv import read_table
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
+from tests.doe.arms import problem
+from tests.doe.six_axis import SIX_AXIS, six_axis
+
+AROUND = (WorkspaceBox((-500.0, 500.0), (-400.0, 600.0)), KeepOutCircle((700.0, 0.0), 50.0))
+ARM = Arm([300.0, 200.0], sigma=0.1, constraints=(*AROUND, LineOfSight((900.0, 0.0), 0.5, (0.0, 0.0))))
+
+
+def test_effects_that_may_be_missing_are_counted_not_listed() -> None:
+    plain = six_axis()
+    wide = robust_problem(plain, missing_effects(plain, ["gear_ratio"]))
+    design = score(wide, np.random.default_rng(3).uniform(-2.0, 2.0, (16, 6)))
+    table, held = accuracy(design)
+    assert isinstance(table, Sheet)
+    assert isinstance(held, str)
+    known = {p.name: std for p, std in zip(design.deviations.parameters, design.deviations.values, strict=True)}
+    weak = sum(known[name] > 0.5 * size for name, size in plain.deviations.items())
+    assert 0 < weak == len(plain.model.parameters) - len(table.rows)
+    assert held.startswith(f"and {weak} more that these postures hardly determine")
+    text = as_text(table)
+    assert "rotation_x:2 [deg]" in text
+    assert "gear_ratio" not in text
+    assert "if effects of typical size may be missing" in table.title
+    (complete, *_) = accuracy(score(plain, design.plan.postures))
+    assert "if the model is complete" in as_text(complete)
+    assert any("6 parameters of gear_ratio" in line for line in missing_lines(design))
+
+
+def test_a_random_plan_of_very_many_runs_is_called_so() -> None:
+    """It is what is left where postures of a better plan would be too near each other."""
+    plan = np.random.default_rng(4).uniform(-1.0, 1.0, (101, 3))
+    design = score(problem(Arm([260.0, 180.0, 120.0])), plan)
+    (line,) = remarks(replace(design, solver="random"))
+    assert line.startswith("the plan is random: none was found that is better with 101 postures")
+    assert "--repeats" in line
+    assert not any("random" in said for said in remarks(replace(design, solver="fedorov")))
+
+
+def test_a_robust_plan_is_judged_by_millimetres() -> None:
+    """The values of criterion I, which mean nothing to a reader, give way; what the bound allows stands beside it."""
+    plain = problem(Arm([260.0, 180.0, 120.0], sigma=0.1))
+    wide = robust_problem(plain, missing_effects(plain, ["gear_ratio"]))
+    data = score(wide, np.random.default_rng(3).uniform(-1.0, 1.0, (8, 3))).to_json()
+    data |= {"bound": Bound(-1.0, "grid", True, candidates=2000).as_dict(), "efficiency": 0.3, "outside_limits": []}
+    data["no_efficiency"] = None
+    said = " ".join(as_text(design_facts(data, "")).split())
+    assert data["expected_error_mm"] is not None
+    assert "efficiency 0.300000 of the bound (the list of 2,000 postures, proven)" in said
+    assert "value of I" not in said
+    assert "upper bound" not in said
+
+
+def test_a_plan_in_a_sentence() -> None:
+    design = {"runs": 20, "criterion": "D", "efficiency": 0.98765, "certified_optimal": False}
+    assert design_verdict(design) == "The plan of 20 runs has the efficiency 0.9877 (D)."
+    assert "no known bound" in design_verdict(design | {"efficiency": None})
+    error = {"criterion": "I", "efficiency": 0.329, "expected_error_mm": {"plan": 0.158, "bound": 0.0808}}
+    runs = "With the plan of 20 runs (criterion I) expect an error of 0.158 mm at the tip, RMS over the workspace"
+    runs += " or --test-poses"
+    bound = "bound allows fractions of a run. Judge by the mm."
+    error["bound"] = {"value": -9.0, "source": "grid", "rigorous": True, "candidates": 2000}
+    least = f"{runs}; no plan from the list of 2,000 postures is below 0.0808 mm. Efficiency"
+    assert design_verdict(design | error) == f"{least} 0.3290. Do not expect it near 1: the {bound}"
+    assert design_verdict(design | error | {"efficiency": 0.95}) == f"{least} 0.9500. The {bound}"
+    assert design_verdict(design | error | {"efficiency": None}) == f"{runs}."
+    everywhere = error | {"bound": {"value": -9.0, "source": "continuous", "rigorous": False}}
+    assert "; no plan from all postures is below 0.0808 mm (a numerical bound). " in design_verdict(design | everywhere)
+    sure = design | {"certified_optimal": True, "optimality": "numerical", "bound": {"source": "continuous"}}
+    assert design_verdict(sure).endswith("(D, optimal up to a numerical bound).")
+    assert design_verdict(sure | {"optimality": "proven"}).endswith("(D, proven optimal).")
+    assert design_verdict(design | error | {"outside_limits": [3]}) == f"{runs}."  # no bound applies
+
+
+def test_rows_without_payload_are_completed_before_others_are_appended() -> None:
+    gravity = Gravity(np.array([0.0, -9.81]), np.array([5.0, 3.0]), np.full(2, 0.5), 7.5)
+    arm, data = Arm([200.0, 100.0], gravity=gravity), Measurements(np.zeros((3, 2)), np.zeros((3, 2)))
+    chosen, none = (SimpleNamespace(payload=payload) for payload in (np.array([5.0]), None))
+    (note,) = missing_payload(arm, data, chosen)  # type: ignore[arg-type]
+    assert "payload_kg" in note
+    assert "7.5" in note
+    assert missing_payload(arm, data, none) == []  # type: ignore[arg-type]
+    weighed = Measurements(np.zeros((3, 2)), np.zeros((3, 2)), payload=np.ones(3))
+    assert missing_payload(arm, weighed, chosen) == []  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("arm", "joints", "runs"), [(ARM, 2, 9), (SIX_AXIS, 6, 16)])
+def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: int, runs: int) -> None:
+    plan = Plan(np.random.default_rng(1).uniform(-2.0, 2.0, (runs, joints)))
+    steps = plan_steps(arm, plan)
+    assert steps is not None
+    p = steps["parameters"]
+    rows = np.array(steps["jacobians"]).reshape(-1, p)
+    log_det = np.linalg.slogdet((rows.T @ rows + np.diag(steps["known"])) / runs)[1]
+    assert log_det == pytest.approx(score(DesignProblem.of(Model(arm)), plan).log_det, abs=1e-8)
+    np.testing.assert_allclose(np.array(steps["rows"], dtype=float), np.degrees(plan.postures), atol=1e-11)
+    np.testing.assert_allclose(steps["points"], Model(arm).points(plan.postures), rtol=1e-4, atol=1e-2)
+
+
+def test_outlines_of_a_plane_lie_on_what_they_show() -> None:
+    steps = plan_steps(ARM, Plan(np.ones((4, 2))))
+    assert steps is not None
+    box, circle, cone = (np.array(one["line"]) for one in steps["outlines"])
+    assert [one["forbidden"] for one in steps["outlines"]] == [False, True, False]
+    assert (box.min(axis=0).tolist(), box.max(axis=0).tolist()) == ([-500.0, -400.0], [500.0, 600.0])
+    np.testing.assert_allclose(np.linalg.norm(circle - [700.0, 0.0], axis=1), 50.0, atol=0.02)
+    np.testing.assert_allclose(cone[1], [900.0, 0.0])
+    sides = cone[[0, 2]] - cone[1]
+    np.testing.assert_allclose(np.abs(np.arctan2(sides[:, 1], -sides[:, 0])), 0.5, atol=1e-4)
+
+
+def test_the_edited_plan_keeps_the_columns_of_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "plan.csv"
+    path.write_text('run;q1_deg;q2_deg;payload_kg;note\n7;1,5;-20;2,5;a, b\n8;30;40;0;"c"\n')
+    with pytest.warns(UserWarning, match="note"):
+        plan = load_plan(path)
+    steps = plan_steps(ARM, plan, read_table(path), "mine")
+    assert steps is not None
+    assert steps["columns"] == ["q1_deg", "q2_deg", "payload_kg", "note"]
+    assert steps["rows"] == [["1.5", "-20", "2.5", "a, b"], ["30", "40", "0", "c"]]
+    assert steps["file"] == "mine-edited.csv"
+
+
+def test_long_and_weighted_plans_are_drawn_only() -> None:
+    for plan in (Plan(np.ones((201, 2))), Plan(np.ones((2, 2)), np.array([0.25, 0.75]))):
+        assert plan_steps(ARM, plan) is None
+    drawn = plan_section(ARM, plan)
+    (pictures,) = drawn.parts
+    assert isinstance(pictures, Pictures)
+    assert len(pictures.draw()) == 2
+
+
+@pytest.mark.parametrize("plan", [np.ones((4, 2)), np.random.default_rng(2).uniform(-1.0, 1.0, (30, 2))])
+def test_a_plan_is_shown_with_everything_that_is_known_of_it(plan: np.ndarray) -> None:
+    design = score(problem(ARM), plan)
+    text = as_text(design_document(design), 80)
+    assert max(map(len, text.splitlines())) <= 80
+    assert ("first 24 of 30; --out writes all" in text) is (len(plan) > 24)
+    assert ("no log det" in text) is (len(plan) == 4)
+    assert ("Expected standard deviations" in text) is (len(plan) > 4)

@@ -1,0 +1,131 @@
+"""The document of every result: whole in a terminal of 80 columns, in a notebook and on a page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doe.advise import advise
+from doe.bounds.relaxation import relax
+from doe.design import score
+from doe.problem.problem import DesignProblem
+from doe.report.design import advice_document, design_document, relax_document
+from doe.report.gap import diagnosis_document
+from doe.report.identification import (
+    compensation_document,
+    identification_document,
+    inspection_document,
+)
+from doe.report.library import entry_document, gravity_document, library_document
+from doe.report.page import Origin, page
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.compensate import compensate
+from identification.document import Document, Part, Section, Sheet, as_text
+from identification.effects.catalogue import entries
+from identification.estimation import estimate
+from identification.gap.diagnose import diagnose
+from identification.inspection.inspection import inspect
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.validate import validate
+
+ARM = Arm([300.0, 200.0], sigma=0.05, name="two <links>")
+REAL = Arm(
+    [300.0, 200.0],
+    effects=(EffectSpec("encoder_eccentricity", 2),),
+    calibration=Calibration({"encoder_eccentricity:2.a": 2e-3, "encoder_eccentricity:2.b": 1e-3}),
+)
+
+
+def measured(rows: int, seed: int) -> Measurements:
+    generator = np.random.default_rng(seed)
+    q = generator.uniform(-2.0, 2.0, (rows, 2))
+    return Measurements(q, Model(REAL).position(q) + generator.normal(0.0, 0.05, (rows, 2)))
+
+
+def documents() -> Iterator[tuple[str, Document]]:
+    """Of every kind of result one."""
+    problem, data, fresh = DesignProblem.of(Model(ARM)), measured(40, 1), measured(20, 2)
+    fit = estimate(Model(ARM), data)
+    diagnosis = diagnose(ARM, data, fresh)
+    calibrated = diagnosis.extended_arm()
+    yield "design", design_document(score(problem, data.postures[:30]))
+    yield "advice", advice_document(advise(problem, [4, 5, 6], target=0.1, seconds=1.0))
+    yield "weights", relax_document(relax(problem, 5))
+    yield "inspection", inspection_document(inspect(ARM, data), "arm.toml", "data.csv")
+    yield "identification", identification_document(fit, fit.to_json())
+    yield "diagnosis", diagnosis_document(diagnosis.to_json(), diagnosis)
+    yield "diagnosis by JSON", diagnosis_document(diagnosis.to_json())
+    yield "validation", validate(calibrated, fresh).document()
+    yield "commands", compensation_document(compensate(calibrated, fresh.positions))
+    yield "library", library_document(entries())
+    yield "effect", entry_document(entries()[0])
+    yield "gravity", gravity_document(["link_bending"])
+
+
+@pytest.fixture(scope="module")
+def every() -> dict[str, Document]:
+    return dict(documents())
+
+
+NAMES = (
+    *("design", "advice", "weights", "inspection", "identification", "diagnosis", "diagnosis by JSON", "validation"),
+    *("commands", "library", "effect", "gravity"),
+)
+
+
+class Words(HTMLParser):
+    """The words that a reader sees."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.words = ""
+        self.feed(text)
+
+    def handle_data(self, data: str) -> None:
+        self.words += f" {data}"
+
+
+def flat(text: str) -> str:
+    """Letters and digits alone, however they are broken and whatever symbols stand for others."""
+    return re.sub(r"[\W_]|chi2|sigma|χ²|σ", "", text)
+
+
+def sheets(parts: list[Part] | tuple[Part, ...], folded: bool) -> Iterator[Sheet]:
+    """The tables, with or without those that are folded away."""
+    for part in parts:
+        if isinstance(part, Sheet):
+            yield part
+        elif isinstance(part, Section) and (folded or not part.folded):
+            yield from sheets(list(part.parts), folded)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_result_is_whole_in_every_rendering(every: dict[str, Document], name: str, tmp_path: Path) -> None:
+    document = every[name]
+    terminal, notebook = as_text(document, 80), document._repr_html_()
+    assert max(map(len, terminal.splitlines())) <= 80
+    (tmp_path / "data.csv").write_text("q1_deg\n")
+    origin = Origin("armcal test", 3, [tmp_path / "data.csv"])
+    text = page(document, origin)
+    assert len(document.verdict) > 0 or name in ("weights", "library", "gravity")
+    for rendered, folded in ((terminal, False), (Words(notebook).words, True), (Words(text).words, True)):
+        shown = flat(rendered)
+        for sentence in (*document.warnings, *document.verdict, *(action.command for action in document.actions)):
+            assert flat(sentence) in shown
+        for sheet in sheets(list(document.parts), folded):
+            for cell in {cell for row in sheet.rows[: sheet.most] for cell in row}:
+                assert all(flat(word) in shown for word in cell.split()), cell
+    assert "armcal test" in text
+    assert "<links>" not in text
+
+
+def test_the_picture_of_a_page_is_not_drawn_for_a_terminal(every: dict[str, Document]) -> None:
+    assert "<svg" in page(every["diagnosis"])
+    assert "<svg" not in page(every["diagnosis by JSON"])
+    assert len(every["diagnosis"].parts) > len(every["diagnosis by JSON"].parts)

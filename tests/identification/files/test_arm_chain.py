@@ -1,0 +1,380 @@
+"""Arm files of spatial arms: geometry from URDF and Denavit-Hartenberg tables, calibrations, bad input in one line."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from identification.arm import Arm, Machining
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.estimation import Identification, estimate
+from identification.files.arm import load_arm
+from identification.files.arm_text import with_calibration
+from identification.files.urdf import read_urdf
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import pose
+from identification.kinematics.spatial import BASE, TOOL
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from tests.identification.kinematics.test_denavit_hartenberg import printed
+
+DATA = Path(__file__).parents[2] / "data"
+URDF = DATA / "spatial" / "six_axis.urdf"
+BY_URDF = """\
+# bought in spring
+name = "six"
+kind = "spatial"
+urdf = "six_axis.urdf"
+base_link = "world"  # bolted down
+tip_link = "tool0"
+gear_ratio = [1.0, 100.0, 100.0, 50.0, 50.0, 0.0]
+
+[joint_limits_mm]
+lower = [-300.0]
+upper = [500.0]
+
+[base]
+x_mm = 1000.0
+y_mm = -200.0
+z_mm = 50.0
+rx_deg = 10.0
+ry_deg = -20.0
+rz_deg = 130.0
+
+[tool.left]
+x_mm = 60.0
+y_mm = 20.0
+z_mm = 50.0
+
+[tool.right]
+x_mm = -70.0
+
+[machining]
+rotation_deg = 0.2
+
+[measurement]
+sigma_mm = 0.05
+sigma_deg = 0.01
+
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+link_masses_kg = [10.0, 8.0, 6.0, 2.0, 1.0, 0.5]
+payload_kg = 2.0
+payload_at_mm = [10.0, -20.0, 80.0]
+
+[[constraints]]
+kind = "workspace_box"
+x_mm = [-400.0, 600.0]
+y_mm = [0.0, 650.0]
+z_mm = [100.0, 2000.0]
+
+[[constraints]]
+kind = "keep_out_sphere"
+center_mm = [350.0, 200.0, 100.0]
+radius_mm = 60.0
+
+[[constraints]]
+kind = "keep_out_cylinder"
+start_mm = [350.0, 200.0, 0.0]
+end_mm = [350.0, 200.0, 900.0]
+radius_mm = 60.0
+
+[[constraints]]
+kind = "line_of_sight"
+tracker_mm = [1500.0, 300.0, 1000.0]
+half_angle_deg = 25.0
+toward_mm = [0.0, 200.0, 500.0]
+range_mm = [500.0, 5000.0]
+facing = [0.0, 0.0, 1.0]
+acceptance_deg = 30.0
+
+[[effects]]
+name = "gear_ratio"
+joint = 2
+e = 0.0005
+"""
+BY_TABLE = """\
+kind = "spatial"
+
+[[dh]]
+a_mm = 10.0
+alpha_deg = 90.0
+d_mm = 127.3
+
+[[dh]]
+a_mm = -612.0
+alpha_deg = 0.0
+d_mm = 0.0
+offset_deg = 30.0
+
+[[dh]]
+a_mm = 0.0
+alpha_deg = 90.0
+d_mm = 160.0
+joint = "prismatic"
+
+[joint_limits_mm]
+lower = [-50.0]
+upper = [150.0]
+"""
+WRIST = """\
+[[dh]]
+a_mm = 30.0
+alpha_deg = 60.0
+d_mm = 40.0
+
+[joint_limits_mm]"""
+FOUR_AXES = BY_TABLE.replace("[joint_limits_mm]", WRIST)
+
+
+def saved(folder: Path, text: str) -> Path:
+    """An arm file with the URDF file beside it."""
+    shutil.copy(URDF, folder)
+    (folder / "arm.toml").write_text(text)
+    return folder / "arm.toml"
+
+
+def test_no_limits_in_degrees_of_an_arm_of_prismatic_joints(tmp_path: Path) -> None:
+    row = '[[dh]]\na_mm = 10.0\nalpha_deg = 90.0\nd_mm = 0.0\njoint = "prismatic"\n'
+    limits = "[joint_limits_mm]\nlower = [0.0, 1.0]\nupper = [5.0, 6.0]\n[joint_limits_deg]\nlower = []\nupper = []\n"
+    (tmp_path / "arm.toml").write_text(f'kind = "spatial"\n{row}{row}{limits}')
+    arm = load_arm(tmp_path / "arm.toml")
+    assert (arm.lower.tolist(), arm.upper.tolist()) == ([0.0, 1.0], [5.0, 6.0])
+
+
+def test_arm_of_a_urdf_file(tmp_path: Path) -> None:
+    arm = load_arm(saved(tmp_path, BY_URDF))
+    nominal = read_urdf(URDF).chain("world", "tool0")
+    chain = arm.chain
+    assert chain is not None
+    assert [joint.name for joint in chain.joints] == [joint.name for joint in nominal.joints]
+    for joint, other in zip(chain.joints, nominal.joints, strict=True):
+        np.testing.assert_array_equal(joint.origin, other.origin)
+    assert (arm.name, arm.links, arm.dimension, arm.sigma) == ("six", 6, 3, 0.05)
+    assert (arm.lower[0], arm.upper[0]) == (-300.0, 500.0)
+    np.testing.assert_array_equal(arm.upper[1:], [joint.upper for joint in nominal.joints[1:]])
+    turn = Rotation.from_euler("XYZ", (10.0, -20.0, 130.0), degrees=True).as_matrix()  # capitals: own axes
+    np.testing.assert_allclose(chain.base, pose((1000.0, -200.0, 50.0), turn), atol=1e-12)
+    assert chain.known == {BASE, TOOL}
+    assert {name: place.tolist() for name, place in chain.tools.items()} == {
+        "left": [60.0, 20.0, 50.0],
+        "right": [-70.0, 0.0, 0.0],
+    }
+    assert arm.machining == Machining(1.0, np.radians(0.2))
+    assert arm.gear_ratios is not None
+    assert arm.gear_ratios[5] == 0.0
+    assert arm.gravity is not None
+    assert arm.gravity.acceleration.tolist() == [0.0, 0.0, -9.81]
+    assert arm.gravity.payload_at is not None
+    assert arm.gravity.payload_at.tolist() == [10.0, -20.0, 80.0]
+    assert arm.effects[0].values == {"e": 0.0005}
+    assert arm.constraints == (
+        WorkspaceBox((-400.0, 600.0), (0.0, 650.0), (100.0, 2000.0)),
+        KeepOutCircle((350.0, 200.0, 100.0), 60.0),
+        KeepOutCylinder((350.0, 200.0, 0.0), (350.0, 200.0, 900.0), 60.0),
+        LineOfSight(
+            (1500.0, 300.0, 1000.0),
+            np.radians(25.0),
+            (0.0, 200.0, 500.0),
+            (500.0, 5000.0),
+            (0.0, 0.0, 1.0),
+            np.radians(30.0),
+        ),
+    )
+
+
+def test_limits_of_the_arm_file_stand_in_for_those_of_the_urdf(tmp_path: Path) -> None:
+    path = saved(tmp_path, BY_URDF)
+    (tmp_path / "six_axis.urdf").write_text(re.sub(r'lower="-0.4" upper="0.6"', "", URDF.read_text()))
+    assert load_arm(path).upper[0] == 500.0
+    path.write_text(re.sub(r"\[joint_limits_mm\]\nlower.*\nupper.*\n", "", BY_URDF))
+    with pytest.raises(InputError, match=r"joint 'slide': limit, lower or upper is missing, allowed: both"):
+        load_arm(path)
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_arm_of_a_table(tmp_path: Path, convention: str) -> None:
+    """The tip is the product of the matrices as the convention prints them."""
+    arm = load_arm(saved(tmp_path, BY_TABLE.replace("d_mm = 127.3", f'd_mm = 127.3\nconvention = "{convention}"')))
+    rows = [
+        DHRow(10.0, np.pi / 2, 127.3),
+        DHRow(-612.0, 0.0, 0.0, np.radians(30.0)),
+        DHRow(0.0, np.pi / 2, 160.0, type="prismatic"),
+    ]
+    q = np.array([0.3, -1.1, 70.0])
+    tip = np.linalg.multi_dot([printed(row, x, convention) for row, x in zip(rows, q, strict=True)])
+    np.testing.assert_allclose(Model(arm).position(q[None])[0], tip[:3, 3], atol=1e-10)
+    assert (arm.lower[2], arm.upper[2], arm.upper[0]) == (-50.0, 150.0, np.pi)
+    assert arm.chain is not None
+    assert arm.chain.known == frozenset()
+
+
+# -- calibrations ------------------------------------------------------------------------------------------------------
+def identified(arm: Arm, markers: tuple[str, ...] = ()) -> Identification:
+    """From 40 postures of an arm with errors of a millimetre and a milliradian, standing elsewhere."""
+    assert arm.chain is not None
+    generator = np.random.default_rng(2)
+    chain = replace(
+        arm.chain,
+        base=pose((2000.0, 300.0, -100.0), Rotation.from_euler("xyz", (0.4, 1.0, -2.0)).as_matrix()),
+        tools={name: np.array([50.0 + 30.0 * k, 20.0, 90.0]) for k, name in enumerate(markers or ("1",))},
+    )
+    postures = generator.uniform(arm.lower, arm.upper, (40, arm.links))
+    names = np.array(markers)[np.arange(40) % len(markers)] if markers else None
+    data = Measurements(postures, np.zeros((40, 3)), marker=names)
+    true = Model(replace(arm, chain=chain))
+    values = generator.normal(0.0, 1.0 / true.scales)
+    data = replace(data, positions=true.position(postures, values, data.conditions))
+    return estimate(Model(arm), data, sigma=0.01)
+
+
+@pytest.mark.parametrize("markers", [(), ("top", "side")], ids=["one", "two"])
+def test_calibration_comes_back_to_rounding(tmp_path: Path, markers: tuple[str, ...]) -> None:
+    path = saved(tmp_path, FOUR_AXES)
+    found = identified(load_arm(path), markers)
+    text = with_calibration(path.read_text(), found.calibration())
+    assert text.startswith(FOUR_AXES)
+    path.write_text(text)
+    arm, before = load_arm(path), found.calibrated_arm()
+    assert arm.chain is not None
+    assert arm.chain.known == frozenset()
+    model, same = Model(before), Model(arm)
+    assert model.names == same.names
+    postures = np.random.default_rng(3).uniform(arm.lower, arm.upper, (20, 4))
+    np.testing.assert_allclose(same.position(postures), model.position(postures), atol=1e-10)
+    np.testing.assert_allclose(same.jacobian(postures), model.jacobian(postures), atol=1e-10)
+    read, written = arm.calibration, before.calibration
+    assert read is not None
+    assert written is not None
+    assert read.covariance is not None
+    assert written.covariance is not None
+    np.testing.assert_allclose(read.covariance, written.covariance, rtol=1e-12, atol=1e-20)
+    assert read.base is not None
+    assert found.geometry is not None
+    np.testing.assert_allclose(read.base, found.geometry.base, atol=1e-11)
+    for name, place in found.geometry.tools.items():
+        np.testing.assert_allclose(read.tools[name], place, atol=1e-11)
+
+
+def test_base_and_tools_are_where_they_were(tmp_path: Path) -> None:
+    """Composed poses: the start and its corrections, of which neither says much alone."""
+    found = identified(load_arm(saved(tmp_path, FOUR_AXES)))
+    assert found.geometry is not None
+    base, tools = found.geometry.base, found.geometry.tools
+    assert base is not None
+    values, chain = found.model.parameters.mapping(found.parameters), found.model.arm.chain
+    assert chain is not None
+    turn = Rotation.from_euler("XYZ", [values[f"base.r{axis}"] for axis in "xyz"]).as_matrix()
+    np.testing.assert_allclose(base[:3, :3], chain.base[:3, :3] @ turn, atol=1e-12)
+    shift = np.array([values[f"base.{axis}"] for axis in "xyz"])
+    np.testing.assert_allclose(base[:3, 3], chain.base[:3, 3] + shift, atol=1e-12)
+    error = np.array([values[f"tool[1].{axis}"] for axis in "xyz"])
+    np.testing.assert_allclose(tools["1"], chain.tools["1"] + error, atol=1e-12)
+
+
+# -- bad input ---------------------------------------------------------------------------------------------------------
+SWAPS = [
+    ('urdf = "six_axis.urdf"\n', "", "urdf, dh: neither is there, allowed: a URDF file or [[dh]] tables"),
+    ('"six_axis.urdf"', '"../six_axis.urdf"', "urdf: '../six_axis.urdf' is outside the folder of the arm file"),
+    ('"six_axis.urdf"', '"none.urdf"', "none.urdf: no such file"),
+    ('tip_link = "tool0"', "", "tip_link: is missing, allowed: the name of a link"),
+    ('"tool0"', '"tool1"', "there is no link 'tool1', did you mean 'tool0'?"),
+    ('kind = "spatial"', 'kind = "space"', "kind: found 'space', allowed: planar or spatial"),
+    ("lower = [-300.0]", "lower = [-300.0, 1.0]", "joint_limits_mm.lower: found 2 values for 1 prismatic joints"),
+    ("lower = [-300.0]", "lower = [900.0]", "joint_limits_mm: joint 1 has lower 900 >= upper 500"),
+    ("x_mm = 60.0", "w_mm = 60.0", "tool.left.w_mm: unknown key, did you mean 'x_mm', 'y_mm' or 'z_mm'?"),
+    ("rotation_deg = 0.2", "rotation_deg = -1.0", "machining.rotation_deg: found -1.0, allowed: a number > 0 [deg]"),
+    ("[0.0, 0.0, -9.81]", "[0.0, -9.81]", "gravity.acceleration_m_s2: found 2 values, allowed: three numbers"),
+    ("-20.0, 80.0]", "-20.0]", "gravity.payload_at_mm: found 2 values, allowed: three numbers [mm]"),
+    (", 1.0, 0.5]", ", 1.0]", "gravity.link_masses_kg: found 5 values for 6 joints, allowed: 6"),
+    ("50.0, 0.0]\n\n[joint", "50.0]\n\n[joint", "gear_ratio: found 5 values for 6 joints, allowed: 6"),
+    ("z_mm = [100.0, 2000.0]", "", "constraints[1].z_mm: is missing"),
+    (
+        "z_mm = [100.0, 2000.0]",
+        "z_mm = [100.0, 20.0]",
+        "constraints[1].z_mm: found [100.0, 20.0], allowed: the lower one",
+    ),
+    ('"keep_out_sphere"', '"keep_out_circle"', "constraints[2].kind: found 'keep_out_circle'"),
+    ("end_mm = [350.0, 200.0, 900.0]", "end_mm = [350.0, 200.0, 0.0]", "constraints[3].end_mm: found"),
+    ("facing = [0.0, 0.0, 1.0]", "", "constraints[4].acceptance_deg: found without facing"),
+    ("range_mm = [500.0, 5000.0]", "range_mm = [500.0]", "constraints[4].range_mm: found 1 values"),
+    ("joint = 2", "joint = 7", "effects: gear_ratio at joint 7, allowed: 1 to 6"),
+    ('name = "gear_ratio"', 'name = "link_thermal"', "effects: unknown name 'link_thermal'"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), SWAPS, ids=[message[:40] for _, _, message in SWAPS])
+def test_bad_input_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert BY_URDF.count(old) >= 1
+    path = saved(tmp_path, BY_URDF.replace(old, new, 1))
+    with pytest.raises(InputError) as error:
+        load_arm(path)
+    assert message in str(error.value)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
+TABLE_SWAPS = [
+    ('joint = "prismatic"', 'joint = "slide"', "dh[3].joint: found 'slide', allowed: revolute or prismatic"),
+    ("[joint_limits_mm]\nlower = [-50.0]\nupper = [150.0]", "", "dh[3]: a prismatic joint without limits"),
+    (
+        "d_mm = 127.3",
+        'd_mm = 127.3\nconvention = "modified"\n[[dh]]\na_mm=1.0\nd_mm=1.0\nalpha_deg=1.0\nconvention = "standard"',
+        "dh: found conventions modified and standard, allowed: one for all rows",
+    ),
+    ("upper = [150.0]", 'upper = [150.0]\n[calibration.values]\n"x:1" = 1.0', "unknown parameter 'x:1'"),
+    ("upper = [150.0]", "upper = [150.0]\n[calibration]\neffects = {}", "calibration.values: is missing"),
+    (
+        "upper = [150.0]",
+        "upper = [150.0]\n[base]\n[calibration.values]\n[calibration.base]\nx_mm = 1.0",
+        "calibration.base: found beside [base], allowed: one of them",
+    ),
+    (
+        "upper = [150.0]",
+        "upper = [150.0]\n[calibration.values]\n[calibration.tools.a]\nw_mm = 1.0",
+        "calibration.tools.a.w_mm: unknown key",
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), TABLE_SWAPS, ids=[message[:40] for _, _, message in TABLE_SWAPS])
+def test_bad_tables_are_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert BY_TABLE.count(old) == 1 or old == "a_mm = 10.0"
+    with pytest.raises(InputError) as error:
+        load_arm(saved(tmp_path, BY_TABLE.replace(old, new, 1)))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_committed_arm_of_the_ur10() -> None:
+    arm = load_arm(DATA / "ur10" / "ur10.toml")
+    rows = [(0.0, 90.0, 127.3), (-612.0, 0.0, 0.0), (-572.3, 0.0, 0.0)]
+    rows += [(0.0, 90.0, 163.941), (0.0, -90.0, 115.7), (0.0, 0.0, 92.2)]
+    chain = chain_of([DHRow(a, float(np.radians(alpha)), d) for a, alpha, d in rows])
+    postures: Array = np.random.default_rng(0).uniform(-3.0, 3.0, (5, 6))
+    np.testing.assert_array_equal(Model(arm).position(postures), Model(Arm.of_chain(chain)).position(postures))
+
+
+def test_examples_of_the_page_load(tmp_path: Path) -> None:
+    page = Path(__file__).parents[3] / "identification/files/README.md"
+    section = page.read_text().split("### Spatial arms")[1].split("\n## ")[0]
+    by_urdf, by_table, by_lengths, joints = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    shutil.copy(URDF, tmp_path / "robot.urdf")
+    arm = load_arm(saved(tmp_path, by_urdf))
+    assert arm.chain is not None
+    assert (arm.links, len(arm.constraints), list(arm.chain.tools)) == (6, 2, ["top"])
+    chain = load_arm(saved(tmp_path, by_table)).chain
+    assert chain is not None
+    assert (len(chain), chain.known) == (2, {BASE})
+    assert load_arm(saved(tmp_path, f"links_mm = [4, 3, 2, 1]\n{joints}")).counting is not None
+    bar = load_arm(saved(tmp_path, f"{by_urdf}\n{by_lengths}")).chain
+    assert bar is not None
+    assert bar.coordinates == 1
