@@ -239,8 +239,7 @@ def linearized(
     wrong : rows that may be outlying
     outside : labels of blocks outside the library, None: all
     """
-    model, base = at.model, library.own_places(at.model)
-    y, jacobian = library.as_base(at, rows)
+    model, (y, jacobian, base) = at.model, library.as_base(at, rows)
     # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
     fitted = {
         e.label: [model.names.index(p.name) for p in e.parameters if p.name in model.names] for e in model.effects

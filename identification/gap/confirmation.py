@@ -486,8 +486,7 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
     """
     number = found.best.noise
     problem, rows, model = found.problems[number], found.noises[number].rows.pick(kept), found.at.model
-    y, jacobian = found.library.as_base(found.at, rows)
-    base = found.library.own_places(model)
+    y, jacobian, base = found.library.as_base(found.at, rows)
     own = jacobian[:, :, base] / model.scales[base]
     sets = [one for one in found.explanations if one.noise == number][:MOST]
     blocks = sorted({b for one in sets for b in one.weighed.blocks if not problem.blocks[b].row})

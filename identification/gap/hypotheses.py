@@ -147,21 +147,14 @@ class HypothesisSet:
     aliases: Mapping[str, str]
 
     @cached_property
-    def _places(self) -> dict[str, int]:
-        return {h.label: k for k, h in enumerate(self.members)}
-
-    def place(self, hypothesis: Hypothesis) -> int:
-        """Index of a hypothesis among the members, which is the order of effects in models, results and files."""
-        return self._places.get(hypothesis.label, len(self.members))
-
-    @cached_property
     def base(self) -> Model:
         """Model of the arm without further effects."""
         return self.model(())
 
     def model(self, chosen: Sequence[Hypothesis]) -> Model:
         """Model of the arm with the effects of these hypotheses, in the order of the members."""
-        ordered, classes = sorted(chosen, key=self.place), of_dimension(self.arm.dimension)
+        places, classes = {h.label: k for k, h in enumerate(self.members)}, of_dimension(self.arm.dimension)
+        ordered = sorted(chosen, key=lambda h: places.get(h.label, len(places)))
         arm = self.arm.with_effects(*self.arm.effects, *(h.spec for h in ordered))
         return _modelled(arm, tuple(classes[spec.name] for spec in arm.effects))
 
@@ -177,12 +170,13 @@ class HypothesisSet:
         renamed = dict(zip(own, there, strict=True))
         return [model.parameters.index(renamed.get(name, name)) for name in self.base.names]
 
-    def as_base(self, at: Fit, rows: Rows) -> tuple[Array, Array]:
-        """(m, d) positions of these rows as the base model sees them, less what it computes at a fit: what the fit has
-        beyond it is given back; and its (m, d, p) columns there."""
+    def as_base(self, at: Fit, rows: Rows) -> tuple[Array, Array, list[int]]:
+        """These rows as the base model sees them at a fit: (m, d) measured less computed positions, where what the fit
+        has beyond it is given back; and the fit's (m, d, p) columns, and which of them are the base's."""
+        base = self.own_places(at.model)
         position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
-        added = np.setdiff1d(np.arange(len(at.values)), self.own_places(at.model))
-        return rows.positions - position + jacobian[:, :, added] @ at.values[added], jacobian
+        added = np.setdiff1d(np.arange(len(at.values)), base)
+        return rows.positions - position + jacobian[:, :, added] @ at.values[added], jacobian, base
 
     def acts(self, hypothesis: Hypothesis) -> bool:
         """False if the effect only changes others (`Effect.through`) and the base model has none of those."""
@@ -217,18 +211,21 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     available |= set() if arm.gravity is None else {"gravity"}
     available |= {"distance"} if arm.measures_distances else set()
     known = of_dimension(arm.dimension)
-    shown = {name: cls for name, cls in known.items() if _testable(cls)}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths, arm.dimension)}
     unseen = frozenset[int]() if rows is None else untested_joints(Model(arm), rows)
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}
-    for name, cls in shown.items():
+    for name, cls in known.items():
+        if cls.alias or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated:
+            continue  # does not act on the mean, is no fault of the arm, or cannot be told from the base parameters
         if "distance" in cls.needs - available:
             continue  # of another instrument: nothing that these data lack
         if missing := sorted(cls.needs - available):
             skipped[name] = f"needs {', '.join(missing)}"
             continue
-        for joint in _joints(cls, arm.links):
+        joints: list[int | None] = [*range(cls.first_joint, arm.links + 1)]
+        whole: list[int | None] = [] if cls.per_joint == "required" else [None]
+        for joint in whole + (joints if cls.per_joint != "none" else []):
             spec = EffectSpec(name, joint)
             if joint in unseen and cls.joint_angles is not Effect.joint_angles:
                 skipped[spec.key] = "the joint slides, or hardly moves the measured point"
@@ -257,17 +254,6 @@ def untested_joints(model: Model, rows: Rows) -> frozenset[int]:
     return frozenset((np.flatnonzero(sliding | (sizes < UNSEEN * model.reach)) + 1).tolist())
 
 
-def _testable(cls: type[Effect]) -> bool:
-    """Whether an effect acts on the mean, is a fault of the arm, and can be distinguished from the base parameters."""
-    return not (cls.alias or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated)
-
-
-def _joints(cls: type[Effect], links: int) -> list[int | None]:
-    each: list[int | None] = list(range(cls.first_joint, links + 1))
-    by_kind: dict[str, list[int | None]] = {"none": [None], "required": each, "optional": [None, *each]}
-    return by_kind[cls.per_joint]
-
-
 def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hypothesis]:
     """The hypotheses of one effect at one joint: one for each setting."""
     arm, scans = scope.arm, [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
@@ -286,17 +272,17 @@ def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Seq
     position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
     levers = at.model.joint_levers(rows.postures, at.values, rows.conditions)
     unseen, added = untested_joints(at.model, rows), []
-    owners = {p.name: e for e in at.model.effects for p in e.parameters}
-    labels = {h.label for h in chosen}
+    labels, names = {h.label for h in chosen}, at.model.names
     for j in range(arm.links):
         q = rows.postures[:, j]
         if np.ptp(q) == 0.0 or j + 1 in unseen:
             continue
         # what is named at this joint may be there instead of the wave
         own = [
-            k
-            for k, n in enumerate(at.model.names)
-            if n in owners and owners[n].label in labels and owners[n].joint == j + 1
+            names.index(p.name)
+            for e in at.model.effects
+            for p in e.parameters
+            if e.joint == j + 1 and e.label in labels and p.name in names
         ]
         rest = np.setdiff1d(np.arange(len(at.values)), own)
         y = rows.whiten(rows.positions - position + jacobian[:, :, own] @ at.values[own])
