@@ -35,7 +35,6 @@ from identification.kinematics.parameters import Parameter
 
 # reason: identification/README.md, "Constants"
 SAME = 0.1  # relative difference of values that are the same
-HERE, ELSEWHERE, BOTH = range(3)  # blocks
 
 
 class CurveColumns(NamedTuple):
@@ -210,16 +209,16 @@ def _in_session(
     blocks, width = np.hstack([here, both - here, both, SAME * here]), root.shape[1]
     starts, signs, limits = np.array([0, 1, 2, 4]) * width, np.zeros(3, dtype=bool), np.full(3, len(SIZES))
     products = Products.of(blocks, apart(target), freedom, starts, signs, limits)
-    single = products.added(products.nothing)  # (blocks, sizes)
-    second = [products.added(products.state([(ELSEWHERE, size)]))[HERE] for size in range(len(SIZES))]
-    double = single[ELSEWHERE, :, None] + np.array(second)
-    tables = single[BOTH], double, single[ELSEWHERE], single[HERE]
+    in_here, in_others, in_both = products.added(products.nothing)  # each (sizes,)
+    second = [products.added(products.state([(1, size)]))[0] for size in range(len(SIZES))]
+    double = in_others[:, None] + np.array(second)
+    tables = in_both, double, in_others, in_here
     same, own, absent, _ = softmax([logsumexp(table) - np.log(table.size) for table in tables]).tolist()
     answer = True if same >= CREDIBLE else False if own + absent >= CREDIBLE else None
     if units is None:
         return InSession(name, (), (), same, answer)
     elsewhere, inside = np.unravel_index(np.argmax(double), double.shape)
-    apiece = products.state([(HERE, int(inside)), (ELSEWHERE, int(elsewhere))])
+    apiece = products.state([(0, int(inside)), (1, int(elsewhere))])
     mean, covariance = apiece.mean, apiece.covariance * apiece.squares / freedom
     turn = root * units[:, None]
     deviations = np.sqrt(np.diag(turn @ covariance[:width, :width] @ turn.T))
