@@ -49,8 +49,10 @@ def _nothing(_: object) -> None:
 
 
 def _lost_no_signal(otherwise: Callable[[Any], object], came: list[KeyboardInterrupt], unraisable: Any) -> None:
-    """A signal that met the end of an object, where nothing can be raised, comes again a little later; what else objects
-    say at their end is reported until a signal `came`."""
+    """A signal that met the end of an object, where nothing can be raised, comes again a little later.
+
+    came : signals, after which nothing else that objects say at their end is reported
+    """
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         number = signal.Signals[next(iter(unraisable.exc_value.args), "SIGINT")]
         send: Callable[[int], None] = signal.raise_signal
