@@ -27,7 +27,7 @@ from identification.arrays import Array, eigen_of_pairs
 
 # reasons: identification/README.md, "Constants"
 SIZES: Array = 3.0 * np.exp2(np.arange(14))  # of a block's contribution, in standard deviations of the noise
-DIGITS = 1e-9  # of the scores, which a set's coefficients explain but for rounding
+DIGITS = 1e-7  # of the scores, which a set's coefficients explain but for rounding
 LEAST = 1e-14  # of y^T y: what rounding leaves of a sum of squares
 
 Index = NDArray[np.int64]

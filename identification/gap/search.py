@@ -35,7 +35,7 @@ WRONG = 0.0005  # prior odds of a row to be outlying
 REST_ODDS = 0.1  # prior odds of the rest of the library
 NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
 MOVES = 1000  # effort: of the walk
-ROUNDS = 10  # effort: of the climb
+ROUNDS = 3  # effort: of the climb
 PAIRS = 10  # effort: of the climb, blocks that are tried in pairs
 LEAST = 1e-5  # probability of a set that is kept
 ROUNDING = 1e-6  # of a log likelihood
@@ -158,20 +158,28 @@ class Search:
                     fewer = self.products.without(state, block)
                     table = self._each(fewer, barred - {block})
                     nothing = np.isfinite(self.log_prior(fewer.blocks)) and np.max(logsumexp(table, axis=1)) <= 0.0
-                    state = fewer if nothing else self._put(fewer, table, block)
+                    best = None if nothing else self._likeliest(table, block)
+                    if best != (block, dict(state.order)[block]):
+                        state = fewer if best is None else self.products.with_block(fewer, *best)
                 while np.max(logsumexp(table := self._each(state, barred), axis=1)) > ROUNDING:
                     state = self._put(state, table)
             if state.key == before:
                 break
         return state
 
-    def _put(self, state: State, table: Array, first: int = -1) -> State:
-        """A set with the block that is likeliest in a table, at its likeliest size;  first : of those equally likely"""
+    def _likeliest(self, table: Array, first: int = -1) -> tuple[int, int] | None:
+        """The block that is likeliest in a table, and its likeliest size; None without any;  first : of those equally
+        likely"""
         odds = logsumexp(table, axis=1)
         if not np.isfinite(np.max(odds, initial=-np.inf)):
-            return state
+            return None
         best = first if first >= 0 and odds[first] >= np.max(odds) - ROUNDING else int(np.argmax(np.round(odds, 9)))
-        return self.products.with_block(state, best, int(np.argmax(np.round(table[best], 9))))
+        return best, int(np.argmax(np.round(table[best], 9)))
+
+    def _put(self, state: State, table: Array) -> State:
+        """A set with the block that is likeliest in a table."""
+        best = self._likeliest(table)
+        return state if best is None else self.products.with_block(state, *best)
 
     def near(self, top: State) -> list[int]:
         """All blocks but those that are together negligible beside a set and in place of one of its blocks."""
@@ -182,11 +190,12 @@ class Search:
         order = np.argsort(shares, kind="stable")
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
 
-    def walk(self, top: State, generator: np.random.Generator) -> Walked:
-        """The posterior, from a set to start from."""
+    def walk(self, top: State, generator: np.random.Generator, moves: int | None = None) -> Walked:
+        """The posterior, from a set to start from;  moves : steps, None: `MOVES`"""
+        moves = moves or MOVES
         state, steps, odds = top, dict[Key, tuple[Array, Array]](), dict[Key, float]()
         visits, moments = Counter[Key](), (Moments(self.products), Moments(self.products))
-        for _ in range(MOVES):
+        for _ in range(moves):
             taken = int(generator.integers(len(state.order) + 1))
             fewer = self.products.without(state, state.blocks[taken]) if taken < len(state.order) else state
             visits[fewer.key] += 1
@@ -209,7 +218,7 @@ class Search:
         """The sets, from the probabilities with which each was drawn;  odds : log odds of those that were"""
         total: defaultdict[Key, float] = defaultdict(float)
         for key, count in visits.items():
-            shares = steps[key] * (count / MOVES)
+            shares = steps[key] * (count / visits.total())
             total[key] += float(shares[-1])
             for k in np.flatnonzero(shares[:-1] > 0.1 * LEAST).tolist():
                 total[tuple(sorted((*key, divmod(k, len(SIZES)))))] += float(shares[k])
