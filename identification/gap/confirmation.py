@@ -189,10 +189,11 @@ class Confirmation:
         return f"{self.answer}: {figures} ({self.rows} {kind} rows in {self.groups} independent groups{other})"
 
     def to_json(self) -> dict[str, object]:
-        """An entry of `confirmation.tests` (identification/files/README.md, "JSON keys")."""
-        lengths = {"before": "before_mm", "after": "after_mm", "predicted": "predicted_mm"}
-        lengths |= {"largest_before": "max_before_mm", "largest_after": "max_after_mm"}
-        entry = {lengths.get(name, name): value for name, value in vars(self).items() if name != "named"}
+        """Key `confirmation`, and an entry of `cross_validation` (identification/files/README.md, "JSON keys")."""
+        lengths = {"before_mm": self.before, "after_mm": self.after, "predicted_mm": self.predicted}
+        lengths |= {"max_before_mm": self.largest_before, "max_after_mm": self.largest_after}
+        names = ("transfer", "by", "rows", "groups", "p_shrinks", "p_exceeds", "shrinks", "as_predicted", "file")
+        entry = {name: getattr(self, name) for name in names} | lengths
         return entry | {"confirmed": self.confirmed, "refitted": [*self.refitted]}
 
 
@@ -296,9 +297,9 @@ class Offered:
 
     def to_json(self) -> dict[str, Any]:
         """Key `offered` (identification/files/README.md, "JSON keys")."""
-        lengths = {"rms": "rms_mm", "largest": "max_mm"}
-        lengths |= {"rms_geometry": "rms_geometry_mm", "largest_geometry": "max_geometry_mm"}
-        return {lengths.get(name, name): value for name, value in vars(self).items()} | {"better": self.better}
+        lengths = {"rms_mm": self.rms, "max_mm": self.largest}
+        lengths |= {"rms_geometry_mm": self.rms_geometry, "max_geometry_mm": self.largest_geometry}
+        return {"by": self.by, "rows": self.rows, **lengths, "p_value": self.p_value, "better": self.better}
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ def test_formats_and_verbs(folder: Folder) -> None:
     formats = folder.armcal("help", "--json")
     assert formats.code == 0, formats.err
     assert "links_mm" in formats.data["text"]
-    assert "| `design`, `score` |" in formats.data["text"]
+    assert "**`design`, `score`**" in formats.data["text"]
     shown = folder.armcal("help", "formats").out
     assert "temperature_C" in shown
     assert folder.armcal("help", "design").out.strip() == folder.armcal("design", "--help").out.strip()
