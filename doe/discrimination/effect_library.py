@@ -46,27 +46,27 @@ def effect_library(arm: Arm) -> EffectLibrary:
     a minimal set of parameters, as tests for effects see it.
     """
     arm = without_prior(arm)
-    known = hypotheses(arm, frozenset())
-    common = [h for h in known.unscanned if h.effect.prior == 1.0]
+    tested = hypotheses(arm, frozenset())
+    common = [h for h in tested.unscanned if h.effect.prior == 1.0]
     shown = [h for h in common if not h.effect.needs & BY_ORDER]
     model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown)))
-    own = len(Model(arm).parameters)
+    base = len(Model(arm).parameters)
     ordered = [h.spec for h in common if h.effect.needs & BY_ORDER]
     return EffectLibrary(
-        own,
+        base,
         whole(model),
-        tuple(basis_of(model, own, hypothesis) for hypothesis in shown),
+        tuple(basis_of(model, base, hypothesis) for hypothesis in shown),
         np.array([hypothesis.weight for hypothesis in shown]),
         by_order(Model(arm.with_effects(*arm.effects, *ordered))),
         lambda postures: detectability(arm, postures),
     )
 
 
-def basis_of(model: Model, own: int, hypothesis: Hypothesis) -> Array:
+def basis_of(model: Model, base: int, hypothesis: Hypothesis) -> Array:
     """(K, s) the scaled parameters of one effect, all in one column where it acts at every joint alike."""
-    columns = [model.parameters.index(parameter.name) - own for parameter in hypothesis.effect.parameters]
-    basis = np.zeros((len(model.parameters) - own, len(columns)))
-    basis[columns, range(len(columns))] = model.scales[own:][columns]
+    columns = [model.parameters.index(parameter.name) - base for parameter in hypothesis.effect.parameters]
+    basis = np.zeros((len(model.parameters) - base, len(columns)))
+    basis[columns, range(len(columns))] = model.scales[base:][columns]
     return basis.sum(axis=1, keepdims=True) if hypothesis.family else basis
 
 

@@ -61,8 +61,8 @@ class ExtendedProblem:
 def extended_problem(problem: DesignProblem, library: EffectLibrary) -> ExtendedProblem:
     """The same design space for the model with the effects that postures show, as tests see it: in space with a minimal
     set of parameters, which has no prior."""
-    known = set(library.shown_by_postures.parameters.names) if library.own == problem.parameters else ()
-    deviations = {name: size for name, size in problem.deviations.items() if name in known}
+    shown = set(library.shown_by_postures.parameters.names) if library.own == problem.parameters else ()
+    deviations = {name: size for name, size in problem.deviations.items() if name in shown}
     extended = replace(problem, model=library.shown_by_postures, deviations=deviations)
     cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
     reference = information_matrix(extended.scaled_jacobians(cloud)) / len(cloud)

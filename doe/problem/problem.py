@@ -142,8 +142,8 @@ class DesignProblem:
         does, see `doe.problem.touching`."""
         if not hasattr(model, "arm"):
             raise InputError(f"model: {type(model).__name__}, allowed: a Model, such as Model(arm)")
-        placed, whole, known = designed(model)
-        of_arm: dict[str, Any] = {"constraints": constraints_of(placed), "deviations": known}
+        placed, whole, deviations = designed(model)
+        of_arm: dict[str, Any] = {"constraints": constraints_of(placed), "deviations": deviations}
         free = cls(whole, model.arm.lower, model.arm.upper, **of_arm | changes)
         if not touches(placed) or free.choices is not None:
             return free

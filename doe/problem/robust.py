@@ -59,9 +59,9 @@ def robust_problem(
     poses : (k, n) where the tip is needed, None: the `workspace`
     """
     added = missing_effects(problem) if missing is None else missing
-    own = of_one_arm(problem.model)
+    arm_model = of_one_arm(problem.model)
     noise = float(np.hypot(problem.model.sigma or 0.0, added.prior.own_error))
-    model = replace(Model(replace(added.arm, sigma=noise)), known=None if own is None else own.known)
+    model = replace(Model(replace(added.arm, sigma=noise)), known=None if arm_model is None else arm_model.known)
     deviations = {**problem.deviations, **added.prior.deviations}
     wide = replace(problem, model=whole(model), deviations=deviations, fit=LIBRARY)
     poses = workspace(wide) if poses is None else poses
@@ -83,8 +83,8 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
         return problem if also is None else replace(problem, choices=np.concatenate([problem.choices, also]))
     generator = np.random.default_rng(0)
     anywhere = random_postures(problem, CHOICES // 2, generator)
-    more = [] if also is None else [also]
-    return replace(problem, choices=np.concatenate([anywhere, _at_limits(problem, generator), *more]), sampled=True)
+    included = [] if also is None else [also]
+    return replace(problem, choices=np.concatenate([anywhere, _at_limits(problem, generator), *included]), sampled=True)
 
 
 def _at_limits(problem: DesignProblem, generator: np.random.Generator) -> Array:

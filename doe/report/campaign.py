@@ -199,7 +199,7 @@ class Campaign:
             fit = self.measurements[data[0]].fit
             return [Action("Identify the arm:", identify_command(arm, data[0], fit)), look]
         fits = [plan.fit for plan, _ in self.plans.values()]
-        fits += [said.get("fit") or "" for said in self.said["design"].values()]
+        fits += [design.get("fit") or "" for design in self.said["design"].values()]
         return plan_actions(arm, next(iter(self.plans), "plan.csv"), next(iter(fits), ""))
 
     def beyond(self) -> list[Action]:
@@ -221,7 +221,7 @@ class Campaign:
             warnings = [text for data in doubtful for text in data["warnings"]]
             return Document(title, self.verdict, self.sections(), self.actions, warnings)
         except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-            files = ", ".join(name for said in self.said.values() for name in said)
+            files = ", ".join(name for files_data in self.said.values() for name in files_data)
             if not files:
                 raise
             why = f"{type(error).__name__} {error}"
@@ -262,8 +262,8 @@ class Campaign:
         cells = [[name, *map(number, values)] for name, values in zip(names, figures, strict=True)]
         other = None if len(tests) == 1 else list(tests.values())[-2]
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
-        known = set() if other is None else {effect.label for effect in Model(other.arm).effects}
-        named = [effect.label for effect in Model(last.arm).effects if effect.label not in known]
+        earlier_labels = set() if other is None else {effect.label for effect in Model(other.arm).effects}
+        named = [effect.label for effect in Model(last.arm).effects if effect.label not in earlier_labels]
         residuals = measured.postures, before, last.residuals, measured.conditions
         signed = Compared(last.arm, *residuals, Model(last.arm), named).pictures(*pair)
         used = f"Fitted to these rows: {', '.join(fitted)}." if fitted else ""
@@ -302,10 +302,10 @@ def fitted_to(arm: Arm) -> list[str]:
 
 def calibrated_sections(arm: Arm, name: str, *, folded: bool) -> list[Section]:
     """Corrected values of a calibrated arm, and as numbers of its Denavit-Hartenberg table;  name : of its file"""
-    values, said = corrected_values(arm), getattr(arm.calibration, "provenance", {})
+    values, provenance = corrected_values(arm), getattr(arm.calibration, "provenance", {})
     calibrated = Calibrated.of_arm(arm)
     rows, lines = ((), []) if calibrated is None else dh_table(calibrated, values, Path(name))
-    expected, title = expected_elsewhere(said).strip(), f"Corrected values: {name}"
+    expected, title = expected_elsewhere(provenance).strip(), f"Corrected values: {name}"
     corrected = corrected_section(title, values, arm.chain is not None, expected, folded=folded)
     return [corrected, *(Section(part.title, part.parts, folded) for part in dh_sections(rows, lines, name))]
 
