@@ -26,13 +26,13 @@ def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def width(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
     """Characters that a row needs: of words where a cell may be broken, which headings, first cells and texts may."""
-    found = 0
+    characters = 0
     for k, heading in enumerate(headings):
         cells = [row[k] for row in rows]
         firm = [] if k == 0 else [len(cell) for cell in cells if len(cell) <= LONG]
         words = [len(word) for text in (heading, *cells) for word in text.split()]
-        found += 2 + max([*firm, *words], default=0)
-    return found
+        characters += 2 + max([*firm, *words], default=0)
+    return characters
 
 
 def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:

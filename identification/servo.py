@@ -70,17 +70,17 @@ def _of_joint(joint: int, kind: str, error: Array, sign: Array) -> FollowingErro
 
 def with_servo_errors(arm: Arm, measurements: Measurements) -> Arm:
     """The arm with the servo errors that the measurements show, instead of its own, where they have commands."""
-    if not (found := following_errors(measurements, arm.joint_types)):
+    if not (errors := following_errors(measurements, arm.joint_types)):
         return arm
     others = (spec for spec in arm.effects if spec.name != SERVO)
-    return arm.with_effects(*others, *(error.spec for error in found if error.largest > 0.0))
+    return arm.with_effects(*others, *(error.spec for error in errors if error.largest > 0.0))
 
 
 def servo_shift(arm: Arm, directions: Array) -> Array:
     """(k, n) what is read beyond a command [rad, mm], for directions of approach (k, n)."""
-    found = np.zeros(directions.shape)
+    shift = np.zeros(directions.shape)
     for spec in arm.effects:
         if spec.name == SERVO and spec.joint is not None:
             sign = directions[:, spec.joint - 1]
-            found[:, spec.joint - 1] = spec.values.get("b", 0.0) + spec.values.get("h", 0.0) * sign
-    return found
+            shift[:, spec.joint - 1] = spec.values.get("b", 0.0) + spec.values.get("h", 0.0) * sign
+    return shift

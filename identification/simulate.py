@@ -40,8 +40,8 @@ def simulate(
     """
     q = np.atleast_2d(np.asarray(postures, dtype=float))
     if truth.chain is not None and truth.chain.instrument.contact:
-        found = f"kind {truth.chain.instrument.kind}: at which postures a surface is touched no plan says"
-        raise InputError(f"instrument: found {found}, allowed: distance, or no [instrument]")
+        kind = f"kind {truth.chain.instrument.kind}: at which postures a surface is touched no plan says"
+        raise InputError(f"instrument: found {kind}, allowed: distance, or no [instrument]")
     noise, model, order = _noise(truth, sigma), Model(truth), np.arange(len(q), dtype=float)
     if "temperature" in model.needs and temperature is None:
         raise InputError(

@@ -55,10 +55,10 @@ OTHER_NAMES = {
 
 @cache
 def _load_entry_points() -> None:
-    for _, where, found in additions("armcal.effects"):
-        if not (isinstance(found, type) and issubclass(found, Effect)):
+    for _, where, effect in additions("armcal.effects"):
+        if not (isinstance(effect, type) and issubclass(effect, Effect)):
             raise InputError(f"{where}, allowed: a class under Effect")
-        register(found)
+        register(effect)
 
 
 def library() -> Mapping[str, type[Effect]]:
@@ -118,8 +118,8 @@ def build(
     chosen = {name: _check_setting(cls, name, spec) for name in cls.settings}
     effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen, tagged, dimension)
     if cls.tabulated != (spec.curve is not None):
-        found = "has no table of values" if cls.tabulated else "has a table of values"
-        raise InputError(f"effects: {spec.key} {found}, allowed: one for joint_error_curve, none for others")
+        fault = "has no table of values" if cls.tabulated else "has a table of values"
+        raise InputError(f"effects: {spec.key} {fault}, allowed: one for joint_error_curve, none for others")
     effect.curve = spec.curve
     allowed = {p.short for p in effect.parameters} | set(cls.settings)
     for short in spec.values:
@@ -140,6 +140,6 @@ def _check_joint(cls: type[Effect], spec: EffectSpec, links: int) -> None:
 def _check_setting(cls: type[Effect], name: str, spec: EffectSpec) -> int | float:
     setting, value = Setting.of(cls.settings[name]), spec.values.get(name)
     if value is None or not setting.allows(value):
-        found = "is missing" if value is None else f"= {value:g}"
-        raise InputError(f"effects: {spec.key}: {name} {found}, allowed: {setting.allowed}")
+        fault = "is missing" if value is None else f"= {value:g}"
+        raise InputError(f"effects: {spec.key}: {name} {fault}, allowed: {setting.allowed}")
     return int(value) if setting.whole else float(value)

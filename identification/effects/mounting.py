@@ -101,8 +101,8 @@ class SessionBase(Effect):
 
     def _own(self, chain: Chain, values: ca.SX) -> ca.SX:
         """Translation and rotation of the row's session, zero for the first."""
-        there = self._sessions(chain)
-        return ca.mtimes(ca.reshape(values, -1, there.numel()), there)
+        in_session = self._sessions(chain)
+        return ca.mtimes(ca.reshape(values, -1, in_session.numel()), in_session)
 
     def _sessions(self, chain: Chain) -> ca.SX:
         """Indicator of each session after the first: 1 for the row's session, else 0."""

@@ -46,8 +46,8 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
     held = {*model.prior, *(() if prior is None else prior.names)}
     p -= len(held & set(model.names))
     if (d := measurements.dimension) * m < p:
-        found = f"{d} m = {d * m} < p = {p}"
-        raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // d)}")
+        counted = f"{d} m = {d * m} < p = {p}"
+        raise InputError(f"measurements: fewer equations than unknowns: {counted}, allowed: m >= {-(-p // d)}")
 
 
 def _check_needs(model: Model, measurements: Measurements) -> None:
@@ -90,11 +90,13 @@ def weighting(
     if reliance == "estimated":
         return Noise(relative, None, reliance)
     numbers = None if isinstance(sigma, str) else sigma
-    given = next((s for s in (numbers, measurements.sigma, model.sigma) if s is not None), None)
-    if given is None and reliance == "given":
+    stated = next((s for s in (numbers, measurements.sigma, model.sigma) if s is not None), None)
+    if stated is None and reliance == "given":
         allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
         raise InputError(f"sigma: 'given', but none is given, allowed: {allowed}")
-    return Noise(relative, None) if given is None else _known_noise(relative, np.asarray(given, dtype=float), reliance)
+    return (
+        Noise(relative, None) if stated is None else _known_noise(relative, np.asarray(stated, dtype=float), reliance)
+    )
 
 
 def _known_noise(relative: Array, deviations: Array, reliance: str | None) -> Noise:

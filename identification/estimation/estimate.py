@@ -64,8 +64,8 @@ def estimate(
     problem = Problem.of(model, measurements, noise.weights)
     chosen = _known_method(method or ("linear" if problem.exact_form else "gauss_newton"))
     solution, decomposed, problem = _solve(problem, chosen, noise)
-    found = _result(problem, measurements, chosen, solution, decomposed, noise)
-    return found if filed is None else replace(found, residuals_before=filed)
+    fit = _result(problem, measurements, chosen, solution, decomposed, noise)
+    return fit if filed is None else replace(fit, residuals_before=filed)
 
 
 def _known_method(name: str) -> str:
@@ -75,10 +75,10 @@ def _known_method(name: str) -> str:
 
 
 def _solution(problem: Problem, method: str) -> Solution:
-    found = METHODS[method](problem)
-    if not found.status[0].succeeded:
-        raise JobError(f"{method}: {found.status[0].value} Nothing damps this method; gauss_newton may do better.")
-    return found
+    solution = METHODS[method](problem)
+    if not solution.status[0].succeeded:
+        raise JobError(f"{method}: {solution.status[0].value} Nothing damps this method; gauss_newton may do better.")
+    return solution
 
 
 def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:
@@ -105,8 +105,8 @@ def _estimated(residuals: Array, rank: int) -> float | None:
 def _result(
     problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, noise: Noise
 ) -> Identification:
-    rows, known = FittedRows.of(problem, data, solution.parameters[0], decomposed.rank), noise.sigma is not None
-    made = uncertainty(rows, decomposed, known=known, reliance=noise.reliance)
+    rows, has_sigma = FittedRows.of(problem, data, solution.parameters[0], decomposed.rank), noise.sigma is not None
+    made = uncertainty(rows, decomposed, known=has_sigma, reliance=noise.reliance)
     scale = float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = scale if noise.sigma is None or scale is None else noise.sigma * scale
     return identification(

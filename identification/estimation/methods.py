@@ -44,17 +44,17 @@ def starts(problem: Problem) -> Array:
 
     The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
     """
-    known = np.tile(problem.start, (len(problem.positions), 1))
+    best_known = np.tile(problem.start, (len(problem.positions), 1))
     if RADIUS in problem.model.names:
-        return _with_radius(problem, known)
+        return _with_radius(problem, best_known)
     form = problem.model.closed_form
     if form is None:
-        return known
-    solved = known.copy()
+        return best_known
+    solved = best_known.copy()
     solved[:, form.indices] = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)[0]
     if not np.any(problem.start):
         return solved  # nothing is known that the closed form does not know
-    return np.where((problem.squares(known) < problem.squares(solved))[:, None], known, solved)
+    return np.where((problem.squares(best_known) < problem.squares(solved))[:, None], best_known, solved)
 
 
 def _with_radius(problem: Problem, starts: Array) -> Array:

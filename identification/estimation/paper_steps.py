@@ -41,8 +41,8 @@ def paper_steps(problem: Problem) -> Solution:
 def _require_unbounded(parameters: ParameterSet) -> None:
     for parameter in parameters:
         if np.isfinite(parameter.lower) or np.isfinite(parameter.upper):
-            found = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
-            raise InputError(f"method: paper_steps knows no bounds, {found}; allowed: gauss_newton")
+            bounded = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
+            raise InputError(f"method: paper_steps knows no bounds, {bounded}; allowed: gauss_newton")
 
 
 def _correction(residuals: Array, jacobian: Array, scales: Array, tolerance: float) -> Array:

@@ -270,10 +270,12 @@ class Identification:
         """Values for the controller: nominal and corrected lengths, zeros, frames, effects; empty without an arm."""
         if not isinstance(getattr(self.model, "arm", None), Arm):
             return ()
-        found = Calibration(self._everything, self.names, self.covariance)
-        unknown = [name for name, known in zip(self.names, self.identifiable, strict=True) if not known]
-        known = None if self.prior is None else self.prior.factor(self.model.parameters)
-        return corrected_values(self.model.arm, found, self.uncertainty.freedom, unknown, known, self.covariance_seen)
+        calibration = Calibration(self._everything, self.names, self.covariance)
+        unknown = [name for name, estimable in zip(self.names, self.identifiable, strict=True) if not estimable]
+        prior_factor = None if self.prior is None else self.prior.factor(self.model.parameters)
+        return corrected_values(
+            self.model.arm, calibration, self.uncertainty.freedom, unknown, prior_factor, self.covariance_seen
+        )
 
     def to_frame(self, kind: str = "polars") -> Any:
         """`corrected_values` as a frame, polars or pandas."""

@@ -94,8 +94,8 @@ def sag(arm: Arm, measurements: Measurements, fit: Identification, masses: Seque
     heavy = replace(arm, gravity=Gravity(down, kilograms, np.full(arm.links, 0.5)))
     torques = Model(heavy).on_chain(lambda chain: chain.torques)(measurements.postures, measurements.conditions)
     sizes = np.sqrt(np.mean(torques**2, axis=0))
-    there = {effect.joint for effect in arm.effects if effect.name == "joint_compliance"}
-    joints = [j for j in (np.flatnonzero(sizes > LEVER * sizes.max()) + 1).tolist() if j not in there]
+    modelled = {effect.joint for effect in arm.effects if effect.name == "joint_compliance"}
+    joints = [j for j in (np.flatnonzero(sizes > LEVER * sizes.max()) + 1).tolist() if j not in modelled]
     soft = heavy.with_effects(*arm.effects, *(EffectSpec("joint_compliance", j) for j in joints))
     try:
         sagging = estimate(Model(with_sessions(soft, measurements)), measurements)
