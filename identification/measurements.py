@@ -73,7 +73,7 @@ class Measurements(ByValue):
     gaps : (m,) 1 where measurements just before are missing, so that nothing follows from the order; None: nowhere
     sigma : (m,) standard deviation per row and axis [mm], None: not given per row
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
-    session : (m,) name of the session of each row, between which the arm or the instrument was set up anew; None: one
+    session : (m,) name of the session of each row, between which the arm or the instrument was set up again; None: one
     session_names : the sessions in the order of their numbers, also where only some of them are among these rows
     marker : (m,) name of the measured point of each row, where several are measured; None: one
     marker_names : the points in the order of their numbers

@@ -85,9 +85,9 @@ def command(
     from identification.servo import following_errors, with_servo_errors
     from identification.sessions import with_sessions
     from identification.validate.judgement import prior_judged
-    from identification.validate.reuse import at_reference, with_place_doubted, words_of
+    from identification.validate.reuse import at_reference, with_base_doubt, words_of
     from identification.validate.row_groups import diagnosed
-    from identification.validate.set_up import with_mounting_doubted
+    from identification.validate.set_up import with_mounting_doubt
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -114,8 +114,8 @@ def command(
         fitted = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
     identified, library, of_fit = fits[-1]
     if words:
-        identified = with_place_doubted(identified, with_sessions(loaded, fitted), words, fitted)
-    before, identified = identified, with_mounting_doubted(identified, fitted, lambda rows: wanted.fit(loaded, rows)[0])
+        identified = with_base_doubt(identified, with_sessions(loaded, fitted), words, fitted)
+    before, identified = identified, with_mounting_doubt(identified, fitted, lambda rows: wanted.fit(loaded, rows)[0])
     mounted_anew = identified is not before
     offered = None
     if library is not None and not words and old is None:

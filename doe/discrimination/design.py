@@ -257,7 +257,7 @@ def best_order(library: EffectLibrary, postures: Array, generator: np.random.Gen
     shuffles = [generator.permutation(len(postures)) for _ in range(SHUFFLES)]
     if library.jacobian_by_order is None:
         return np.asarray(postures[shuffles[0]])
-    scores, base = [], library.own
+    scores, base = [], library.base
     for order in chain(shuffles[:1], takewhile(lambda _: not budget.out_of_time, shuffles[1:])):
         jacobian = library.jacobian_by_order(postures[order])
         information = information_matrix(jacobian)

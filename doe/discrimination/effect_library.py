@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doe.problem.problem import InformationModel
-from doe.problem.spatial import whole, without_prior
+from doe.problem.spatial import measuring_every_point, without_prior
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import BY_ORDER
@@ -22,7 +22,7 @@ from identification.model import Model
 class EffectLibrary:
     """Rival effects: what a plan is to distinguish.
 
-    own : p, parameters of the model that is to be identified; they come first in the models below
+    base : p, parameters of the model that is to be identified; they come first in the models below
     shown_by_postures : the model with every effect that postures alone can show, K parameters more
     bases : per effect (K, s), the combinations of the K scaled parameters that it may take
     weights : (H,) how likely each effect is, in any unit
@@ -31,7 +31,7 @@ class EffectLibrary:
     preflight : postures (m, n) -> what measuring them could show of every effect; None: not needed
     """
 
-    own: int
+    base: int
     shown_by_postures: InformationModel
     bases: Sequence[Array]
     weights: Array
@@ -54,7 +54,7 @@ def effect_library(arm: Arm) -> EffectLibrary:
     ordered = [h.spec for h in common if h.effect.needs & BY_ORDER]
     return EffectLibrary(
         base,
-        whole(model),
+        measuring_every_point(model),
         tuple(basis_of(model, base, hypothesis) for hypothesis in shown),
         np.array([hypothesis.weight for hypothesis in shown]),
         by_order(Model(arm.with_effects(*arm.effects, *ordered))),

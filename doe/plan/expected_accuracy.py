@@ -10,7 +10,7 @@ import numpy as np
 from doe.criteria import I
 from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem, InformationModel
-from doe.problem.spatial import of_one_arm
+from doe.problem.spatial import arm_model_of
 from identification.arrays import Array, readonly
 from identification.information import Spectrum, spectrum
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
@@ -81,7 +81,7 @@ def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | N
     criterion, sigma = problem.criterion, problem.model.sigma
     if not isinstance(criterion, I) or sigma is None or not np.isfinite(value):
         return None
-    model = of_one_arm(problem.model)
+    model = arm_model_of(problem.model)
     coordinates = criterion.jacobians.shape[1]
     points = 1.0 if model is None else coordinates / of_positions(model).dimension
     return float(np.sqrt(max(-value, 0.0) / points / (runs + problem.prior.runs) * sigma**2 + problem.beyond))

@@ -17,7 +17,7 @@ from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import missing_effects, robust_problem, tip_jacobians, workspace
-from doe.problem.spatial import of_one_arm
+from doe.problem.spatial import arm_model_of
 from identification.arrays import Array
 from identification.information import information_matrix, inverses, spectrum
 from identification.model.positions import of_positions
@@ -72,7 +72,7 @@ class TipErrors:
 
         Of a diagnosed arm nothing is missing: what its data could show is in the model, and would have been shown.
         """
-        arm_model = of_one_arm(problem.model)
+        arm_model = arm_model_of(problem.model)
         if problem.model.sigma is None or arm_model is None or problem.missing:
             return None
         poses = workspace(problem)  # once: rare postures take long to find
@@ -85,7 +85,7 @@ class TipErrors:
     def _targets(self) -> Array:
         """(k, d, P) the same, its squares a mean over the measured points, without orientations that are measured too:
         they are no distance."""
-        model, coordinates = of_one_arm(self.wide.model), self.targets.shape[1]
+        model, coordinates = arm_model_of(self.wide.model), self.targets.shape[1]
         each = coordinates if model is None else of_positions(model).dimension
         points = [self.targets[:, k : k + SPACE] for k in range(0, coordinates, each)]
         return np.asarray(np.concatenate(points, axis=1) / np.sqrt(coordinates / each))

@@ -89,17 +89,17 @@ def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]
     placed = replace(model, arm=replace(model.arm, chain=with_points(model.arm.chain, contacts=True)))
     if model.sigma is None and model.prior:
         placed = minimal(placed)
-    return placed, whole(placed), placed.prior
+    return placed, measuring_every_point(placed), placed.prior
 
 
-def whole(model: Model) -> InformationModel:
+def measuring_every_point(model: Model) -> InformationModel:
     """The model of an arm with all of its measured points at every posture."""
     several = model.arm.chain is not None and len(model.arm.chain.tools) > 1
     return EveryPoint(model) if several else model
 
 
-def of_one_arm(model: InformationModel) -> Model | None:
-    """The reverse of `whole`; None for a model of anything but one arm."""
+def arm_model_of(model: InformationModel) -> Model | None:
+    """The reverse of `measuring_every_point`; None for a model of anything but one arm."""
     inner = model.model if isinstance(model, EveryPoint) else model
     return inner if isinstance(inner, Model) else None
 

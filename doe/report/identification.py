@@ -65,7 +65,7 @@ def inspection_document(result: Inspection, arm: str, rows: str) -> Document:
         figures.append(("such a fit", enough.count))
         if not result.problems:  # else data that are to be put right would be judged
             weak = [f"{name} (std {std:{'.3g' if std < 1000.0 else '.0f'}} {unit})" for name, std, unit in enough.weak]
-            figures.append(("determines", "; ".join(enough.found) or "nothing by itself"))
+            figures.append(("determines", "; ".join(enough.identifiable) or "nothing by itself"))
             figures += [("only weakly", "; ".join(weak)), ("does not", "; ".join(enough.open))]
             figures.append(("accuracy", enough.accuracy))
     joints = []

@@ -20,7 +20,7 @@ from identification.estimation.checks import check_measurements
 from identification.estimation.chord import Chord
 from identification.estimation.estimate import weighting
 from identification.estimation.levenberg_marquardt import levenberg_marquardt, outcomes
-from identification.estimation.methods import gauss_newton, linear, starts
+from identification.estimation.methods import damped_gauss_newton, linear, starts
 from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
 from identification.information import full_rank, identifiability_of, spectrum
@@ -173,7 +173,7 @@ def estimate_each(
         jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
         estimable = np.flatnonzero(full_rank(jacobians, model.scales))
         if estimable.size:
-            solve, sets = linear if problem.exact_form else gauss_newton, estimable + part.start
+            solve, sets = linear if problem.exact_form else damped_gauss_newton, estimable + part.start
             solution = solve(problem.rows(estimable))
             parameters[sets], rss[sets], status[sets] = solution.parameters, solution.squares, solution.status
     return BatchFit(np.where((status == Status.converged)[:, None], parameters, np.nan), rss, status)

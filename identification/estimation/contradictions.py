@@ -2,7 +2,7 @@
 
 The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one degree
 of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors of one
-parameter look like errors of others, and the fit is made anew without it before the others are tested.
+parameter look like errors of others, and the fit is made again without it before the others are tested.
 """
 
 from __future__ import annotations
@@ -77,7 +77,9 @@ def warning(contradictions: Sequence[Contradiction], released: Sequence[Paramete
     )
     do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
     lacks = "the model lacks what differs between both measurements: armcal diagnose"
-    return [f"{sentence}. The fit is right for neither. Either they changed and are to be found anew: {do}; or {lacks}"]
+    return [
+        f"{sentence}. The fit is right for neither. Either they changed and are to be estimated again: {do}; or {lacks}"
+    ]
 
 
 class Linear(NamedTuple):
@@ -199,5 +201,5 @@ def with_contradictions(
         return fit
     earlier = problem.prior.earlier
     held = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
-    free, before = again(held), earlier.given(held)
+    free, before = again(held), earlier.conditioned_on(held)
     return replace(fit, contradictions=tuple(Contradiction.of(name, before, free, names[name]) for name in names))

@@ -28,7 +28,7 @@ SHARE = 0.5  # of the drawing's own error
 def expected_tip(model: Model, parameters: Array, covariance: Array, postures: Array) -> float:
     """Root mean square over postures of the expected distance [mm]: the square root of the mean of trace(J C J^T).
 
-    The tip is the first measured point, in the frame of the measurements (of lengths: best registered anew), under
+    The tip is the first measured point, in the frame of the measurements (of lengths: best registered again), under
     neutral conditions. What the model lacks is not in it.
 
     parameters : (p,) of the fit;  covariance : (p, p), with a prior that of the posterior;  postures : (m, n) [rad]

@@ -27,14 +27,14 @@ def linear(problem: Problem) -> Solution:
     return Solution(parameters, squares, np.zeros(parameters.shape, dtype=bool), status, np.ones(len(squares), int))
 
 
-def gauss_newton(problem: Problem) -> Solution:
+def damped_gauss_newton(problem: Problem) -> Solution:
     """A stationary point within the bounds, by damped Gauss-Newton steps (Levenberg-Marquardt) from `starts`."""
     return levenberg_marquardt(problem.least_squares, starts(problem))
 
 
 METHODS: Mapping[str, Callable[[Problem], Solution]] = {
     "linear": linear,
-    "gauss_newton": gauss_newton,
+    "gauss_newton": damped_gauss_newton,
     "paper_steps": paper_steps,
 }
 

@@ -45,7 +45,7 @@ class Earlier(ByValue):
         chosen = tuple(self.names[k] for k in kept)
         return Earlier(chosen, self.values[kept], self.covariance[np.ix_(kept, kept)])
 
-    def given(self, values: Mapping[str, float]) -> Earlier:
+    def conditioned_on(self, values: Mapping[str, float]) -> Earlier:
         """Of the others, where some of the parameters have these values."""
         named = np.array([name in values for name in self.names], dtype=bool)
         crossed, among = self.covariance[np.ix_(~named, named)], self.covariance[np.ix_(named, named)]

@@ -73,7 +73,7 @@ class Restricted:
             lowest = int(np.argmin(self.minus_log(np.exp(grid))))
             low, high = grid[max(lowest - 1, 0)], grid[min(lowest + 1, GRID - 1)]
         first, middle, last = self.minus_log(np.exp([low, 0.5 * (low + high), high]))
-        bend = first - 2.0 * middle + last  # the vertex of a parabola: a last digit cannot turn it
+        bend = first - 2.0 * middle + last  # of a parabola, whose vertex rounding hardly moves
         vertex = 0.5 * (low + high) + (0.25 * (high - low) * (first - last) / bend if bend > 0.0 else 0.0)
         noise = np.exp(np.clip(vertex, low, high))
         return float(self.minus_log(noise)), float(noise)

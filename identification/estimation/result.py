@@ -137,8 +137,8 @@ class Identification:
     def warnings(self) -> tuple[str, ...]:
         """Warnings to be read before the results."""
         prior = () if self.prior is None else self.prior.names
-        anew = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
-        misfit = (*contradictions.warning(self.contradictions, anew), *((self.misfit,) if self.misfit else ()))
+        without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
+        misfit = (*contradictions.warning(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
         doubts = (*self.doubts, *hardly_determined(self))
         if self.status is Status.iteration_limit:
             return (shown.UNFINISHED, *misfit, *doubts)

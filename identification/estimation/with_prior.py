@@ -146,14 +146,14 @@ class _Linearizations:
     """Triangles of a problem without its prior, each made once: fits of other noise pass through the same points."""
 
     problem: Problem
-    known: dict[bytes, tuple[Array, Array]] = field(default_factory=dict)
+    by_point: dict[bytes, tuple[Array, Array]] = field(default_factory=dict)
 
     def at(self, x: Array) -> tuple[Array, Array]:
         """(N,) residuals and (N, p) Jacobian at x (p,)."""
-        if (key := x.tobytes()) not in self.known:
+        if (key := x.tobytes()) not in self.by_point:
             residuals, jacobians = self.problem.least_squares.linearize(x[None], np.arange(1))
-            self.known[key] = residuals[0], jacobians[0]
-        return self.known[key]
+            self.by_point[key] = residuals[0], jacobians[0]
+        return self.by_point[key]
 
     def with_prior(self, problem: Problem) -> LeastSquares:
         """The same problem with the prior."""

@@ -57,7 +57,7 @@ def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
 
 
 def check_names(chain: SpatialChain, measurements: Measurements) -> None:
-    """Raise `InputError` for measured points that a chain does not have, where they are not to be found anew."""
+    """Raise `InputError` for measured points that a chain does not have, where they are not to be estimated."""
     if len(chain.tools) == 1 == len(measurements.marker_names):
         return  # one point is the one that is measured, whatever the data call it
     fault = "no column marker, and the arm has several measured points" if not measurements.marker_names else ""

@@ -1,4 +1,4 @@
-"""Reusing a calibration: only some of its parameters are estimated anew, or all of them with it as the prior.
+"""Reusing a calibration: only some of its parameters are estimated again, or all of them with it as the prior.
 
 The tracker moved, a motor was changed, a year went by: most of what was found still holds.
 """
@@ -100,11 +100,11 @@ def at_reference(measurements: Measurements, calibrated: Arm) -> Measurements:
     return measurements if reference is None else replace(measurements, reference=float(reference))
 
 
-def with_place_doubted(
+def with_base_doubt(
     held_fit: Identification, arm: Arm, words: Sequence[str], measurements: Measurements
 ) -> Identification:
     """A fit of `only` these words, with a doubt where the base is held and the arm stands elsewhere by now: residuals
-    fall as in `plausibility.another_frame` where it is found anew, too."""
+    fall as in `plausibility.another_frame` where it is estimated, too."""
     try:
         model = only(arm, ["base", *words], measurements)
         refitted = estimate(model, measurements) if "base" not in words else held_fit
@@ -119,7 +119,7 @@ def with_place_doubted(
     if fdtrc(freed, refitted.dof, (held - free) / freed / max(free / refitted.dof, np.finfo(float).tiny)) > LEVEL:
         return held_fit
     fall = (
-        f"the RMS falls from {held_fit.rms_after:.4g} to {refitted.rms_after:.4g} mm where the base is found anew, too"
+        f"the RMS falls from {held_fit.rms_after:.4g} to {refitted.rms_after:.4g} mm where the base is estimated, too"
     )
     reason = f"the arm does not stand where the arm file says: {fall}; add it: --only base,{','.join(words)}"
     return replace(
@@ -191,7 +191,7 @@ def _widest(new: Array, old: Array, kind: str) -> list[float]:
 # -- an earlier calibration as the prior ------------------------------------------------------------------------------
 def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlier:
     """What a calibrated arm says of a model's parameters, but for where base and measured points are, which are found
-    anew; given what the model holds.
+    again; given what the model holds.
 
     measurements : that it is to be the prior of
 
@@ -208,11 +208,11 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlie
     values = np.array([calibration.values[name] for name in calibration.parameter_names])
     whole = Earlier(calibration.parameter_names, values, calibration.covariance)
     held = {name: value for name, value in model.fixed.items() if name in calibration.parameter_names}
-    anew = {p.name for p in model.all_parameters if set_up_anew(p, model)}
-    of_both = whole.about((set(model.names) | set(held)) - anew)
+    of_set_up = {p.name for p in model.all_parameters if belongs_to_set_up(p, model)}
+    of_both = whole.about((set(model.names) | set(held)) - of_set_up)
     if not set(of_both.names) - set(held):
         raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
-    return of_both.given({name: value for name, value in held.items() if name not in anew})
+    return of_both.conditioned_on({name: value for name, value in held.items() if name not in of_set_up})
 
 
 def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> None:
@@ -237,7 +237,7 @@ def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> 
         warnings.warn(f"prior: {rows}, and count twice", UserWarning, stacklevel=3)
 
 
-def set_up_anew(parameter: Parameter, model: Model) -> bool:
+def belongs_to_set_up(parameter: Parameter, model: Model) -> bool:
     """Whether a parameter says where arm and instrument stand: base and measured points; of a planar arm with a base
     offset that and the offset of joint 1."""
     if model.arm.chain is not None:

@@ -87,7 +87,7 @@ def mostly_outside(arm: Arm, postures: Array) -> bool:
 
 def diagnosed(arm: Arm) -> bool:
     """Whether an arm's calibration is that of a diagnosis, or has values of effects beside the place of the base, as a
-    diagnosed model has that was identified anew."""
+    diagnosed model has that was identified again."""
     if arm.calibration is None:
         return False
     effects = {p.name for effect in Model(arm).effects if effect.name != "base_offset" for p in effect.parameters}

@@ -1,4 +1,4 @@
-"""A set-up that is another than the fit takes it for: a measured point mounted anew between two sessions."""
+"""A set-up other than the fit assumes: a measured point that was mounted elsewhere between two sessions."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def renamed_by_session(measurements: Measurements, names: tuple[str, ...]) -> tu
     return replace(measurements, marker=renamed.astype(str), marker_names=()), old
 
 
-def with_mounting_doubted(
+def with_mounting_doubt(
     together: Identification, measurements: Measurements, fit: Callable[[Measurements], Identification]
 ) -> Identification:
     """A fit to several sessions, with a doubt where measured points that the sessions share are mounted elsewhere in

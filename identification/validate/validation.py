@@ -83,7 +83,7 @@ class RowBlock:
 class Validation:
     """What a calibrated model leaves of other measurements, beside the drawing.
 
-    refit : what was refitted, `base`, `offsets` or `none`, in each session anew
+    refit : what was refitted, `base`, `offsets` or `none`, in each session separately
     refitted : for each session the refitted parameters, name -> value [API unit]
     residuals, nominal_residuals : (m, d) measured less computed [mm], by the model and by the drawing
     """
@@ -177,7 +177,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     arm : with a calibration, or with known effect values; all of it stays as it is but for
     refit : `base`, position and rotation of the base (three numbers, the arm may not have had a base offset before; of
         a spatial arm six, and the measured points); `offsets`, that and every joint offset; `none`, nothing. In each
-        session anew
+        session separately
 
     Raises `InputError` for an arm without calibration, another `refit`, data of another arm, too few rows.
     """
@@ -264,8 +264,8 @@ def _refitted(
 def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Conditions:
     """Conditions with the temperature counted from the mean of the data of the identification, where it is known.
 
-    Where the arm was set up anew (`refit`), what happened once in the session of the identification is over: a drift or
-    a step has come to its end.
+    Where the arm was set up again (`refit`), what happened once in the session of the identification is over: a drift
+    or a step has come to its end.
     """
     conditions, mean = measurements.conditions, identified(arm).get("mean_temperature_C")
     if refit != "none" and any(effect.once for effect in Model(arm).effects):
