@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -55,18 +55,17 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
         warnings.warn(f"not in all of the data, and left out: {', '.join(missing)}", UserWarning, stacklevel=2)
     columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *columns_of_all)}
     if "repeats" in columns_of_all:
-        columns["repeats"] = _apart(columns["repeats"])
+        # numbered such that no two tables share one
+        ends = np.cumsum([0, *(int(np.ptp(repeats)) + 1 for repeats in columns["repeats"])])
+        starts = zip(columns["repeats"], ends, strict=False)
+        columns["repeats"] = [repeats - repeats.min() + start for repeats, start in starts]
     if any(part.gaps is not None for part in parts):
         columns["gaps"] = [np.zeros(len(part)) if part.gaps is None else part.gaps for part in parts]
     joined: dict[str, Any] = {name: np.concatenate(values) for name, values in columns.items()}
-    return Measurements(**joined, provenance=MappingProxyType(_origin_of(parts)))
-
-
-def _origin_of(parts: Sequence[Measurements]) -> dict[str, Any]:
-    """Files of several tables in one text, and a list of their hashes."""
     origins = {key: [str(p.provenance[key]) for p in parts if key in p.provenance] for key in ("file", "sha256")}
-    files = {"file": ", ".join(origins["file"])} if origins["file"] else {}
-    return files | ({"sha256": origins["sha256"]} if origins["sha256"] else {})
+    provenance: dict[str, Any] = {"file": ", ".join(origins["file"])} if origins["file"] else {}
+    provenance |= {"sha256": origins["sha256"]} if origins["sha256"] else {}
+    return Measurements(**joined, provenance=MappingProxyType(provenance))
 
 
 def _labels(name: str, table: Measurements) -> NDArray[np.str_]:
@@ -74,12 +73,6 @@ def _labels(name: str, table: Measurements) -> NDArray[np.str_]:
     if table.session is not None and len(table.sessions) > 1:
         return np.array([f"{name}/{session}" for session in table.session.tolist()])
     return np.full(len(table), name)
-
-
-def _apart(numbers: Sequence[Array]) -> list[Array]:
-    """Numbers of repeats such that no two tables share one."""
-    ends = np.cumsum([0, *(int(np.ptp(repeats)) + 1 for repeats in numbers)])
-    return [repeats - repeats.min() + start for repeats, start in zip(numbers, ends, strict=False)]
 
 
 def of_these_sessions(holdout: Measurements, measurements: Measurements) -> Measurements:

@@ -56,7 +56,8 @@ def command(
     from identification.validate.judgement import judged
 
     loaded = load_arm(arm)
-    check_no_arm_file(data)
+    if models := [path for path in data if path.suffix.lower() == ".toml"]:
+        raise InputError(f"{models[0]}: found an arm file among the data, allowed: files of measurements")
     measurements, held_out = parts(data, holdout, loaded, common.seed)
     loaded = with_servo_errors(loaded, measurements)
     diagnosis = diagnose(loaded, measurements, held_out, common.seed, common.report)
@@ -81,13 +82,6 @@ def command(
         say(str(error))
         answer.shown, answer.exit_code = [replace(document, actions=())], error.exit_code
     return answer
-
-
-def check_no_arm_file(data: tuple[Path, ...]) -> None:
-    """Raise `InputError` for an arm file among the data."""
-    for path in data:
-        if path.suffix.lower() == ".toml":
-            raise InputError(f"{path}: found an arm file among the data, allowed: files of measurements")
 
 
 def parts(

@@ -120,9 +120,5 @@ def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array
         if chosen.grid is not None:
             raise InputError("--grid: found for contacts, whose postures are those that touch, allowed: without")
         return problem.choices
-    return chosen.grid or default_levels(len(problem.active_joints))
-
-
-def default_levels(joints: int) -> int:
-    """Levels per joint that give about ten thousand candidates."""
-    return max(2, min(181, round(10_000 ** (1.0 / max(joints, 1)))))
+    # by default levels that give about ten thousand candidates
+    return chosen.grid or max(2, min(181, round(10_000 ** (1.0 / max(len(problem.active_joints), 1)))))

@@ -82,17 +82,11 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     if problem.choices is not None:
         return problem if also is None else replace(problem, choices=np.concatenate([problem.choices, also]))
     generator = np.random.default_rng(0)
-    anywhere = random_postures(problem, CHOICES // 2, generator)
-    included = [] if also is None else [also]
-    return replace(problem, choices=np.concatenate([anywhere, _at_limits(problem, generator), *included]), sampled=True)
-
-
-def _at_limits(problem: DesignProblem, generator: np.random.Generator) -> Array:
-    """(k, n) random allowed postures of which each joint is at its nearer limit with probability one half."""
-    postures = random_postures(problem, CHOICES // 2, generator)
-    nearer = np.where(postures < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
-    postures = np.where(generator.random(postures.shape) < 0.5, nearer, postures)
-    return postures[problem.feasible(postures)]
+    anywhere, others = (random_postures(problem, CHOICES // 2, generator) for _ in range(2))
+    nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
+    at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
+    parts = [anywhere, at_limits[problem.feasible(at_limits)], *([] if also is None else [also])]
+    return replace(problem, choices=np.concatenate(parts), sampled=True)
 
 
 def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:

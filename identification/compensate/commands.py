@@ -60,7 +60,10 @@ def compensate(
         raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
     nominal_postures = None if postures is None else _checked("postures", postures, arm.links)
     turned = _orientations(arm, orientations, targets is None)
-    arm = _aiming(arm, poses=turned is not None)
+    scale = None if turned is None else arm.reach  # which an angle of a pose counts times
+    arm = in_own_frame(arm)
+    if arm.chain is not None:
+        arm = replace(arm, chain=replace(arm.chain, angle_scale=scale))
     nominal_arm = Model(drawn_arm(arm))
     goals = _goals(nominal_arm, targets, nominal_postures)
     if turned is not None and targets is None and nominal_postures is not None:
@@ -125,13 +128,6 @@ def _orientations(arm: Arm, orientations: ArrayLike | None, as_nominal: bool) ->
         return np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
     poses = as_nominal and arm.chain is not None and arm.chain.angle_scale is not None
     return np.zeros((0, 3, 3)) if poses else None
-
-
-def _aiming(arm: Arm, poses: bool) -> Arm:
-    """The arm as if its tool were measured by points, or by poses of which an angle counts times the reach."""
-    scale = arm.reach if poses else None
-    arm = in_own_frame(arm)
-    return arm if arm.chain is None else replace(arm, chain=replace(arm.chain, angle_scale=scale))
 
 
 def drawn_arm(arm: Arm) -> Arm:

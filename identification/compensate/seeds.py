@@ -247,7 +247,9 @@ def _polished(model: Model, goals: Array, starts: Array, conditions: Conditions)
     """(k, n) postures and (k,) errors: the closest to goals (k, d) out of reach, within the limits; starts (k, s, n),
     best first."""
     linearize, arm, units = linearization(model, conditions), model.arm, model.reach / metric(model)
-    kinds = [_one_of_each_kind(ordered) for ordered in starts]
+    # of starts that are nearly the same the first
+    firsts = (np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1]) for ordered in starts)
+    kinds = [ordered[first] for ordered, first in zip(starts, firsts, strict=True)]
     goal = np.repeat(np.arange(len(kinds)), [len(kind) for kind in kinds])
     bends = np.concatenate([np.zeros((1, arm.links)), np.diag(BEND * units)])
 
@@ -268,8 +270,3 @@ def _polished(model: Model, goals: Array, starts: Array, conditions: Conditions)
     order = np.lexsort((-height(ends, np.arange(len(ends))), goal))
     best = order[np.unique(goal[order], return_index=True)[1]]
     return inverse_kinematics(model, goals, ends[best], conditions)  # where two postures meet Newton's method is slow
-
-
-def _one_of_each_kind(ordered: Array) -> Array:
-    """(k, n) of the postures (s, n), the first of those that are nearly the same."""
-    return ordered[np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1])]

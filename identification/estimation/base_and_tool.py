@@ -60,8 +60,11 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
         return []
     if tip is None and all(fit.identifiable[tools]):
         return []
-    if tip is not None and CAUSE * tip(_tool_given(fit.covariance, tools)) > tip(fit.covariance):
-        return []
+    if tip is not None:
+        across = fit.covariance[:, tools]
+        within = np.linalg.pinv(fit.covariance[np.ix_(tools, tools)], hermitian=True)
+        if CAUSE * tip(fit.covariance - across @ within @ across.T) > tip(fit.covariance):  # with the tools known
+            return []
     anywhere = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSES, arm.links))
     able = flange_turns(arm.chain, Measurements(anywhere, np.zeros((POSES, 3))))
     if able[0] <= HARDLY:  # all its axes are parallel
@@ -73,9 +76,3 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
         return [f"{TOGETHER}: {kept}. Measure postures that turn it about two axes {how}"]
     kept = f"the flange turned about one axis only, about others by {np.degrees(turns[0]):.2g} deg (RMS)"
     return [f"{TOGETHER}: {kept}. Measure postures that turn it about another axis, too, {how}"]
-
-
-def _tool_given(covariance: Array, tools: list[int]) -> Array:
-    """(p, p) of the other parameters, and 0 of these, where they are known."""
-    across = covariance[:, tools]
-    return np.asarray(covariance - across @ np.linalg.pinv(covariance[np.ix_(tools, tools)], hermitian=True) @ across.T)

@@ -141,7 +141,8 @@ def _row(
     figures = [np.nan if undetermined else quantity.value, deviation, *limits]
     value, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
     about = quantity.name, quantity.parameter, quantity.nominal
-    prior = _prior_std(slope, before[at])
+    has_prior = bool(slope.size and np.all(np.any(before[at] != 0.0, axis=1)))
+    prior = float(np.linalg.norm(before[at].T @ slope)) if has_prior else None
     held = False
     if std is not None and prior is not None and seen is not None:
         held = bool(slope @ seen[np.ix_(at, at)] @ slope > (1.0 - LITTLE) * prior**2)
@@ -152,12 +153,6 @@ def _slope(quantity: _Quantity, places: Mapping[str, int]) -> tuple[NDArray[np.i
     """(k,) parameters that it depends on, by their places in order, and its derivatives by them."""
     used = sorted((places[name], slope) for name, slope in quantity.derivatives.items() if slope and name in places)
     return np.array([place for place, _ in used], dtype=np.intp), np.array([slope for _, slope in used], dtype=float)
-
-
-def _prior_std(slope: Array, before: Array) -> float | None:
-    """Of a combination (k,) of parameters with the rows `before` (k, r), None unless each has a prior."""
-    has_prior = bool(slope.size and np.all(np.any(before != 0.0, axis=1)))
-    return float(np.linalg.norm(before.T @ slope)) if has_prior else None
 
 
 # -- what there is -----------------------------------------------------------------------------------------------------

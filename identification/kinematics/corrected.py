@@ -11,17 +11,22 @@ import numpy as np
 from identification.arrays import Array
 from identification.kinematics.frames import AXES, from_own_axes, own_axes_angles, pose, rotation_about
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.spatial import ALIGNED, Joint, SpatialChain
+from identification.kinematics.spatial import ALIGNED, SpatialChain
 
 Numbers = Mapping[str, float]  # parameter name -> value [mm, rad]; what is not there is zero
 
 
 def corrected(chain: SpatialChain, values: Numbers) -> SpatialChain:
     """The chain whose nominal geometry is this one's with its errors."""
-    joints = tuple(
-        replace(joint, origin=_corrected_origin(joint, j, values)) for j, joint in enumerate(chain.joints, start=1)
-    )
-    return replace(standing_in(chain, values), joints=joints)
+    joints = []
+    for j, joint in enumerate(chain.joints, start=1):
+        shift, turn = _six(values, "translation_", "rotation_", f":{j}")
+        offset = values.get(f"joint_offset:{j}", 0.0)
+        zero = (
+            pose(rotation=rotation_about(joint.axis, offset)) if joint.type == REVOLUTE else pose(joint.axis * offset)
+        )
+        joints.append(replace(joint, origin=np.asarray(joint.origin @ pose(shift, turn) @ zero)))
+    return replace(standing_in(chain, values), joints=tuple(joints))
 
 
 def standing_in(chain: SpatialChain, values: Numbers) -> SpatialChain:
@@ -93,14 +98,6 @@ def before_errors(
     if axes:
         chain = replace(chain, tool_axes={name: frame @ _tool_turn(values, name).T for name, frame in axes.items()})
     return chain
-
-
-def _corrected_origin(joint: Joint, j: int, values: Numbers) -> Array:
-    """(4, 4) of joint j, counted from 1, with its offset."""
-    shift, turn = _six(values, "translation_", "rotation_", f":{j}")
-    offset = values.get(f"joint_offset:{j}", 0.0)
-    moved = pose(rotation=rotation_about(joint.axis, offset)) if joint.type == REVOLUTE else pose(joint.axis * offset)
-    return np.asarray(joint.origin @ pose(shift, turn) @ moved)
 
 
 def _six(values: Numbers, translation: str, rotation: str, suffix: str) -> tuple[Array, Array]:

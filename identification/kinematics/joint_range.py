@@ -36,14 +36,9 @@ def range_of(provenance: Mapping[str, Any], joint_types: Sequence[str]) -> Array
         slides = np.zeros_like(slides)
     ends = np.empty((2, len(slides)))
     for kind, of_kind in ((REVOLUTE, ~slides), (PRISMATIC, slides)):
-        limits = _pairs(provenance.get(KEYS[kind], []), int(of_kind.sum()))
-        if limits is None:
+        count = int(of_kind.sum())
+        limits = np.array(provenance.get(KEYS[kind], []), dtype=float) if count else np.empty((0, 2))
+        if limits.shape != (count, 2):
             return None
         ends[:, of_kind] = limits.T / FILE_UNITS[JOINT_UNITS[kind]][1]
     return ends
-
-
-def _pairs(values: Any, count: int) -> Array | None:
-    """(count, 2), None where there are not so many."""
-    pairs = np.array(values, dtype=float) if count else np.empty((0, 2))
-    return pairs if pairs.shape == (count, 2) else None

@@ -180,7 +180,11 @@ class SpatialChain(ByValue):
         frame = self._placed_base(values, added)
         placed = [frame]
         for j, joint in enumerate(self.joints, start=1):
-            frame = _corrected(frame.placed(joint.origin), values, j)
+            frame = frame.placed(joint.origin)
+            for k, axis in enumerate(AXES):  # after its six local corrections
+                if (name := f"translation_{axis}:{j}") in values:
+                    frame = frame.moved(k, values[name])
+            frame = _turned(frame, values, "rotation_", f":{j}")
             frame = joint.moved(frame, q[j - 1] + values.get(f"joint_offset:{j}", 0.0))
             frame = _displaced(frame, added, j)
             placed.append(frame)
@@ -280,14 +284,6 @@ def _six(
     translations = [Parameter(name, "mm", -farthest, farthest, kind=kinds[0], joint=joint) for name in moves]
     turns = (f"{rotation}{axis}{suffix}" for axis in AXES)
     return translations + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in turns]
-
-
-def _corrected(frame: Frame, values: Values, joint: int) -> Frame:
-    """The frame of a joint, counted from 1, after its six local corrections."""
-    for k, axis in enumerate(AXES):
-        if (name := f"translation_{axis}:{joint}") in values:
-            frame = frame.moved(k, values[name])
-    return _turned(frame, values, "rotation_", f":{joint}")
 
 
 def _displaced(frame: Frame, added: Mapping[str, ca.SX], joint: int) -> Frame:

@@ -37,7 +37,9 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if arm is None or arm.chain is None:
         return model
     chain = with_markers(arm.chain, measurements)
-    settled = chain.known | held_places(model)
+    settled = chain.known
+    if model.known:  # and those whose parameters are all known to the model
+        settled |= {BASE, TOOL} - {p.kind for p in model.geometry_parameters if p.name not in model.known}
     if settled >= {BASE, TOOL}:
         return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
     rows = some(measurements, measurements.session_rows[0])
@@ -53,14 +55,6 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if TOOL not in settled:
         chain = replace(chain, tools=standing.tools, tool_axes=standing.tool_axes)
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
-
-
-def held_places(model: Model) -> frozenset[str]:
-    """Those of base and measured points whose parameters are all known to the model."""
-    if not model.known:
-        return frozenset()
-    free = {p.kind for p in model.geometry_parameters if p.name not in model.known}
-    return frozenset({BASE, TOOL} - free - (frozenset() if model.arm.chain is None else model.arm.chain.known))
 
 
 def _place(name: str) -> str:

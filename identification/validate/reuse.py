@@ -16,14 +16,13 @@ from scipy.linalg import block_diag
 from scipy.special import fdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.plausibility import FALL, OTHER_FRAME, SPARE
 from identification.estimation.prior import Earlier
 from identification.estimation.uncertainty import LEVEL
 from identification.kinematics.joint_range import joint_range, range_of
-from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
+from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
 from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.turns import TURN
 from identification.measurements import Measurements
@@ -175,17 +174,14 @@ def _of_both(new_provenance: Mapping[str, Any], before: Mapping[str, Any], kinds
         provenance[ROW_DIGESTS] = union(kept)
     new, old = (range_of(one, kinds) for one in (new_provenance, before))
     if new is not None and old is not None:
-        widest = [_widest(*three) for three in zip(new.T, old.T, kinds, strict=True)]
+        widest = []  # [rad, mm] of both: of a revolute joint by the whole turns that leave it the narrowest
+        for joint, before_joint, kind in zip(new.T, old.T, kinds, strict=True):
+            away = round((before_joint.mean() - joint.mean()) / TURN) + np.arange(-1, 2)
+            turns = TURN * away if kind == REVOLUTE else [0.0]
+            hulls = [[min(before_joint[0], joint[0] + s), max(before_joint[1], joint[1] + s)] for s in turns]
+            widest.append(min(hulls, key=np.ptp))
         provenance |= joint_range(np.transpose(widest), kinds)
     return provenance
-
-
-def _widest(new: Array, old: Array, kind: str) -> list[float]:
-    """The range [rad, mm] that has two in it, of a revolute joint the new one by the whole turns away that leave it the
-    narrowest."""
-    away = round((old.mean() - new.mean()) / TURN) + np.arange(-1, 2)
-    hulls = [[min(old[0], new[0] + s), max(old[1], new[1] + s)] for s in (TURN * away if kind == REVOLUTE else [0.0])]
-    return min(hulls, key=np.ptp)
 
 
 # -- an earlier calibration as the prior ------------------------------------------------------------------------------
@@ -208,7 +204,13 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlie
     values = np.array([calibration.values[name] for name in calibration.parameter_names])
     whole = Earlier(calibration.parameter_names, values, calibration.covariance)
     held = {name: value for name, value in model.fixed.items() if name in calibration.parameter_names}
-    of_set_up = {p.name for p in model.all_parameters if belongs_to_set_up(p, model)}
+    # where arm and instrument stand; of a planar arm with a base offset that and the offset of joint 1
+    planar = PLANAR_BASE if PLANAR_BASE[0] in model.all_parameters.names else ()
+    of_set_up = {
+        p.name
+        for p in model.all_parameters
+        if (p.name in planar if model.arm.chain is None else p.kind in (BASE, TOOL))
+    }
     of_both = whole.about((set(model.names) | set(held)) - of_set_up)
     if not set(of_both.names) - set(held):
         raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
@@ -235,14 +237,6 @@ def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> 
         raise InputError(f"prior: {rows}, which would count twice, allowed: new measurements")
     if shared.measurements > 0.0:
         warnings.warn(f"prior: {rows}, and count twice", UserWarning, stacklevel=3)
-
-
-def belongs_to_set_up(parameter: Parameter, model: Model) -> bool:
-    """Whether a parameter says where arm and instrument stand: base and measured points; of a planar arm with a base
-    offset that and the offset of joint 1."""
-    if model.arm.chain is not None:
-        return parameter.kind in (BASE, TOOL)
-    return parameter.name in PLANAR_BASE and PLANAR_BASE[0] in model.all_parameters.names
 
 
 def same_drawing(calibrated: Arm, arm: Arm) -> bool:
