@@ -54,8 +54,8 @@ def rows_shared(text: str, postures: Array, positions: Array) -> Shared:
 def _numbers(postures: Array, positions: Array) -> NDArray[np.uint64]:
     """(m,) digests."""
     whole = np.floor(np.column_stack([postures, positions]) / STEP + BETWEEN).astype("<i8")
-    digests = [int.from_bytes(blake2b(row.tobytes(), digest_size=BYTES).digest(), "big") for row in whole]
-    return np.array(digests, dtype=np.uint64)
+    hashed = [int.from_bytes(blake2b(row.tobytes(), digest_size=BYTES).digest(), "big") for row in whole]
+    return np.array(hashed, dtype=np.uint64)
 
 
 def _text(numbers: NDArray[np.uint64]) -> str:
@@ -70,5 +70,5 @@ def _read(text: str) -> NDArray[np.uint64]:
         read = b64decode(text, validate=True)
     except (binascii.Error, ValueError):
         read = b""
-    digests = [int.from_bytes(read[k : k + BYTES], "big") for k in range(0, len(read) - BYTES + 1, BYTES)]
-    return np.unique(np.array(digests, dtype=np.uint64))
+    numbers = [int.from_bytes(read[k : k + BYTES], "big") for k in range(0, len(read) - BYTES + 1, BYTES)]
+    return np.unique(np.array(numbers, dtype=np.uint64))

@@ -66,12 +66,12 @@ class Contradiction:
         return dict(vars(self))
 
 
-def warning(contradictions: Sequence[Contradiction], released: Sequence[Parameter]) -> list[str]:
-    """The warning;  released : parameters without a prior."""
+def warning(contradictions: Sequence[Contradiction], without_prior: Sequence[Parameter]) -> list[str]:
+    """The warning;  without_prior : parameters without a prior."""
     if not contradictions:
         return []
     rest = f"; and {len(contradictions) - SHOWN} more" if len(contradictions) > SHOWN else ""
-    words = [one.name for one in contradictions] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in released]
+    words = [one.name for one in contradictions] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
     sentence = (
         f"the measurements contradict the prior: {'; '.join(map(str, contradictions[:SHOWN]))}{rest} (others as there)"
     )

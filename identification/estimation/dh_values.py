@@ -66,17 +66,17 @@ def dh_values(calibrated: Calibrated, rows: Sequence[DHRow], convention: str = S
     """
     geometry, drawn = calibrated.geometry, drawn_links(rows, convention)
     start, names = dict(geometry.values), calibrated.names
-    corrected, nominal = _numbers(geometry.chain, start, drawn), _flat(drawn)
-    slopes = np.zeros((len(names), len(corrected)))
+    numbers, nominal = _numbers(geometry.chain, start, drawn), _flat(drawn)
+    slopes = np.zeros((len(names), len(numbers)))
     # effects, hundreds with the library, are not in the table
     for row, name in ((row, name) for row, name in enumerate(names) if name in calibrated.units):
         step = STEP.get(calibrated.units[name], 1e-6)
         up, down = (_numbers(geometry.chain, {**start, name: start[name] + s * step}, drawn) for s in (1.0, -1.0))
-        slopes[row] = [(up[key] - down[key]) / (2.0 * step) for key in corrected]
+        slopes[row] = [(up[key] - down[key]) / (2.0 * step) for key in numbers]
     deviations = np.sqrt(np.einsum("pk,pq,qk->k", slopes, calibrated.covariance, slopes).clip(min=0.0))
     half = float(np.min(quantile_95(calibrated.freedom))) if len(names) else np.nan
     shown = []
-    for (key, value), std in zip(corrected.items(), deviations.tolist(), strict=True):
+    for (key, value), std in zip(numbers.items(), deviations.tolist(), strict=True):
         joint, name = key
         row_number = joint + (convention != STANDARD and name in ("a", "alpha", "beta"))
         meaning = MEANING[name].format(j=joint, k=joint + 1)
@@ -89,9 +89,9 @@ def dh_places(calibrated: Calibrated, rows: Sequence[DHRow], convention: str = S
     """Beside the values of `dh_values`: the pose of the base (4, 4), and places (3,) of the measured points for the
     last frame of the table, by name. With them the table says what the fit does."""
     drawn, real = drawn_links(rows, convention), calibrated.geometry.real
-    corrected, nominal = corrected_links(real, drawn), corrected_links(calibrated.geometry.chain, drawn)
-    base = real.base @ corrected.first @ np.linalg.inv(nominal.first)
-    behind = np.linalg.inv(nominal.last) @ corrected.last
+    links, nominal = corrected_links(real, drawn), corrected_links(calibrated.geometry.chain, drawn)
+    base = real.base @ links.first @ np.linalg.inv(nominal.first)
+    behind = np.linalg.inv(nominal.last) @ links.last
     tools = [(f"tool {name}", behind[:3, :3] @ place + behind[:3, 3]) for name, place in real.tools.items()]
     return [("base", base), *tools]
 
