@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
 from identification.error_curve import ErrorCurve
@@ -295,17 +295,15 @@ def _joint_limits(
             f"joint_limits_{unit}: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper"
         )
     turning = np.setdiff1d(np.arange(n), sliding)
-    _warn_if_degrees(lower[turning], upper[turning], turning)
-    return lower, upper
-
-
-def _warn_if_degrees(lower: Array, upper: Array, joints: NDArray[np.intp]) -> None:
-    limits = np.where(-lower > upper, lower, upper)  # the farther one of each joint
-    if (far := np.abs(limits) > MANY_TURNS).any():
-        j = int(np.argmax(far))
-        limit = f"limit {limits[j]:g} of joint {joints[j] + 1} is {abs(limits[j]) / (2.0 * np.pi):.0f} turns"
+    farther = np.where(-lower > upper, lower, upper)[turning]
+    if (far := np.abs(farther) > MANY_TURNS).any():
+        worst = int(np.argmax(far))
+        limit = (
+            f"limit {farther[worst]:g} of joint {turning[worst] + 1} is {abs(farther[worst]) / (2.0 * np.pi):.0f} turns"
+        )
         message = f"Arm: {limit} and looks like degrees; lower and upper are in radians"
-        warnings.warn(message, UserWarning, stacklevel=5)
+        warnings.warn(message, UserWarning, stacklevel=4)
+    return lower, upper
 
 
 def _require(condition: bool, message: str) -> None:

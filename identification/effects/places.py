@@ -76,8 +76,11 @@ def position_and_state(
     [mm] without extensions, and the tip (d) [mm] before the instrument.
     """
     n, d = chain.links, chain.dimension
-    of_geometry = values.numel() - sum(len(effect.parameters) for effect in effects)
-    geometry, parts = values[:of_geometry], _with_values(effects, values[of_geometry:])
+    start = values.numel() - sum(len(effect.parameters) for effect in effects)
+    geometry, parts = values[:start], []  # each effect with the values of its own parameters
+    for effect in effects:
+        parts.append((effect, values[start : start + len(effect.parameters)]))
+        start += len(effect.parameters)
     additions = by_place(ca.SX.zeros(sum(widths(n, d).values())) if added is None else added, n, d)
     added_loads = ca.vertcat(*(additions[place] for place in OF_LOAD if place in additions))
     loads = sum((_loads(e, chain, v) for e, v in parts), added_loads)
@@ -138,12 +141,3 @@ def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, st
     places = {place: size for place, size in widths(n, d).items() if place not in OF_LOAD}
     added = (ca.SX.zeros(size) + at_place[place] for place, size in places.items())
     return ca.vertcat(_loads(effect, chain, values), *added)
-
-
-def _with_values(effects: Sequence[Effect], values: ca.SX) -> Parts:
-    """Each effect with the values of its own parameters."""
-    parts, start = [], 0
-    for effect in effects:
-        parts.append((effect, values[start : start + len(effect.parameters)]))
-        start += len(effect.parameters)
-    return parts

@@ -98,7 +98,12 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, l
     for name in measurements.session_names:
         if name in parts:
             rows = some(measurements, parts[name])
-            standing = _there(standing, rows, values, seen) if bases else standing
+            if bases:  # where these rows find the base, then the points that were not seen before
+                old = seen[markers_of(rows)]
+                held = frozenset({TOOL}) if old.any() else frozenset()
+                standing = standing_chain(replace(standing, known=held), rows.rows(old) if old.any() else rows, values)
+                if old.any() and not old.all():
+                    standing = standing_chain(replace(standing, known=frozenset({BASE})), rows.rows(~old), values)
             seen = seen | np.isin(np.arange(len(seen)), markers_of(rows))
         first = first if bases else seen
         bases.append(standing.base)
@@ -106,17 +111,6 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, l
     tools, axes = ({name: of[name] for name in later if name in of} for of in (standing.tools, standing.tool_axes))
     chain = replace(arm.chain, tools={**arm.chain.tools, **tools}, tool_axes={**arm.chain.tool_axes, **axes})
     return chain, bases
-
-
-def _there(
-    chain: SpatialChain, rows: Measurements, values: Mapping[str, float], seen: NDArray[np.bool_]
-) -> SpatialChain:
-    """The chain where rows of another session find its base, and the points that were not seen before."""
-    old = seen[markers_of(rows)]
-    if not old.any():
-        return standing_chain(replace(chain, known=frozenset()), rows, values)
-    moved = standing_chain(replace(chain, known=frozenset({TOOL})), rows.rows(old), values)
-    return moved if old.all() else standing_chain(replace(moved, known=frozenset({BASE})), rows.rows(~old), values)
 
 
 def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
