@@ -14,6 +14,7 @@ from itertools import pairwise, product
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.sparse import csr_array
 
 from identification.arrays import Array
 from identification.effects.places import OF_FRAME, widths
@@ -283,16 +284,17 @@ def linearized(
         roots.append(root)
         columns.append(np.concatenate([columns[k] for k in many], axis=2))
         blocks.append(Block(REST, REST, 1.0, parts=tuple(blocks[k] for k in many)))
+    sparse = csr_array(to_columns)
     products = Products(
-        to_columns.T @ gram @ to_columns,
-        right @ to_columns,
+        np.asarray((sparse.T @ gram) @ sparse),
+        right @ sparse,
         float(left @ left),
         len(target) - u.shape[1],
         np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])]),
         np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
         np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64),
     )
-    response, place = -back @ (inside @ to_columns), at.values[base] + back @ (u.T @ target)
+    response, place = -back @ (inside @ sparse), at.values[base] + back @ (u.T @ target)
     return Linearized(tuple(blocks), products, tuple(roots), response, place, back @ back.T, tuple(columns))
 
 
