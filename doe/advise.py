@@ -167,8 +167,8 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
     scatter = identified(arm).get("scatter_mm")
     if not isinstance(scatter, float) or not SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1]:
         return arm, f"No standard deviations, no tip error: that {NEEDS_SIGMA}."
-    given = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
-    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {given}, is taken for it."
+    scatter_in_words = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
+    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is taken for it."
 
 
 def promised(problem: DesignProblem, postures: Array, errors: TipErrors | None) -> Array:

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
 from identification.error_curve import ErrorCurve
@@ -124,8 +124,8 @@ class Calibration(ByValue):
         Raises `InputError` if the two differ in number.
         """
         errors, offsets = np.ravel(length_errors), np.ravel(joint_offsets)
-        found = f"calibration: found {len(errors)} length errors and {len(offsets)} joint offsets"
-        _require(len(errors) == len(offsets), f"{found}, allowed: one of each for every joint")
+        counted = f"calibration: found {len(errors)} length errors and {len(offsets)} joint offsets"
+        _require(len(errors) == len(offsets), f"{counted}, allowed: one of each for every joint")
         chain = chain_parameters(np.ones(len(errors)))
         values = chain.mapping(np.r_[errors, offsets]) | dict(effects)
         return cls(values, parameter_names, covariance, provenance)
@@ -262,8 +262,8 @@ def _html(arm: Arm) -> str:
     """A line about the arm and a table of its joints, for notebooks."""
     sigma = "not given" if arm.sigma is None else f"{arm.sigma:g} mm"
     effects = ", ".join(spec.key for spec in arm.effects) or "none"
-    said = f"{arm.name}: {arm.dimension} coordinates, reach {arm.reach:.6g} mm, sigma {sigma}, effects {effects}"
-    said += "" if arm.calibration is None else ", calibrated"
+    summary = f"{arm.name}: {arm.dimension} coordinates, reach {arm.reach:.6g} mm, sigma {sigma}, effects {effects}"
+    summary += "" if arm.calibration is None else ", calibrated"
     heads = ("joint", "type", "length [mm]", "lower", "upper")
     rows = []
     for j, (kind, *figures) in enumerate(zip(arm.joint_types, arm.lengths, arm.lower, arm.upper, strict=True), start=1):
@@ -272,7 +272,7 @@ def _html(arm: Arm) -> str:
         if kind == REVOLUTE:
             limits = f"{np.degrees(low):.6g} deg", f"{np.degrees(high):.6g} deg"
         rows.append((str(j), kind, f"{length:.6g}", *limits))
-    return html_lines([said]) + html_table(heads, rows)
+    return html_lines([summary]) + html_table(heads, rows)
 
 
 def _joint_limits(
@@ -295,17 +295,15 @@ def _joint_limits(
             f"joint_limits_{unit}: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper"
         )
     turning = np.setdiff1d(np.arange(n), sliding)
-    _warn_if_degrees(lower[turning], upper[turning], turning)
+    farther = np.where(-lower > upper, lower, upper)[turning]
+    if (far := np.abs(farther) > MANY_TURNS).any():
+        worst = int(np.argmax(far))
+        limit = (
+            f"limit {farther[worst]:g} of joint {turning[worst] + 1} is {abs(farther[worst]) / (2.0 * np.pi):.0f} turns"
+        )
+        message = f"Arm: {limit} and looks like degrees; lower and upper are in radians"
+        warnings.warn(message, UserWarning, stacklevel=4)
     return lower, upper
-
-
-def _warn_if_degrees(lower: Array, upper: Array, joints: NDArray[np.intp]) -> None:
-    limits = np.where(-lower > upper, lower, upper)  # the farther one of each joint
-    if (far := np.abs(limits) > MANY_TURNS).any():
-        j = int(np.argmax(far))
-        found = f"limit {limits[j]:g} of joint {joints[j] + 1} is {abs(limits[j]) / (2.0 * np.pi):.0f} turns"
-        message = f"Arm: {found} and looks like degrees; lower and upper are in radians"
-        warnings.warn(message, UserWarning, stacklevel=5)
 
 
 def _require(condition: bool, message: str) -> None:

@@ -85,5 +85,5 @@ def eigen_of_pairs(matrices: Array) -> tuple[Array, Array]:
 def rows_in_words(chosen: NDArray[np.bool_]) -> str:
     """The numbers from 1 of the rows chosen (m,), the first few of many."""
     numbers = (np.flatnonzero(chosen) + 1).tolist()
-    more = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
-    return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{more}"
+    rest = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
+    return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{rest}"

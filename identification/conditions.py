@@ -121,9 +121,9 @@ def gaps_of(order: Array) -> NDArray[np.bool_]:
     Where numbers are left out nearly everywhere they do not count measurements: then the row before is the one before.
     """
     sequence = np.argsort(order, kind="stable")
-    found = np.zeros(len(order), dtype=bool)
-    found[sequence[1:]] = np.diff(order[sequence]) > 1.0
-    return found & (found.mean() <= LABELS)
+    gaps = np.zeros(len(order), dtype=bool)
+    gaps[sequence[1:]] = np.diff(order[sequence]) > 1.0
+    return gaps & (gaps.mean() <= LABELS)
 
 
 def directions_from_order(postures: Array, order: Array | None = None, gaps: Array | None = None) -> Array:
@@ -160,9 +160,9 @@ def past_from_order(postures: Array, order: Array | None = None, gaps: Array | N
     cut = [False] * m if gaps is None else gaps[sequence].astype(bool).tolist()
     past = np.array([_remembered(angles.tolist(), cut) for angles in joints])
     past = past.reshape(*postures.shape[:-2], postures.shape[-1], m, REMEMBERED)
-    found = np.empty((*postures.shape, REMEMBERED))
-    found[..., sequence, :, :] = np.moveaxis(past, -3, -2)
-    return found
+    turning_points = np.empty((*postures.shape, REMEMBERED))
+    turning_points[..., sequence, :, :] = np.moveaxis(past, -3, -2)
+    return turning_points
 
 
 def _remembered(angles: list[float], cut: list[bool]) -> list[list[float]]:

@@ -55,7 +55,7 @@ class Facts:
 
     rows: Sequence[tuple[str, str | None]]
 
-    def said(self) -> list[tuple[str, str]]:
+    def shown(self) -> list[tuple[str, str]]:
         """The rows that have a text."""
         return [(name, text) for name, text in self.rows if text]
 
@@ -129,13 +129,13 @@ def html(part: Part, picture: Callable[[Figure], str] | None = None, name: str =
     if isinstance(part, str):
         return html_lines([in_symbols(part)]) if part else ""
     if isinstance(part, Sheet):
-        rows, more = part.cut(MOST)
+        rows, rest = part.cut(MOST)
         title = f"<h3>{escape(part.title)}</h3>\n" if part.title else ""
         label = escape(f"{name}, table".removeprefix(", "))
         box = f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
-        return f"{title}{box}{html_table(part.headings, rows)}</div>\n{html(more)}" if part.rows else ""
+        return f"{title}{box}{html_table(part.headings, rows)}</div>\n{html(rest)}" if part.rows else ""
     if isinstance(part, Facts):
-        return html_facts((in_symbols(fact), in_symbols(text)) for fact, text in part.said())
+        return html_facts((in_symbols(fact), in_symbols(text)) for fact, text in part.shown())
     if isinstance(part, Pictures):
         drawn = part.draw()
         shown = "".join((picture or html_image)(one) for one in drawn if not isinstance(one, str))
@@ -174,10 +174,10 @@ def rendered(part: Part, width: int) -> Iterator[RenderableType]:
     if isinstance(part, str):
         yield Text(part)
     elif isinstance(part, Sheet) and part.rows:
-        rows, more = part.cut(part.most)
+        rows, rest = part.cut(part.most)
         yield from [Text(part.title, "italic")] if part.title else []
         yield terminal_table(part, rows, width)
-        yield from [Text(more)] if more else []
+        yield from [Text(rest)] if rest else []
     elif isinstance(part, Facts):
         yield terminal_facts(part)
     elif isinstance(part, Section) and not part.folded:
@@ -221,6 +221,6 @@ def terminal_facts(facts: Facts) -> RenderableType:
     from rich.text import Text
 
     shown = RichTable(show_header=False, box=None, padding=(0, 2, 0, 0))
-    for row in facts.said():
+    for row in facts.shown():
         shown.add_row(*map(Text, row))
     return shown

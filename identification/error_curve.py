@@ -37,11 +37,11 @@ class ErrorCurve(ByValue):
         object.__setattr__(self, "values", readonly(self.values, -1))
         object.__setattr__(self, "geometry", MappingProxyType(dict(self.geometry)))
         if not -np.inf < self.start < self.stop < np.inf:
-            found = f"{np.degrees(self.start):g} to {np.degrees(self.stop):g}"
-            raise InputError(f"from_deg, to_deg: found {found}, allowed: finite angles, the lower one first")
+            problem = f"{np.degrees(self.start):g} to {np.degrees(self.stop):g}"
+            raise InputError(f"from_deg, to_deg: found {problem}, allowed: finite angles, the lower one first")
         if len(self.values) < FEWEST or not np.all(np.isfinite(self.values)):
-            found = f"{len(self.values)} values"
-            raise InputError(f"values_deg: found {found}, allowed: {FEWEST} or more finite numbers")
+            problem = f"{len(self.values)} values"
+            raise InputError(f"values_deg: found {problem}, allowed: {FEWEST} or more finite numbers")
 
     @property
     def spacing(self) -> float:
@@ -83,10 +83,10 @@ def all_hold(curves: Iterable[tuple[int, ErrorCurve]], postures: Array) -> Array
     A curve takes up other effects, too, as they are at the postures measured: beyond the angles of one joint the curves
     of the others are worth no more than its own (identification/README.md, "One posterior").
     """
-    found = np.ones(postures.shape[:-1])
+    hold = np.ones(postures.shape[:-1])
     for joint, curve in curves:
-        found *= curve.holds(postures[..., joint])
-    return found
+        hold *= curve.holds(postures[..., joint])
+    return hold
 
 
 def local_splines(angles: Array, start: float, stop: float, count: int) -> tuple[NDArray[np.int64], Array]:

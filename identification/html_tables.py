@@ -20,19 +20,20 @@ def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     pairs = [(kind, escape(heading)) for kind, heading in zip(kinds, headings, strict=True)]
     head = "".join(f'<th scope="col"{kind}>{heading}</th>' for kind, heading in pairs)
     kinds = [f'{kind} data-heading="{heading}"' if wide else kind for kind, heading in pairs]
-    body = "".join(f"<tr>{''.join(map(_cell, row, kinds))}</tr>\n" for row in lines)
+    cells = ((f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=True)) for row in lines)
+    body = "".join(f"<tr>{''.join(row)}</tr>\n" for row in cells)
     return f"<table{wide}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
 
 
 def width(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
     """Characters that a row needs: of words where a cell may be broken, which headings, first cells and texts may."""
-    found = 0
+    characters = 0
     for k, heading in enumerate(headings):
         cells = [row[k] for row in rows]
         firm = [] if k == 0 else [len(cell) for cell in cells if len(cell) <= LONG]
         words = [len(word) for text in (heading, *cells) for word in text.split()]
-        found += 2 + max([*firm, *words], default=0)
-    return found
+        characters += 2 + max([*firm, *words], default=0)
+    return characters
 
 
 def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:
@@ -59,7 +60,3 @@ def in_symbols(text: str) -> str:
     for plain, symbol in SYMBOLS.items():
         text = re.sub(plain, symbol, text)
     return text
-
-
-def _cell(text: str, kind: str) -> str:
-    return f"<td{kind}>{escape(text)}</td>"

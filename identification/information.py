@@ -157,9 +157,9 @@ def spectrum(
     sizes = np.linalg.norm(triangle, axis=0)
     zero = column_lengths(sizes, scales)[1] & np.logical_not(held)
     lengths = np.where(zero, scales, sizes)
-    _, found, rows = np.linalg.svd(np.where(zero, 0.0, triangle / lengths), full_matrices=True)
+    _, singular_values, rows = np.linalg.svd(np.where(zero, 0.0, triangle / lengths), full_matrices=True)
     values = np.zeros(p)
-    values[: found.size] = found
+    values[: singular_values.size] = singular_values
     return Spectrum(lengths, values, rows.T, p).truncated(tolerance)
 
 
@@ -183,11 +183,11 @@ def covariances(jacobians: Array, scales: Array, sigma: float = 1.0) -> Array:
     values, vectors = np.linalg.eigh(normal)
     clear = _clear(values, lengths, scales)
     vectors = vectors / lengths[:, :, None]
-    found = (vectors / np.where(clear[:, None], values, np.nan)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    inverse = (vectors / np.where(clear[:, None], values, np.nan)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     for k in np.flatnonzero(~clear):
         one = spectrum(jacobians[k], scales)
-        found[k] = one.covariance if one.rank == len(scales) else np.nan
-    return sigma**2 * found
+        inverse[k] = one.covariance if one.rank == len(scales) else np.nan
+    return sigma**2 * inverse
 
 
 def _unit_normal(jacobians: Array) -> tuple[Array, Array]:
@@ -229,13 +229,13 @@ def identifiability(jacobian: Array, names: Sequence[str], scales: Array) -> Ide
     return identifiability_of(spectrum(jacobian, scales), names, scales)
 
 
-def identifiability_of(found: Spectrum, names: Sequence[str], scales: Array) -> Identifiability:
+def identifiability_of(decomposed: Spectrum, names: Sequence[str], scales: Array) -> Identifiability:
     """`identifiability` of a Jacobian that is decomposed already."""
-    identifiable = np.linalg.norm(found.null_space, axis=1) <= TOUCHED
+    identifiable = np.linalg.norm(decomposed.null_space, axis=1) <= TOUCHED
     identifiable.setflags(write=False)
-    basis = sparse_basis(found.null_space) / found.lengths[:, None] * scales[:, None]
+    basis = sparse_basis(decomposed.null_space) / decomposed.lengths[:, None] * scales[:, None]
     basis /= np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
-    return Identifiability(found.rank, identifiable, readonly(basis), tuple(describe(v, names) for v in basis.T))
+    return Identifiability(decomposed.rank, identifiable, readonly(basis), tuple(describe(v, names) for v in basis.T))
 
 
 def describe(direction: Array, names: Sequence[str]) -> str:

@@ -23,11 +23,11 @@ def additions(group: str) -> Iterator[tuple[str, str, Any]]:
     for point in points:
         where = f"entry point {group}: {point.name} = {point.value}"
         try:
-            found = point.load()
+            loaded = point.load()
         except Exception as error:  # noqa: BLE001 - other people's code
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"{where}: {reason}, allowed: a package that can be imported") from None
-        yield point.name, where, found
+        yield point.name, where, loaded
 
 
 def package(point: metadata.EntryPoint) -> str:

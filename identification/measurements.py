@@ -73,7 +73,7 @@ class Measurements(ByValue):
     gaps : (m,) 1 where measurements just before are missing, so that nothing follows from the order; None: nowhere
     sigma : (m,) standard deviation per row and axis [mm], None: not given per row
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
-    session : (m,) name of the session of each row, between which the arm or the instrument was set up anew; None: one
+    session : (m,) name of the session of each row, between which the arm or the instrument was set up again; None: one
     session_names : the sessions in the order of their numbers, also where only some of them are among these rows
     marker : (m,) name of the measured point of each row, where several are measured; None: one
     marker_names : the points in the order of their numbers
@@ -127,16 +127,16 @@ class Measurements(ByValue):
                 continue
             array, shapes = numbers(name, value), by_columns[columns]
             if array.shape not in shapes:
-                found = f"shape {array.shape} for {m} postures of {n} joints"
-                raise InputError(f"measurements.{name}: {found}, allowed: {' or '.join(map(str, shapes))}")
+                actual = f"shape {array.shape} for {m} postures of {n} joints"
+                raise InputError(f"measurements.{name}: {actual}, allowed: {' or '.join(map(str, shapes))}")
             check_values(name, array, test(array), allowed)
             object.__setattr__(self, name, array)
         if self.repeats is not None:
             object.__setattr__(self, "repeats", self.repeats.astype(np.int64))
             self.repeats.setflags(write=False)
         for name in ("session", "marker"):
-            if (given := getattr(self, name)) is not None:
-                texts = names(name, given, m)
+            if (labels := getattr(self, name)) is not None:
+                texts = names(name, labels, m)
                 object.__setattr__(self, name, texts)
                 every = dict.fromkeys((*getattr(self, f"{name}_names"), *texts.tolist()))
                 object.__setattr__(self, f"{name}_names", tuple(every))
@@ -187,8 +187,8 @@ class Measurements(ByValue):
     @property
     def sessions(self) -> tuple[str, ...]:
         """Names of the sessions that rows are of, in the order of their numbers; empty if the data do not name them."""
-        there = set() if self.session is None else set(self.session.tolist())
-        return tuple(name for name in self.session_names if name in there)
+        present = set() if self.session is None else set(self.session.tolist())
+        return tuple(name for name in self.session_names if name in present)
 
     @property
     def session_rows(self) -> tuple[NDArray[np.int64], ...]:
@@ -254,8 +254,8 @@ class Measurements(ByValue):
         """(m,) number of the first row of equal angles, position, orientation, marker and session, to the last digit:
         of a copied row another number than its own."""
         numbers = (self.marker_numbers, self._session_numbers, self.orientations)
-        more = [np.reshape(column, (len(self), -1)) for column in numbers if column is not None]
-        rows = np.column_stack([self.postures, self.positions, *more])
+        other_columns = [np.reshape(column, (len(self), -1)) for column in numbers if column is not None]
+        rows = np.column_stack([self.postures, self.positions, *other_columns])
         _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
         return np.asarray(first[number.ravel()])
 
@@ -283,8 +283,8 @@ class Measurements(ByValue):
         """(m, n) +1 or -1, NaN: unknown."""
         if self.directions is not None:
             return self.directions
-        found = self._by_order(directions_from_order, self.postures.shape)
-        return np.where(found == 0.0, np.nan, found)
+        directions = self._by_order(directions_from_order, self.postures.shape)
+        return np.where(directions == 0.0, np.nan, directions)
 
     @cached_property
     def _past(self) -> Array | Past:
@@ -296,10 +296,10 @@ class Measurements(ByValue):
     def _by_order(self, function: Callable[..., Array], shape: tuple[int, ...]) -> Array:
         """What follows from the order, in each session."""
         order = np.arange(len(self), dtype=float) if self.order is None else self.order
-        gaps, found = np.zeros(len(self)) if self.gaps is None else self.gaps, np.empty(shape)
+        gaps, by_row = np.zeros(len(self)) if self.gaps is None else self.gaps, np.empty(shape)
         for rows in self.session_rows:
-            found[rows] = function(self.postures[rows], order[rows], gaps[rows])
-        return found
+            by_row[rows] = function(self.postures[rows], order[rows], gaps[rows])
+        return by_row
 
     @property
     def origin(self) -> dict[str, Any]:

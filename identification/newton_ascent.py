@@ -16,7 +16,6 @@ from identification.arrays import Array
 STEPS = 60
 LONGEST = 0.7  # [rad] of a Newton step
 Rows = NDArray[np.intp]
-IN_TIME: Callable[[], bool] = lambda: False  # noqa: E731
 
 
 def newton_ascent(
@@ -26,21 +25,21 @@ def newton_ascent(
     limits: tuple[Array, Array],
     units: Array,
     enough: Array | float = 0.0,
-    stop: Callable[[], bool] = IN_TIME,
+    stop: Callable[[], bool] | None = None,
 ) -> Array:
-    """(m, n) ends of climbs from (m, n), never lower than the starts.
+    """(m, n) postures reached from starts (m, n), none lower than its start.
 
     height : postures (k, n) of the starts numbered (k,) -> (k,) values, -inf where none may be
     slopes : the same -> (k, n) gradients and (k, n, n) Hessians
     limits : (n,) lower and (n,) upper;  units : (n,) what counts as one radian of each joint
-    enough : (m,) gain of a step that ends a climb;  stop : asked before every step
+    enough : (m,) gain of a step that ends an ascent;  stop : asked before every step
     """
     lower, upper = limits
     q, values = starts.copy(), height(starts, np.arange(len(starts)))
     reach, enough = np.full(len(q), LONGEST), np.broadcast_to(enough, len(q))
     moving = np.flatnonzero(np.isfinite(values))
     for _ in range(STEPS):
-        if not len(moving) or stop():
+        if not len(moving) or (stop is not None and stop()):
             break
         slope, hessian = slopes(q[moving], moving)
         step = newton_step(q[moving], slope * units, hessian * units[:, None] * units, lower, upper)

@@ -44,18 +44,18 @@ def union(texts: list[str]) -> str:
 
 def rows_shared(text: str, postures: Array, positions: Array) -> Shared:
     """How many rows two sets share: one of digests, and postures (m, n) with positions (m, d)."""
-    known, numbers = _read(text), np.unique(_numbers(postures, positions))
-    if len(known) >= KEPT:  # of these rows alone it can be told
-        numbers = numbers[numbers <= known[-1]]
-    both = np.count_nonzero(np.isin(numbers, known))
-    return Shared(both / max(len(numbers), 1), both / max(len(known), 1))
+    kept, numbers = _read(text), np.unique(_numbers(postures, positions))
+    if len(kept) >= KEPT:  # of these rows alone it can be told
+        numbers = numbers[numbers <= kept[-1]]
+    shared = np.count_nonzero(np.isin(numbers, kept))
+    return Shared(shared / max(len(numbers), 1), shared / max(len(kept), 1))
 
 
 def _numbers(postures: Array, positions: Array) -> NDArray[np.uint64]:
     """(m,) digests."""
     whole = np.floor(np.column_stack([postures, positions]) / STEP + BETWEEN).astype("<i8")
-    found = [int.from_bytes(blake2b(row.tobytes(), digest_size=BYTES).digest(), "big") for row in whole]
-    return np.array(found, dtype=np.uint64)
+    hashed = [int.from_bytes(blake2b(row.tobytes(), digest_size=BYTES).digest(), "big") for row in whole]
+    return np.array(hashed, dtype=np.uint64)
 
 
 def _text(numbers: NDArray[np.uint64]) -> str:
@@ -70,5 +70,5 @@ def _read(text: str) -> NDArray[np.uint64]:
         read = b64decode(text, validate=True)
     except (binascii.Error, ValueError):
         read = b""
-    found = [int.from_bytes(read[k : k + BYTES], "big") for k in range(0, len(read) - BYTES + 1, BYTES)]
-    return np.unique(np.array(found, dtype=np.uint64))
+    numbers = [int.from_bytes(read[k : k + BYTES], "big") for k in range(0, len(read) - BYTES + 1, BYTES)]
+    return np.unique(np.array(numbers, dtype=np.uint64))

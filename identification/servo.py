@@ -57,30 +57,29 @@ def following_errors(measurements: Measurements, kinds: Sequence[str]) -> tuple[
         return ()
     errors, signs = measurements.postures - measurements.commanded, measurements.conditions.directions
     assert signs is not None  # measurements know it
-    return tuple(_of_joint(j, kind, errors[:, j - 1], signs[:, j - 1]) for j, kind in enumerate(kinds, start=1))
-
-
-def _of_joint(joint: int, kind: str, error: Array, sign: Array) -> FollowingError:
-    columns = np.column_stack([np.ones(len(error)), sign])
-    (offset, reversal), *_ = np.linalg.lstsq(columns, error, rcond=1e-9)
-    rest = error - columns @ [offset, reversal]
-    figures = np.sqrt(np.mean(error**2)), np.max(np.abs(error)), np.sqrt(np.mean(rest**2))
-    return FollowingError(joint, kind, float(offset), float(reversal), *map(float, figures))
+    of_joints = []
+    for j, (kind, error, sign) in enumerate(zip(kinds, errors.T, signs.T, strict=True), start=1):
+        columns = np.column_stack([np.ones(len(error)), sign])
+        (offset, reversal), *_ = np.linalg.lstsq(columns, error, rcond=1e-9)
+        rest = error - columns @ [offset, reversal]
+        figures = np.sqrt(np.mean(error**2)), np.max(np.abs(error)), np.sqrt(np.mean(rest**2))
+        of_joints.append(FollowingError(j, kind, float(offset), float(reversal), *map(float, figures)))
+    return tuple(of_joints)
 
 
 def with_servo_errors(arm: Arm, measurements: Measurements) -> Arm:
     """The arm with the servo errors that the measurements show, instead of its own, where they have commands."""
-    if not (found := following_errors(measurements, arm.joint_types)):
+    if not (errors := following_errors(measurements, arm.joint_types)):
         return arm
     others = (spec for spec in arm.effects if spec.name != SERVO)
-    return arm.with_effects(*others, *(error.spec for error in found if error.largest > 0.0))
+    return arm.with_effects(*others, *(error.spec for error in errors if error.largest > 0.0))
 
 
 def servo_shift(arm: Arm, directions: Array) -> Array:
     """(k, n) what is read beyond a command [rad, mm], for directions of approach (k, n)."""
-    found = np.zeros(directions.shape)
+    shift = np.zeros(directions.shape)
     for spec in arm.effects:
         if spec.name == SERVO and spec.joint is not None:
             sign = directions[:, spec.joint - 1]
-            found[:, spec.joint - 1] = spec.values.get("b", 0.0) + spec.values.get("h", 0.0) * sign
-    return found
+            shift[:, spec.joint - 1] = spec.values.get("b", 0.0) + spec.values.get("h", 0.0) * sign
+    return shift

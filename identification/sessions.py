@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -48,38 +48,31 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
     first = parts[0]
     for name, part in zip(tables, parts, strict=True):
         if (part.links, part.dimension) != (first.links, first.dimension):
-            found = f"found {part.links} joints and {part.dimension} coordinates"
-            raise InputError(f"{name}: {found}, allowed: {first.links} and {first.dimension} as in the other data")
-    given = frozenset.intersection(*(part.given for part in parts))
-    if missing := sorted(frozenset.union(*(part.given for part in parts)) - given):
+            counted = f"found {part.links} joints and {part.dimension} coordinates"
+            raise InputError(f"{name}: {counted}, allowed: {first.links} and {first.dimension} as in the other data")
+    columns_of_all = frozenset.intersection(*(part.given for part in parts))
+    if missing := sorted(frozenset.union(*(part.given for part in parts)) - columns_of_all):
         warnings.warn(f"not in all of the data, and left out: {', '.join(missing)}", UserWarning, stacklevel=2)
-    columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *given)}
-    if "repeats" in given:
-        columns["repeats"] = _apart(columns["repeats"])
+    columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *columns_of_all)}
+    if "repeats" in columns_of_all:
+        # numbered such that no two tables share one
+        ends = np.cumsum([0, *(int(np.ptp(repeats)) + 1 for repeats in columns["repeats"])])
+        starts = zip(columns["repeats"], ends, strict=False)
+        columns["repeats"] = [repeats - repeats.min() + start for repeats, start in starts]
     if any(part.gaps is not None for part in parts):
         columns["gaps"] = [np.zeros(len(part)) if part.gaps is None else part.gaps for part in parts]
     joined: dict[str, Any] = {name: np.concatenate(values) for name, values in columns.items()}
-    return Measurements(**joined, provenance=MappingProxyType(_origin_of(parts)))
-
-
-def _origin_of(parts: Sequence[Measurements]) -> dict[str, Any]:
-    """Files of several tables in one text, and a list of their hashes."""
-    found = {key: [str(p.provenance[key]) for p in parts if key in p.provenance] for key in ("file", "sha256")}
-    files = {"file": ", ".join(found["file"])} if found["file"] else {}
-    return files | ({"sha256": found["sha256"]} if found["sha256"] else {})
+    origins = {key: [str(p.provenance[key]) for p in parts if key in p.provenance] for key in ("file", "sha256")}
+    provenance: dict[str, Any] = {"file": ", ".join(origins["file"])} if origins["file"] else {}
+    provenance |= {"sha256": origins["sha256"]} if origins["sha256"] else {}
+    return Measurements(**joined, provenance=MappingProxyType(provenance))
 
 
 def _labels(name: str, table: Measurements) -> NDArray[np.str_]:
     """(m,) session of each row."""
     if table.session is not None and len(table.sessions) > 1:
-        return np.array([f"{name}/{own}" for own in table.session.tolist()])
+        return np.array([f"{name}/{session}" for session in table.session.tolist()])
     return np.full(len(table), name)
-
-
-def _apart(numbers: Sequence[Array]) -> list[Array]:
-    """Numbers of repeats such that no two tables share one."""
-    ends = np.cumsum([0, *(int(np.ptp(own)) + 1 for own in numbers)])
-    return [own - own.min() + start for own, start in zip(numbers, ends, strict=False)]
 
 
 def of_these_sessions(holdout: Measurements, measurements: Measurements) -> Measurements:
@@ -89,8 +82,8 @@ def of_these_sessions(holdout: Measurements, measurements: Measurements) -> Meas
     names = measurements.session_names
     for name in holdout.sessions or ("",):
         if name not in names:
-            found = f"session {name!r}" if name else "no column session"
-            raise InputError(f"holdout: found {found}, allowed: {', '.join(names)}, as in the data; or armcal validate")
+            which = f"session {name!r}" if name else "no column session"
+            raise InputError(f"holdout: found {which}, allowed: {', '.join(names)}, as in the data; or armcal validate")
     return replace(holdout, session_names=names)
 
 
@@ -113,8 +106,8 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     shift = complex(values[BASE[0]], values[BASE[1]])
     for number, base in enumerate(bases[1:], start=2):
         # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
-        there = complex(base[BASE[0]], base[BASE[1]]) - shift
-        named = {"x": there.real, "y": there.imag, "w": base[BASE[2]] - values[BASE[2]]}
+        place = complex(base[BASE[0]], base[BASE[1]]) - shift
+        named = {"x": place.real, "y": place.imag, "w": base[BASE[2]] - values[BASE[2]]}
         values |= {f"{SESSIONS}.{short}{number}": value for short, value in named.items()}
     provenance = {} if arm.calibration is None else arm.calibration.provenance
     with_bases = wide.with_effects(*wide.effects, spec)
@@ -130,12 +123,12 @@ def _in_space(arm: Arm, measurements: Measurements, spec: EffectSpec) -> Arm:
     placed = arm if arm.chain.fixed else placed_model(Model(arm), measurements).arm
     chain, bases = session_bases(placed, measurements)
     values = {} if placed.calibration is None else dict(placed.calibration.values)
-    known: dict[str, float] = {}
+    hidden_values: dict[str, float] = {}
     for number, base in enumerate(bases[1:], start=2):
-        found, hidden = chain.instrument.between(bases[0], base)
-        values |= {f"{SESSIONS}.{short}{number}": value for short, value in found.items()}
-        known |= {f"{short}{number}": found[short] for short in hidden}
-    spec = replace(spec, values={**spec.values, **known})
+        movement, hidden = chain.instrument.between(bases[0], base)
+        values |= {f"{SESSIONS}.{short}{number}": value for short, value in movement.items()}
+        hidden_values |= {f"{short}{number}": movement[short] for short in hidden}
+    spec = replace(spec, values={**spec.values, **hidden_values})
     kept = Calibration(values) if placed.calibration is None else replace(placed.calibration, values=values)
     return replace(placed.with_effects(*placed.effects, spec), chain=chain, calibration=kept)
 
@@ -143,14 +136,14 @@ def _in_space(arm: Arm, measurements: Measurements, spec: EffectSpec) -> Arm:
 def base_of_each_session(arm: Arm, measurements: Measurements) -> list[dict[str, float]]:
     """Rotation and shift of the base for each session, by `start_at_bases`, of an arm with a base offset."""
     model, conditions = Model(arm), measurements.conditions
-    start, found = model.parameters.vector(model.best_known), []
+    start, bases = model.parameters.vector(model.best_known), []
     computed = model.position(measurements.postures, start, replace(conditions, session=None))
     by_name = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
     for session in measurements.session_names:
         rows = by_name.get(session)
-        there = start if rows is None else start_at_bases(start, model, computed[rows], measurements.positions[rows])
-        found.append({name: float(there[model.parameters.index(name)]) for name in BASE})
-    return found
+        moved = start if rows is None else start_at_bases(start, model, computed[rows], measurements.positions[rows])
+        bases.append({name: float(moved[model.parameters.index(name)]) for name in BASE})
+    return bases
 
 
 def without_sessions(calibration: Calibration) -> Calibration:
@@ -188,7 +181,7 @@ def start_at_bases(start: Array, model: Model, computed: Array, measured: Array)
     goal = measured @ np.array([1.0, 1.0j])
     angle = float(np.angle(np.vdot(from_base - from_base.mean(), goal - goal.mean())))
     shift = complex(np.mean(goal - np.exp(1.0j * angle) * from_base))
-    found = start.copy()
-    found[turn] += angle
-    found[[x0, y0]] = shift.real, shift.imag
-    return found
+    moved = start.copy()
+    moved[turn] += angle
+    moved[[x0, y0]] = shift.real, shift.imag
+    return moved

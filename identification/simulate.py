@@ -40,8 +40,8 @@ def simulate(
     """
     q = np.atleast_2d(np.asarray(postures, dtype=float))
     if truth.chain is not None and truth.chain.instrument.contact:
-        found = f"kind {truth.chain.instrument.kind}: at which postures a surface is touched no plan says"
-        raise InputError(f"instrument: found {found}, allowed: distance, or no [instrument]")
+        kind = f"kind {truth.chain.instrument.kind}: at which postures a surface is touched no plan says"
+        raise InputError(f"instrument: found {kind}, allowed: distance, or no [instrument]")
     noise, model, order = _noise(truth, sigma), Model(truth), np.arange(len(q), dtype=float)
     if "temperature" in model.needs and temperature is None:
         raise InputError(
@@ -52,7 +52,9 @@ def simulate(
     if (shift := servo_shift(truth, approach)).any():  # the joints come to rest, and are read, beside their commands
         session = replace(session, postures=q + shift, commanded=q)
     if truth.chain is not None and len(truth.chain.tools) > 1:
-        session = _of_each_point(session, tuple(truth.chain.tools))
+        points, rows = tuple(truth.chain.tools), len(session)
+        every = session.rows(np.repeat(np.arange(rows), len(points)))  # each row once for each measured point
+        session = replace(every, marker=np.tile(points, rows), marker_names=points)
     q = session.postures
     exact = model.position(q, conditions=session.conditions)
     errors = noise * generator.standard_normal(exact.shape)
@@ -72,12 +74,6 @@ def _noise(truth: Arm, sigma: float | None) -> float:
         raise InputError(f"sigma: found {noise}, allowed: a number >= 0 [mm], given here or with the arm")
     _check_scatter(truth)
     return noise
-
-
-def _of_each_point(session: Measurements, names: tuple[str, ...]) -> Measurements:
-    """Every row once for each measured point."""
-    every = session.rows(np.repeat(np.arange(len(session)), len(names)))
-    return replace(every, marker=np.tile(names, len(session)), marker_names=names)
 
 
 def _check_scatter(truth: Arm) -> None:

@@ -43,18 +43,18 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
 
 def _is_part(word: str, name: str) -> bool:
     """Whether a name has all parts of the word, begins with it, or is the beginning of it, whatever separates them."""
-    parts, own = ([part for part in re.split(r"[^a-z0-9]+", text) if part] for text in (word, name))
-    if not parts or not own:
+    parts, name_parts = ([part for part in re.split(r"[^a-z0-9]+", text) if part] for text in (word, name))
+    if not parts or not name_parts:
         return False
-    if parts[0] == own[0] and set(own) <= set(parts):
+    if parts[0] == name_parts[0] and set(name_parts) <= set(parts):
         return True
-    begins = len(word) >= FEWEST and ("".join(own).startswith("".join(parts)) or _is_numbered(word, name))
+    begins = len(word) >= FEWEST and ("".join(name_parts).startswith("".join(parts)) or _is_numbered(word, name))
     if len(parts) == 1 and len(word) < FEWEST:
-        return parts[0] == own[0]
-    return begins or set(parts) <= set(own)
+        return parts[0] == name_parts[0]
+    return begins or set(parts) <= set(name_parts)
 
 
 def _is_numbered(word: str, name: str) -> bool:
     """Whether both have the same number at the end, and a name begins as the word does: `dir1`, `direction1`."""
-    (own, number), (stem, other) = (re.fullmatch(r"(.*?)(\d*)", text, re.DOTALL).groups() for text in (name, word))  # type: ignore[union-attr]
-    return bool(number) and number == other and len(stem) >= FEWEST and own.startswith(stem)
+    (head, number), (stem, other) = (re.fullmatch(r"(.*?)(\d*)", text, re.DOTALL).groups() for text in (name, word))  # type: ignore[union-attr]
+    return bool(number) and number == other and len(stem) >= FEWEST and head.startswith(stem)

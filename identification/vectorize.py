@@ -109,8 +109,8 @@ def _of(array: np.ndarray, part: tuple[slice, ...]) -> np.ndarray:
     """What a part of the batch needs of an argument; axes that broadcast stay."""
     if not part:
         return array
-    own = part[len(part) - (array.ndim - 1) :]
-    return array[tuple(one if size > 1 else slice(None) for one, size in zip(own, array.shape[:-1], strict=True))]
+    axes = part[len(part) - (array.ndim - 1) :]
+    return array[tuple(one if size > 1 else slice(None) for one, size in zip(axes, array.shape[:-1], strict=True))]
 
 
 def _components(array: np.ndarray) -> list[np.ndarray]:

@@ -40,9 +40,9 @@ class Bound:
 
     def as_dict(self) -> dict[str, Any]:
         """The key `bound` (identification/files/README.md, "JSON keys")."""
-        known: dict[str, Any] = {"value": self.value, "source": self.source, "scope": self.scope, "proof": self.proof}
-        known |= {"rigorous": self.rigorous} | ({} if self.candidates is None else {"candidates": self.candidates})
-        return known | {"cut": True} if self.cut else known
+        data: dict[str, Any] = {"value": self.value, "source": self.source, "scope": self.scope, "proof": self.proof}
+        data |= {"rigorous": self.rigorous} | ({} if self.candidates is None else {"candidates": self.candidates})
+        return data | {"cut": True} if self.cut else data
 
     def __str__(self) -> str:
         return f"{round(self.value, 12) + 0.0:.10g} ({bound_in_words(self.as_dict())})"

@@ -164,17 +164,17 @@ def maximum(
     lower: Array,
     upper: Array,
     *,
-    known: Array,
+    tried: Array,
     tolerance: float = 1e-10,
     most_boxes: int = 100_000,
     stop: Stop = never,
 ) -> Maximum:
     """The largest value over lower <= q <= upper, to `tolerance` (absolute).
 
-    known : (k, n) good postures within the box, which save most of the work;  stop : asked between batches of boxes
+    tried : (k, n) good postures within the box, which save most of the work;  stop : asked between batches of boxes
     """
-    values = polynomial.value(known)
-    best, posture = float(values.max()), known[int(values.argmax())]
+    values = polynomial.value(tried)
+    best, posture = float(values.max()), tried[int(values.argmax())]
     center, half = (0.5 * (lower + upper))[None], (0.5 * (upper - lower))[None]
     promise = np.full(1, np.inf)  # upper bound of every box that waits
     boxes, discarded_bound = 0, -np.inf

@@ -241,16 +241,16 @@ def prove(
     for _ in range(PROOFS):
         constant = float(prior.mixed(np.zeros(()), design.gradient))
         polynomial = jacobians.sensitivity(design.gradient, prior.new_fraction, constant)
-        close, known = tolerance * abs(design.level), design.plan.postures
+        close, supported = tolerance * abs(design.level), design.plan.postures
         top = maximum(
-            polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=MOST_BOXES, stop=stop
+            polynomial, problem.lower, problem.upper, tried=supported, tolerance=close, most_boxes=MOST_BOXES, stop=stop
         )
         largest = max(largest, top.value)
         if not top.proven:
             return design, largest, False
         if top.value <= design.level + close:
             return design, top.upper, True
-        start = np.concatenate([known, top.posture[None]])
+        start = np.concatenate([supported, top.posture[None]])
         design, gap = generate_columns(problem, prior, start, stages, stop)
         largest = design.level + gap
     return design, top.upper, True

@@ -66,8 +66,8 @@ def solve_program(
         floor = matrix - objective * (root @ root.T) >> 0
         tied.append(floor)
     else:
-        found = f"{criterion.name} has no program for this solver"
-        raise InputError(f"criterion: {found}, allowed: D, A, I, E; column_generation knows more")
+        reason = f"{criterion.name} has no program for this solver"
+        raise InputError(f"criterion: {reason}, allowed: D, A, I, E; column_generation knows more")
     status = _run(cp.Problem(cp.Maximize(objective), tied), solver)
     if weights.value is None or not np.all(np.isfinite(weights.value)):
         return None, status, None

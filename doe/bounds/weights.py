@@ -102,9 +102,9 @@ def minus_hessian(jacobians: Array, weights: Array, criterion: Criterion, prior:
             pairs = products[0] * products[-1]
             total += factor * (pairs if one == other else pairs + pairs.T)
         if not prior.empty:
-            known = left @ prior.total @ right
-            each = np.einsum("kda,ab,kdb->k", jacobians, 0.5 * (known + known.T), jacobians, optimize=True)
-            total += factor * (each[:, None] + each + np.sum(known * prior.total))
+            prior_part = left @ prior.total @ right
+            each = np.einsum("kda,ab,kdb->k", jacobians, 0.5 * (prior_part + prior_part.T), jacobians, optimize=True)
+            total += factor * (each[:, None] + each + np.sum(prior_part * prior.total))
     return np.asarray(total * prior.new_fraction**2)
 
 

@@ -53,14 +53,14 @@ def command(
         runs = f"{problem.fewest_runs}:40"
     numbers = run_range(runs, problem.fewest_runs)
     advice = advise(problem, numbers, target=target_mm, seed=common.seed, seconds=seconds, progress=common.report)
-    said = {"only": words, "fewest_runs": problem.fewest_runs} if words else {}
+    subset_keys = {"only": words, "fewest_runs": problem.fewest_runs} if words else {}
     fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
-    found = f"identifiable from {fewest} or more at well-chosen postures; how accurately, the table says"
-    enough = f"{', '.join(words)} alone: {found}"
+    remark = f"identifiable from {fewest} or more at well-chosen postures; how accurately, the table says"
+    enough = f"{', '.join(words)} alone: {remark}"
     document = advice_document(advice).plus(*([given_sigma] if given_sigma else []))
     shown = [*([enough] if words else []), document]
     warn_beside_json([given_sigma] if given_sigma else [])
-    answer = Answer(advice.to_json() | said, shown)
+    answer = Answer(advice.to_json() | subset_keys, shown)
     written({picture: lambda: advice_drawing(advice)}, force)
     return with_collisions(answer, loaded)
 

@@ -26,5 +26,5 @@ def command(common: CommonOptions, arm: File, data: File) -> Answer:
     loaded = load_arm(arm)
     measurements = load_measurements(data, loaded)
     common.report(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
-    found = inspect(loaded, measurements, urdf_masses(arm))
-    return Answer(found.to_json(), [inspection_document(found, str(arm), str(data))])
+    inspection = inspect(loaded, measurements, urdf_masses(arm))
+    return Answer(inspection.to_json(), [inspection_document(inspection, str(arm), str(data))])

@@ -138,8 +138,8 @@ def _typed(hint: Any, default: Any) -> tuple[dict[str, Any], list[str], bool]:
     inner, extras = _unwrapped(hint)
     several = get_origin(inner) is tuple
     if several:
-        inner, more = _unwrapped(get_args(inner)[0])
-        extras = [*more, *extras]
+        inner, inner_extras = _unwrapped(get_args(inner)[0])
+        extras = [*inner_extras, *extras]
     texts = [extra for extra in extras if isinstance(extra, str)]
     kind = click.Choice(get_args(inner)) if get_origin(inner) is Literal else inner
     settings: dict[str, Any] = {

@@ -34,8 +34,15 @@ def command(
         raise InputError(f"{calibrated}: has no [calibration], allowed: an arm file written by `armcal identify --out`")
     wanted = load_targets(targets, arm)
     allowed = constraints_of(Model(arm)) if arm.constraints else ()
-    found = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
-    warn_beside_json(found.warnings)
-    columns = found.targets, found.left, arm.joint_types, found.orientations, found.left_angles, found.reached
-    lines = written({out: commands_text(found.safe_commands, *columns, found.messages)}, force, "commands")
-    return Answer(found.to_json(), [compensation_document(found).plus(*lines)])
+    commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
+    warn_beside_json(commands.warnings)
+    columns = (
+        commands.targets,
+        commands.left,
+        arm.joint_types,
+        commands.orientations,
+        commands.left_angles,
+        commands.reached,
+    )
+    lines = written({out: commands_text(commands.safe_commands, *columns, commands.messages)}, force, "commands")
+    return Answer(commands.to_json(), [compensation_document(commands).plus(*lines)])

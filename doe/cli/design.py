@@ -112,8 +112,10 @@ def _searched(
     from doe.discrimination.design import discrimination_design
     from doe.report.design import discriminating_parts
 
-    found = discrimination_design(problem, arm, search.runs, loss=search.loss, progress=common.report, **effort)
-    return found.design, found.to_json(), discriminating_parts(found)
+    discriminating = discrimination_design(
+        problem, arm, search.runs, loss=search.loss, progress=common.report, **effort
+    )
+    return discriminating.design, discriminating.to_json(), discriminating_parts(discriminating)
 
 
 def _ordered(design: Design, order: str, seed: int, data: dict[str, Any], extra: list[Any]) -> Design:

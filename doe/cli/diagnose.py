@@ -56,38 +56,32 @@ def command(
     from identification.validate.judgement import judged
 
     loaded = load_arm(arm)
-    check_no_arm_file(data)
+    if models := [path for path in data if path.suffix.lower() == ".toml"]:
+        raise InputError(f"{models[0]}: found an arm file among the data, allowed: files of measurements")
     measurements, held_out = parts(data, holdout, loaded, common.seed)
     loaded = with_servo_errors(loaded, measurements)
-    found = diagnose(loaded, measurements, held_out, common.seed, common.report)
-    found = judged(found, loaded, measurements, held_out)
-    refuted = [f"not confirmed: {found.confirmation}"] if found.confirmed is False else []
-    warn_beside_json([*found.warnings, *refuted])
+    diagnosis = diagnose(loaded, measurements, held_out, common.seed, common.report)
+    diagnosis = judged(diagnosis, loaded, measurements, held_out)
+    refuted = [f"not confirmed: {diagnosis.confirmation}"] if diagnosis.confirmed is False else []
+    warn_beside_json([*diagnosis.warnings, *refuted])
     if curves is not None and loaded.counting is not None:
-        said = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
-        warnings.warn(f"{curves}: {said}; armcal compensate writes commands as the controller counts", stacklevel=2)
-    answer = Answer(found.to_json())
-    about = answer.data, found, [*map(str, (arm, *data))], out
+        meaning = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
+        warnings.warn(f"{curves}: {meaning}; armcal compensate writes commands as the controller counts", stacklevel=2)
+    answer = Answer(diagnosis.to_json())
+    about = answer.data, diagnosis, [*map(str, (arm, *data))], out
     document, text = diagnosis_document(*about), ""
     try:
         read = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
         if report is not None:
-            nominal = rms_distance(drawing_residuals(found.arm, measurements))
+            nominal = rms_distance(drawing_residuals(diagnosis.arm, measurements))
             text = page(diagnosis_document(*about, nominal), origin(common.seed, read))
-        texts = {curves: curves_text(found.curves), report: text}
-        lines = write_diagnosis(found, arm, out, texts, force=force, named_only=named_only)
+        texts = {curves: curves_text(diagnosis.curves), report: text}
+        lines = write_diagnosis(diagnosis, arm, out, texts, force=force, named_only=named_only)
         answer.shown = [document.plus(*lines)]
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))
         answer.shown, answer.exit_code = [replace(document, actions=())], error.exit_code
     return answer
-
-
-def check_no_arm_file(data: tuple[Path, ...]) -> None:
-    """Raise `InputError` for an arm file among the data."""
-    for path in data:
-        if path.suffix.lower() == ".toml":
-            raise InputError(f"{path}: found an arm file among the data, allowed: files of measurements")
 
 
 def parts(
@@ -105,7 +99,13 @@ def parts(
 
 
 def write_diagnosis(
-    found: Diagnosis, arm: Path, out: Path | None, texts: Mapping[Path | None, str], *, force: bool, named_only: bool
+    diagnosis: Diagnosis,
+    arm: Path,
+    out: Path | None,
+    texts: Mapping[Path | None, str],
+    *,
+    force: bool,
+    named_only: bool,
 ) -> list[str]:
     """Write the requested files, all or none, and return the lines that report them.
 
@@ -116,10 +116,10 @@ def write_diagnosis(
     from identification.files.io import PathLike, read_text, write_together
 
     files: dict[PathLike, str | bytes] = {}
-    if out is not None and found.confirmed is False and not force:
+    if out is not None and diagnosis.confirmed is False and not force:
         warnings.warn(f"{out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
     elif out is not None:
-        model = found.extended_arm(found.named if named_only else None)
+        model = diagnosis.extended_arm(diagnosis.named if named_only else None)
         extended = with_effects(read_text(arm), model.effects, arm.parent)
         assert model.calibration is not None  # a diagnosis has one
         files[out] = with_calibration(extended, model.calibration, arm.parent)

@@ -61,15 +61,15 @@ def command(
         common.report(5, None, f"choosing the next postures, at most {max(left, 0.0):.0f} s left")
         return left < 0.0
 
-    found = discriminate(loaded, diagnosis, measurements, runs, common.seed, masses, stop=late)
+    next_postures = discriminate(loaded, diagnosis, measurements, runs, common.seed, masses, stop=late)
     lines = [
         f"{line}; measure them and append the rows to {data[-1]}"
-        for line in written({out: csv_text(found.columns)}, force, "next postures")
+        for line in written({out: csv_text(next_postures.columns)}, force, "next postures")
     ]
-    shown = [next_document(diagnosis, found), *lines, *missing_payload(loaded, measurements, found)]
+    shown = [next_document(diagnosis, next_postures), *lines, *missing_payload(loaded, measurements, next_postures)]
     rivals = [list(candidate.effects) for candidate in diagnosis.candidates]
     keys = {"verdict": diagnosis.verdict, "candidates": rivals}
-    return with_collisions(Answer(keys | found.to_json(), shown), loaded)
+    return with_collisions(Answer(keys | next_postures.to_json(), shown), loaded)
 
 
 def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:
@@ -81,9 +81,9 @@ def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:
     refuse_contacts(arm.chain)
     postures, fewest = len(set(measurements.posture_numbers.tolist())), DesignProblem.of(Model(arm)).fewest_runs
     if postures < fewest:
-        found = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
+        counted = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {path} chooses more"
-        raise InputError(f"{path}: {found}, allowed: {enough}")
+        raise InputError(f"{path}: {counted}, allowed: {enough}")
 
 
 def payload_list(text: str) -> tuple[float, ...]:

@@ -18,10 +18,10 @@ def command(common: CommonOptions, name: str | None = None) -> Answer:
     from identification.effects.catalogue import GRAVITY, entries, entry
 
     if name == "gravity":
-        needed = [found.name for found in entries() if "gravity" in found.needs]
+        needed = [effect.name for effect in entries() if "gravity" in effect.needs]
         return Answer({"name": name, "needed_by": needed, "block": GRAVITY}, [gravity_document(needed)])
     if name is not None:
-        found = entry(name.partition(":")[0])
-        return Answer(found.to_json(), [entry_document(found)])
+        effect = entry(name.partition(":")[0])
+        return Answer(effect.to_json(), [entry_document(effect)])
     listed = entries()
-    return Answer({"effects": [found.to_json() for found in listed]}, [library_document(listed)])
+    return Answer({"effects": [effect.to_json() for effect in listed]}, [library_document(listed)])

@@ -32,6 +32,6 @@ def command(common: CommonOptions, topic: str = FORMATS) -> Answer:
         return Answer({"topic": topic, "text": text}, [Markdown(text)])
     if topic not in group.commands:
         raise InputError(f"unknown topic {topic!r}, {nearest(topic, [FORMATS, *group.commands], OTHER_TOPICS)}")
-    found = group.commands[topic]
-    text = found.get_help(click.Context(found, info_name=topic, parent=context.parent))
+    subcommand = group.commands[topic]
+    text = subcommand.get_help(click.Context(subcommand, info_name=topic, parent=context.parent))
     return Answer({"topic": topic, "text": text}, [text])

@@ -85,9 +85,9 @@ def command(
     from identification.servo import following_errors, with_servo_errors
     from identification.sessions import with_sessions
     from identification.validate.judgement import prior_judged
-    from identification.validate.reuse import at_reference, with_place_doubted, words_of
+    from identification.validate.reuse import at_reference, with_base_doubt, words_of
     from identification.validate.row_groups import diagnosed
-    from identification.validate.set_up import with_mounting_doubted
+    from identification.validate.set_up import with_mounting_doubt
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -102,7 +102,7 @@ def command(
     prior, asked = as_asked(prior, measurements, method, parameters)
     wanted = Wanted(words, prior, prior_from, old, method, sigma, parameters == "minimal")
     common.report(0, None, f"fitting {len(measurements)} rows")
-    fits, fitted, said = [wanted.fit(loaded, measurements)] if not without_outliers else [], measurements, {}
+    fits, fitted, left_out_keys = [wanted.fit(loaded, measurements)] if not without_outliers else [], measurements, {}
     if without_outliers:
 
         def fit(rows: Measurements) -> Identification:
@@ -110,31 +110,31 @@ def command(
             return fits[-1][0]
 
         _, left_out = without(fit, measurements)
-        said = {"left_out": list(left_out)}
+        left_out_keys = {"left_out": list(left_out)}
         fitted = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
-    found, library, of_fit = fits[-1]
+    identified, library, of_fit = fits[-1]
     if words:
-        found = with_place_doubted(found, with_sessions(loaded, fitted), words, fitted)
-    before, found = found, with_mounting_doubted(found, fitted, lambda rows: wanted.fit(loaded, rows)[0])
-    mounted_anew = found is not before
+        identified = with_base_doubt(identified, with_sessions(loaded, fitted), words, fitted)
+    before, identified = identified, with_mounting_doubt(identified, fitted, lambda rows: wanted.fit(loaded, rows)[0])
+    mounted_anew = identified is not before
     offered = None
     if library is not None and not words and old is None:
-        offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, fitted)), fitted), found, fitted)
-    warn_beside_json(found.warnings)
+        offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, fitted)), fitted), identified, fitted)
+    warn_beside_json(identified.warnings)
     hidden = frozenset(library.prior.deviations if library else ())  # parameters of the library's effects
-    answer = Answer(found.to_json() | fit_data(found, arm, loaded, fitted, words) | of_fit | said)
+    answer = Answer(identified.to_json() | fit_data(identified, arm, loaded, fitted, words) | of_fit | left_out_keys)
     if library is not None:
         answer.data |= {"prior": library.to_json()}
         answer.data["parameters"] = [row for row in answer.data["parameters"] if row["name"] not in hidden]
         answer.shown.append(library.sentence)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
-    if (reason := no_file(found, force)) is not None and (out or urdf):
+    if (reason := no_file(identified, force)) is not None and (out or urdf):
         answer.shown += [f"{name} was not written: {reason}" for name in (out, urdf) if name is not None]
         answer.exit_code = 1
     elif out or urdf:
-        answer.shown += write_calibrated(found, arm, (out, urdf), force, hidden, kept)
+        answer.shown += write_calibrated(identified, arm, (out, urdf), force, hidden, kept)
     else:
-        answer.exit_code = 1 if found.not_identifiable else 0
+        answer.exit_code = 1 if identified.not_identifiable else 0
     if asked is not None:
         answer.data["fit"] = asked
         answer.shown.append(asked_in_words(asked, data))
@@ -145,8 +145,8 @@ def command(
         warn_beside_json([] if better else [hardly_better(answer.data["offered"])])
     if errors := following_errors(measurements, loaded.joint_types):
         answer.data["servo_error"] = [error.to_json() for error in errors]
-    every = full or old is not None or found.machining_factor is None  # as where [machining] holds no value
-    document = identification_document(found, answer.data, hidden, full=every)
+    every = full or old is not None or identified.machining_factor is None  # as where [machining] holds no value
+    document = identification_document(identified, answer.data, hidden, full=every)
     told = {"allowed_for": library is not None, "better": better, "mounted_anew": mounted_anew}
     actions = identification_actions(str(arm), str(data), out, diagnosed=diagnosed(loaded), **told)
     answer.shown = [replace(document.plus(*answer.shown), actions=[] if answer.exit_code else actions)]
@@ -195,7 +195,7 @@ def in_words(data: dict[str, Any]) -> list[str]:
     return sentences
 
 
-def fit_data(found: Identification, path: Path, arm: Arm, data: Measurements, words: list[str]) -> dict[str, Any]:
+def fit_data(fit: Identification, path: Path, arm: Arm, data: Measurements, words: list[str]) -> dict[str, Any]:
     """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
     from doe.report.identification import dh_table
     from identification.estimation.dh_values import Calibrated
@@ -207,12 +207,12 @@ def fit_data(found: Identification, path: Path, arm: Arm, data: Measurements, wo
         drawing = rms_distance(drawing_residuals(arm, data))
     except InputError:  # too few rows
         drawing = None
-    extra = {"cross_validated_mm": left_out_rms(found, data), "rms_drawing_mm": drawing}
+    extra = {"cross_validated_mm": left_out_rms(fit, data), "rms_drawing_mm": drawing}
     if arm.calibration is not None and words and set(words) <= {"base", "tool"} and drawing is not None:
         extra["rms_nominal_mm"] = drawing
-    if found.geometry is None or found.not_identifiable:
+    if fit.geometry is None or fit.not_identifiable:
         return extra
-    rows, places = dh_table(Calibrated.of(found), found.corrected_values, path)
+    rows, places = dh_table(Calibrated.of(fit), fit.corrected_values, path)
     return extra | ({"dh_table": [row.to_json() for row in rows], "dh_places": places} if rows else {})
 
 
@@ -247,11 +247,11 @@ class Wanted:
         wide = wide if library is None else library.arm
         free = [] if library is None else list(library.prior.deviations)  # the library's effects always are
         model = only(wide, [*self.words, *free], data) if self.words else Model(wide)
-        said: dict[str, Any] = {"only": self.words} if self.words else {}
+        keys: dict[str, Any] = {"only": self.words} if self.words else {}
         if library is None and self.old is None:
             model = minimal_model(model, data) if self.minimal else model
-            found = estimate(model, data, method=self.method, sigma=self.sigma)
-            return with_repeats_doubted(found, data), None, said
+            identified = estimate(model, data, method=self.method, sigma=self.sigma)
+            return with_repeats_doubted(identified, data), None, keys
         if self.minimal:
             raise InputError("--parameters: minimal with --prior, allowed: all")
         if self.method not in (None, "gauss_newton"):
@@ -262,15 +262,15 @@ class Wanted:
                 prior = replace(prior, earlier=earlier(self.old, model, data))
             except InputError as error:
                 raise InputError(f"{self.prior_from}: {error}") from None
-        found = estimate_with_prior(model, data, prior, sigma=self.sigma)
+        identified = estimate_with_prior(model, data, prior, sigma=self.sigma)
         if prior.earlier is not None:
-            said["prior_from"] = {
+            keys["prior_from"] = {
                 "file": str(self.prior_from),
                 "parameters": list(prior.earlier.names),
                 "anew": [name for name in model.names if name not in prior.names and name not in model.prior],
-                "contradicted": [one.to_json() for one in found.contradictions],
+                "contradicted": [one.to_json() for one in identified.contradictions],
             }
-        return with_repeats_doubted(found, data), library, said
+        return with_repeats_doubted(identified, data), library, keys
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
@@ -280,8 +280,8 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
 
     if model.arm.chain is not None and not model.arm.chain.instrument.shows_size:
         surface = "spheres of unknown radius" if model.arm.chain.instrument.kind == SPHERE else "planes"
-        found = f"minimal for contacts with {surface}, which leave the size of the arm open"
-        raise InputError(f"--parameters: found {found}, allowed: all, with the prior of [machining]")
+        reduced = f"minimal for contacts with {surface}, which leave the size of the arm open"
+        raise InputError(f"--parameters: found {reduced}, allowed: all, with the prior of [machining]")
     kept = minimal_of(model, measurements, PRACTICAL)
     if hardly := [name for name in minimal_of(model, measurements).names if name not in kept.names]:
         left = f"{', '.join(hardly)} would move no coordinate by {PRACTICAL:g} mm RMS"
@@ -290,20 +290,20 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
 
 
 # -- files -------------------------------------------------------------------------------------------------------------
-def no_file(found: Identification, force: bool) -> str | None:
+def no_file(fit: Identification, force: bool) -> str | None:
     """The reason why a fit is not written into an arm file, or None if it is."""
-    if found.not_identifiable:
+    if fit.not_identifiable:
         return "not every parameter is estimable from the data"
-    if found.status is not Status.implausible:
+    if fit.status is not Status.implausible:
         return None
-    lengths = [] if found.geometry else (found.model.arm.lengths + found.length_errors).tolist()
+    lengths = [] if fit.geometry else (fit.model.arm.lengths + fit.length_errors).tolist()
     if lengths and min(lengths) <= 0.0:
         return f"link {lengths.index(min(lengths)) + 1} would have no positive length"
     return None if force else "the fit is implausible; --force writes it all the same"
 
 
 def write_calibrated(
-    found: Identification,
+    fit: Identification,
     path: Path,
     names: tuple[Path | None, Path | None],
     force: bool,
@@ -326,18 +326,18 @@ def write_calibrated(
     out, urdf = names
     files: dict[PathLike, str | bytes] = {}
     if out is not None:
-        kinds = found.model.arm.joint_types
-        calibration = with_held(found.calibration().about(set(found.names) - hidden), kept[0], kinds)
+        kinds = fit.model.arm.joint_types
+        calibration = with_held(fit.calibration().about(set(fit.names) - hidden), kept[0], kinds)
         calibration = without_sessions(with_data_of(calibration, kept[1], kinds))
-        effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
+        effects = [spec for spec in fit.model.arm.effects if spec.name != SESSIONS]
         files[out] = with_calibration(with_effects(read_text(path), effects, path.parent), calibration, path.parent)
-    if found.geometry is not None:
+    if fit.geometry is not None:
         files |= urdf_beside(path, out)
-        files |= {} if urdf is None else {urdf: corrected_urdf(path, found.geometry.real)}
+        files |= {} if urdf is None else {urdf: corrected_urdf(path, fit.geometry.real)}
     write_together(files, force=force)
     what = {out: "calibrated arm", urdf: "corrected URDF file"}
     lines = [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
-    if urdf is not None and found.model.effects:
-        left_out = ", ".join(effect.label for effect in found.model.effects)
+    if urdf is not None and fit.model.effects:
+        left_out = ", ".join(effect.label for effect in fit.model.effects)
         lines.append(f"a URDF file has no effects: {left_out} left out")
     return lines

@@ -42,9 +42,9 @@ def command(
     """
     from doe.report.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
 
-    given = [name for name, value in (("--links", links), ("--urdf", robot), ("--dh", dh)) if value is not None]
-    if len(given) > 1:
-        raise InputError(f"{given[1]}: found with {given[0]}, allowed: one of them")
+    sources = [name for name, value in (("--links", links), ("--urdf", robot), ("--dh", dh)) if value is not None]
+    if len(sources) > 1:
+        raise InputError(f"{sources[1]}: found with {sources[0]}, allowed: one of them")
     for name, value in (("--base-link", base_link), ("--tip-link", tip_link)):
         if value is not None and robot is None:
             raise InputError(f"{name}: found without --urdf, allowed: with --urdf")

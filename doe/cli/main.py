@@ -76,13 +76,13 @@ class Verbs(click.Group):
         """In the order in which they were added."""
         return list(self.commands)
 
-    def make_context(self, info_name: str | None, args: list[str], *more: Any, **options: Any) -> click.Context:
+    def make_context(self, info_name: str | None, args: list[str], *arguments: Any, **options: Any) -> click.Context:
         """As in click, but usage errors take one line; the words of the command line are kept."""
         words = tuple(args)
         with one_line_errors():
             if any("\0" in word for word in words):  # no shell can pass one on; a program that calls this can
                 raise click.UsageError("a word with a null character, allowed: text")
-            context = super().make_context(info_name, args, *more, **options)
+            context = super().make_context(info_name, args, *arguments, **options)
         context.meta[WORDS] = words
         return context
 

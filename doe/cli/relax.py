@@ -45,8 +45,8 @@ class RelaxationOptions:
         from doe.bounds.relaxation import LARGEST
 
         if self.seconds is not None and solver in LARGEST:
-            found, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
-            raise InputError(f"--seconds: {found}, which cannot be stopped, allowed: with {allowed}")
+            reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
+            raise InputError(f"--seconds: {reason}, which cannot be stopped, allowed: with {allowed}")
         began, seconds = perf_counter(), SECONDS if self.seconds is None else self.seconds
         weighted = began + seconds * (0.5 if self.check else 1.0)
         return (lambda: perf_counter() > weighted), began + seconds
@@ -86,16 +86,16 @@ def command(
     solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
     new = chosen.runs or (problem.parameters if problem.deviations else None)
     stop, end = chosen.limits(solver)
-    found = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
-    data, shown = found.to_json(), list[Any]([relax_document(found)])
+    relaxation = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
+    data, shown = relaxation.to_json(), list[Any]([relax_document(relaxation)])
     if chosen.check:
         common.report(1, 2, "cross-check")
         runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
         checked = with_choices(problem) if criterion.robust else problem
-        compared = cross_check(checked, found, runs, seed=common.seed, seconds=end - perf_counter())
+        compared = cross_check(checked, relaxation, runs, seed=common.seed, seconds=end - perf_counter())
         data["cross_check"] = compared.rows()
         shown.append(cross_check_table(compared))
-    text = plan_text(replace(found.plan, fit=problem.fit), loaded.joint_types)
+    text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
     return with_collisions(Answer(data, [*shown, *written({out: text}, force, "plan with weights")]), loaded)
 
 
@@ -120,9 +120,5 @@ def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array
         if chosen.grid is not None:
             raise InputError("--grid: found for contacts, whose postures are those that touch, allowed: without")
         return problem.choices
-    return chosen.grid or default_levels(len(problem.active_joints))
-
-
-def default_levels(joints: int) -> int:
-    """Levels per joint that give about ten thousand candidates."""
-    return max(2, min(181, round(10_000 ** (1.0 / max(joints, 1)))))
+    # by default levels that give about ten thousand candidates
+    return chosen.grid or max(2, min(181, round(10_000 ** (1.0 / max(len(problem.active_joints), 1)))))

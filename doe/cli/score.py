@@ -58,16 +58,16 @@ def command(
     from identification.model import Model
 
     loaded, criterion = load_arm(arm), CriterionOptions(robust=robust, missing=missing)
-    given = load_plan(plan, loaded.joint_types)
-    design = _scored(loaded, given, plan, criterion, seconds)
-    sees, tables = _preflight(loaded, given, plan, aliases)
-    pictures: dict[Path | None, Content] = {picture: lambda: plan_drawing(loaded, given.postures)}
+    loaded_plan = load_plan(plan, loaded.joint_types)
+    design = _scored(loaded, loaded_plan, plan, criterion, seconds)
+    sees, tables = _preflight(loaded, loaded_plan, plan, aliases)
+    pictures: dict[Path | None, Content] = {picture: lambda: plan_drawing(loaded, loaded_plan.postures)}
     problem = DesignProblem.of(Model(loaded))
-    indices, values = observability(problem, given.postures), criterion_values(problem, given.postures)
+    indices, values = observability(problem, loaded_plan.postures), criterion_values(problem, loaded_plan.postures)
     tip = replace(problem, criterion=average_error(problem))
-    error = None if values["I"] is None else error_at_poses(tip, values["I"], len(given))
-    meant = f"{plan} is to be fitted by armcal identify --{given.fit}: {ROBUST}"
-    lines = [meant] if given.fit and not criterion.robust else []
+    error = None if values["I"] is None else error_at_poses(tip, values["I"], len(loaded_plan))
+    meant = f"{plan} is to be fitted by armcal identify --{loaded_plan.fit}: {ROBUST}"
+    lines = [meant] if loaded_plan.fit and not criterion.robust else []
     data = design.to_json() | {
         "workspace_error_mm": error,
         "observability": indices.to_json(),
@@ -85,32 +85,32 @@ def _alias_drawing(sees: Detectability) -> Figure:
     return alias_figure(sees)
 
 
-def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions, seconds: float) -> Design:
+def _scored(arm: Arm, plan: Plan, path: Path, criterion: CriterionOptions, seconds: float) -> Design:
     """The plan as a `Design`. Raises `InputError` for too few runs; warns of runs that the arm cannot reach."""
     from doe.design import score_plan
     from doe.problem.robust import with_choices
 
     problem = design_problem(arm, criterion)
     if criterion.robust or problem.choices is not None:
-        problem = with_choices(problem, given.postures)
-    if len(given) < problem.fewest_runs:
+        problem = with_choices(problem, plan.postures)
+    if len(plan) < problem.fewest_runs:
         need = f"allowed: at least {problem.fewest_runs} for {problem.parameters} parameters"
-        raise InputError(f"{path}: {len(given)} runs, {need}")
-    design = score_plan(problem, given, seconds=seconds)
+        raise InputError(f"{path}: {len(plan)} runs, {need}")
+    design = score_plan(problem, plan, seconds=seconds)
     if design.outside:
-        found = f"{len(design.outside)} of {len(given)} runs are outside joint limits or constraints, the first is run"
-        warnings.warn(f"{path}: {found} {design.outside[0]}: the bound does not apply", UserWarning, stacklevel=2)
+        outside = f"{len(design.outside)} of {len(plan)} runs are outside joint limits or constraints, the first is run"
+        warnings.warn(f"{path}: {outside} {design.outside[0]}: the bound does not apply", UserWarning, stacklevel=2)
     return design
 
 
-def _preflight(arm: Arm, given: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
+def _preflight(arm: Arm, plan: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
     """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
     from doe.problem.spatial import without_prior
     from doe.report.design import preflight_parts
     from identification.gap.detectability import detectability
 
     try:
-        sees = detectability(without_prior(arm), given.postures)
+        sees = detectability(without_prior(arm), plan.postures)
     except InputError as error:  # too few runs to test for effects: a property of the plan, not bad input
         if aliases is not None:
             raise InputError(f"--aliases: {path}: {error}") from error

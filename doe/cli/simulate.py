@@ -41,7 +41,7 @@ def command(common: CommonOptions, arm: File, plan: File, *, truth: File, out: O
             f"{'planar' if a.dimension == 2 else 'spatial'}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)
         ]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
-    given = load_plan(plan, loaded.joint_types)
+    measured_plan = load_plan(plan, loaded.joint_types)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
@@ -49,10 +49,10 @@ def command(common: CommonOptions, arm: File, plan: File, *, truth: File, out: O
         warnings.warn(f"{truth}: {sentence}", UserWarning, stacklevel=2)
     conditions = load_plan_conditions(plan, loaded.joint_types)
     try:
-        data = simulate(true_arm, given.postures, np.random.default_rng(common.seed), sigma=sigma, **conditions)
+        data = simulate(true_arm, measured_plan.postures, np.random.default_rng(common.seed), sigma=sigma, **conditions)
     except InputError as error:
         raise InputError(f"{truth}: {error}") from None
-    write_whole(out, measurement_text(replace(data, fit=given.fit), loaded.joint_types), force=force)
+    write_whole(out, measurement_text(replace(data, fit=measured_plan.fit), loaded.joint_types), force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
     return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"])
 
@@ -61,10 +61,10 @@ def without_values(truth: Arm) -> list[str]:
     """A sentence for every effect whose values are all zero, in its table and in the calibration."""
     from identification.effects import build_all
 
-    given = {} if truth.calibration is None else truth.calibration.effects
+    calibrated = {} if truth.calibration is None else truth.calibration.effects
     built = zip(build_all(truth.effects, truth.links, truth.lengths, truth.dimension), truth.effects, strict=True)
     return [
         f"{effect.key} has no value and does nothing; it has {', '.join(p.toml_key for p in effect.parameters)}"
         for effect, spec in built
-        if not effect.scatter and not any(p.short in spec.values or p.name in given for p in effect.parameters)
+        if not effect.scatter and not any(p.short in spec.values or p.name in calibrated for p in effect.parameters)
     ]

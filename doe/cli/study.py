@@ -114,9 +114,9 @@ def _paper(replications: int | None, folder: Path, workers: Workers, options: Op
     from doe.report.studies import paper_parts, paper_pictures
     from doe.studies.paper.study import paper_study
 
-    found = paper_study(replications, folder, workers, **options)
-    paper_pictures(folder, found)
-    return _tables_answer(found, folder, paper_parts(found))
+    study = paper_study(replications, folder, workers, **options)
+    paper_pictures(folder, study)
+    return _tables_answer(study, folder, paper_parts(study))
 
 
 def _blind(
@@ -131,15 +131,15 @@ def _blind(
     from doe.report.studies import blind_parts, blind_pictures
     from doe.studies.blind.study import blind_study, reported_cells
 
-    found = blind_study(cells or reported_cells(space), replications, folder, workers, **options)
-    blind_pictures(folder, found)
-    return _tables_answer(found, folder, blind_parts(found))
+    study = blind_study(cells or reported_cells(space), replications, folder, workers, **options)
+    blind_pictures(folder, study)
+    return _tables_answer(study, folder, blind_parts(study))
 
 
-def _tables_answer(found: BlindStudy | PaperStudy, folder: Path, shown: list[Any]) -> Answer:
+def _tables_answer(study: BlindStudy | PaperStudy, folder: Path, shown: list[Any]) -> Answer:
     """The tables as JSON; exit code 1 if the study missed one of its targets."""
-    rows = {name: frame.to_dicts() for name, frame in found.tables.items()}
-    return Answer({"out": folder, "passed": found.passed, **rows}, shown, exit_code=0 if found.passed else 1)
+    rows = {name: frame.to_dicts() for name, frame in study.tables.items()}
+    return Answer({"out": folder, "passed": study.passed, **rows}, shown, exit_code=0 if study.passed else 1)
 
 
 BUILT_IN: dict[str, Callable[..., Answer]] = {

@@ -40,18 +40,18 @@ def command(
     from identification.validate.row_groups import mostly_outside
 
     arm = load_arm(model)
-    found = validate(arm, read_measurements(data, arm), refit)
-    beyond = arm.chain is not None and mostly_outside(arm, found.measurements.postures)
-    data_of = found.to_json()
+    validation = validate(arm, read_measurements(data, arm), refit)
+    beyond = arm.chain is not None and mostly_outside(arm, validation.measurements.postures)
+    data_of = validation.to_json()
     actions = validation_actions(is_better(data_of), refit, str(model), str(data), beyond=beyond)
-    answer = Answer(data_of, [replace(found.document(), actions=actions)])
-    written({picture: lambda: validation_drawing(found)}, force)
-    warn_beside_json(f"{data}: {note}" for note in found.notes)
+    answer = Answer(data_of, [replace(validation.document(), actions=actions)])
+    written({picture: lambda: validation_drawing(validation)}, force)
+    warn_beside_json(f"{data}: {note}" for note in validation.notes)
     return answer
 
 
-def validation_drawing(found: Validation) -> Figure:
+def validation_drawing(validation: Validation) -> Figure:
     """Residuals against time and over the workspace."""
     from doe.report.figures import validation_figure  # deferred: matplotlib takes longer to load than a validation
 
-    return validation_figure(found)
+    return validation_figure(validation)

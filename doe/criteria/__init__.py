@@ -37,8 +37,8 @@ def criterion(
         return I(test_jacobians)
     if name == "Ds":
         if not subset or not set(subset) <= set(range(len(units) or max(subset) + 1)):
-            found = list(subset) if subset else "none"
-            raise InputError(f"criterion: Ds needs a subset of the parameters, found {found}, allowed: at least one")
+            chosen = list(subset) if subset else "none"
+            raise InputError(f"criterion: Ds needs a subset of the parameters, found {chosen}, allowed: at least one")
         return Ds(tuple(subset))
     if name == "Dstar":
         return DStar.by_unit(units)

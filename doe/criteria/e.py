@@ -54,13 +54,15 @@ class PowerMean(DegreeOne):
         values, vectors = np.linalg.eigh(information)
         slopes, mean, k = self._slopes(values), float(self.value(information)), self.exponent
         turned = vectors.T @ directions @ vectors
-        own = -(k + 1.0) * slopes / values
+        slope_changes = -(k + 1.0) * slopes / values
         gap = values[:, None] - values
         near = np.abs(gap) <= 1e-7 * np.abs(values[:, None] + values)  # the quotient's limit, to 1e-7 of itself
-        quotient = np.where(near, (own[:, None] + own) / 2.0, (slopes[:, None] - slopes) / np.where(near, 1.0, gap))
+        quotient = np.where(
+            near, (slope_changes[:, None] + slope_changes) / 2.0, (slopes[:, None] - slopes) / np.where(near, 1.0, gap)
+        )
         np.fill_diagonal(quotient, 0.0)
         diagonal = np.diagonal(turned, axis1=-2, axis2=-1)
-        full = np.diag(own) + (k + 1.0) * np.outer(slopes, slopes) / mean
+        full = np.diag(slope_changes) + (k + 1.0) * np.outer(slopes, slopes) / mean
         flat = turned.reshape(len(directions), -1)
         return diagonal @ full @ diagonal.T + (flat * quotient.ravel()) @ flat.T
 

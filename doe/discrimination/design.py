@@ -257,11 +257,11 @@ def best_order(library: EffectLibrary, postures: Array, generator: np.random.Gen
     shuffles = [generator.permutation(len(postures)) for _ in range(SHUFFLES)]
     if library.jacobian_by_order is None:
         return np.asarray(postures[shuffles[0]])
-    scores, own = [], library.own
+    scores, base = [], library.base
     for order in chain(shuffles[:1], takewhile(lambda _: not budget.out_of_time, shuffles[1:])):
         jacobian = library.jacobian_by_order(postures[order])
         information = information_matrix(jacobian)
-        cross = information[:own, own:]
-        explained = cross.T @ covariance(jacobian[..., :own], np.ones(own)) @ cross
-        scores.append(float(log_determinants(information[own:, own:] - explained)))
+        cross = information[:base, base:]
+        explained = cross.T @ covariance(jacobian[..., :base], np.ones(base)) @ cross
+        scores.append(float(log_determinants(information[base:, base:] - explained)))
     return np.asarray(postures[shuffles[int(np.argmax(scores))]])

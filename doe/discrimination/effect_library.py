@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doe.problem.problem import InformationModel
-from doe.problem.spatial import whole, without_prior
+from doe.problem.spatial import measuring_every_point, without_prior
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import BY_ORDER
@@ -22,7 +22,7 @@ from identification.model import Model
 class EffectLibrary:
     """Rival effects: what a plan is to distinguish.
 
-    own : p, parameters of the model that is to be identified; they come first in the models below
+    base : p, parameters of the model that is to be identified; they come first in the models below
     shown_by_postures : the model with every effect that postures alone can show, K parameters more
     bases : per effect (K, s), the combinations of the K scaled parameters that it may take
     weights : (H,) how likely each effect is, in any unit
@@ -31,7 +31,7 @@ class EffectLibrary:
     preflight : postures (m, n) -> what measuring them could show of every effect; None: not needed
     """
 
-    own: int
+    base: int
     shown_by_postures: InformationModel
     bases: Sequence[Array]
     weights: Array
@@ -46,27 +46,27 @@ def effect_library(arm: Arm) -> EffectLibrary:
     a minimal set of parameters, as tests for effects see it.
     """
     arm = without_prior(arm)
-    known = hypotheses(arm, frozenset())
-    common = [h for h in known.unscanned if h.effect.prior == 1.0]
+    tested = hypotheses(arm, frozenset())
+    common = [h for h in tested.unscanned if h.effect.prior == 1.0]
     shown = [h for h in common if not h.effect.needs & BY_ORDER]
     model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown)))
-    own = len(Model(arm).parameters)
+    base = len(Model(arm).parameters)
     ordered = [h.spec for h in common if h.effect.needs & BY_ORDER]
     return EffectLibrary(
-        own,
-        whole(model),
-        tuple(basis_of(model, own, hypothesis) for hypothesis in shown),
+        base,
+        measuring_every_point(model),
+        tuple(basis_of(model, base, hypothesis) for hypothesis in shown),
         np.array([hypothesis.weight for hypothesis in shown]),
         by_order(Model(arm.with_effects(*arm.effects, *ordered))),
         lambda postures: detectability(arm, postures),
     )
 
 
-def basis_of(model: Model, own: int, hypothesis: Hypothesis) -> Array:
+def basis_of(model: Model, base: int, hypothesis: Hypothesis) -> Array:
     """(K, s) the scaled parameters of one effect, all in one column where it acts at every joint alike."""
-    columns = [model.parameters.index(parameter.name) - own for parameter in hypothesis.effect.parameters]
-    basis = np.zeros((len(model.parameters) - own, len(columns)))
-    basis[columns, range(len(columns))] = model.scales[own:][columns]
+    columns = [model.parameters.index(parameter.name) - base for parameter in hypothesis.effect.parameters]
+    basis = np.zeros((len(model.parameters) - base, len(columns)))
+    basis[columns, range(len(columns))] = model.scales[base:][columns]
     return basis.sum(axis=1, keepdims=True) if hypothesis.family else basis
 
 

@@ -39,13 +39,13 @@ class MisidentificationBound:
 
     No criterion of optimality: it is no concave function of M, so there is no certificate for it.
 
-    own : p, the base model's parameters, which come first
+    base : p, the base model's parameters, which come first
     bases : per effect (K, s), the combinations of the K parameters of effects that it may take
     weights : (H,) how likely each effect is, in any unit
     reference : (p + K, p + K) information per run of random postures
     """
 
-    own: int
+    base: int
     bases: Sequence[Array]
     weights: Array
     reference: Array
@@ -56,7 +56,7 @@ class MisidentificationBound:
 
     def wrong(self, information: Array) -> Array:
         """(...) bound on the mean probability of a wrong name; infinite where the base model's part is singular."""
-        p = self.own
+        p = self.base
         usable = np.isfinite(log_determinants(information[..., :p, :p]))
         schur = self._off_base(np.where(usable[..., None, None], information, self.reference))[0]
         seen = self.directions @ schur
@@ -87,7 +87,7 @@ class MisidentificationBound:
 
     def _off_base(self, information: Array) -> tuple[Array, Array]:
         """S (..., K, K), and (..., p, K) what the base parameters must do to leave that."""
-        p = self.own
+        p = self.base
         cross = information[..., :p, p:]
         base = -np.linalg.solve(information[..., :p, :p], cross)
         return np.asarray(information[..., p:, p:] + np.swapaxes(cross, -1, -2) @ base), np.asarray(base)
@@ -96,7 +96,7 @@ class MisidentificationBound:
     def _drawn(self) -> tuple[Array, NDArray[np.intp], Array]:
         """(D, K) directions, (D,) the effect of each and (D,) its probability."""
         schur = self._off_base(self.reference)[0]
-        whole = np.diag(self.reference)[self.own :]
+        whole = np.diag(self.reference)[self.base :]
         rows, owners, probabilities = [], [], []
         for number, basis in enumerate(self.bases):
             lengths = ((v, float(v @ schur @ v)) for v in (basis @ mix for mix in mixes(basis.shape[1])))

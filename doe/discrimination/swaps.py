@@ -61,12 +61,12 @@ class ExtendedProblem:
 def extended_problem(problem: DesignProblem, library: EffectLibrary) -> ExtendedProblem:
     """The same design space for the model with the effects that postures show, as tests see it: in space with a minimal
     set of parameters, which has no prior."""
-    known = set(library.shown_by_postures.parameters.names) if library.own == problem.parameters else ()
-    deviations = {name: size for name, size in problem.deviations.items() if name in known}
+    shown = set(library.shown_by_postures.parameters.names) if library.base == problem.parameters else ()
+    deviations = {name: size for name, size in problem.deviations.items() if name in shown}
     extended = replace(problem, model=library.shown_by_postures, deviations=deviations)
     cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
     reference = information_matrix(extended.scaled_jacobians(cloud)) / len(cloud)
-    bound = MisidentificationBound(library.own, library.bases, library.weights, reference)
+    bound = MisidentificationBound(library.base, library.bases, library.weights, reference)
     return ExtendedProblem(problem, extended, bound)
 
 
@@ -153,7 +153,7 @@ class Swaps:
         """The best of the most promising swaps, else of more of them; False if none gains enough."""
         gradients = [self.misidentification.gradient(self.information)]
         if self.slack < TIGHT:
-            p = self.misidentification.own
+            p = self.misidentification.base
             for multiplier in MULTIPLIERS:
                 mixed = np.array(gradients[0])
                 mixed[:p, :p] += multiplier * np.linalg.inv(self.information[:p, :p])
@@ -184,7 +184,7 @@ class Swaps:
         old, new = self.jacobians[pairs[:, 0]], self.offered[pairs[:, 1]]
         change = np.swapaxes(new, -1, -2) @ new - np.swapaxes(old, -1, -2) @ old
         informations = self.information + change / self.total
-        p = self.misidentification.own
+        p = self.misidentification.base
         change_of_log_det = (
             np.linalg.slogdet(informations[:, :p, :p])[1] - np.linalg.slogdet(self.information[:p, :p])[1]
         )

@@ -143,8 +143,8 @@ class RivalPredictions:
     def best_beside(self, chosen: list[int]) -> int:
         """Row of the pool of the greatest merit: the weighted sum over pairs of the chance to distinguish them, and a
         little of the logarithm of lambda^2."""
-        known, gain = self.noncentrality(chosen)
-        squares = known[:, :, None] + gain
+        noncentrality, gain = self.noncentrality(chosen)
+        squares = noncentrality[:, :, None] + gain
         merit = self.pair_chance(squares) + NUDGE * np.log1p(squares)
         return int(np.argmax(np.einsum("i,ij,ijn->n", self.weights, 1.0 - np.eye(len(self.weights)), merit)))
 
@@ -221,8 +221,8 @@ def possible_conditions(
     arm: Arm, count: int, generator: np.random.Generator, payloads: tuple[float, ...] | None
 ) -> Conditions:
     """A payload and directions of approach for each of `count` postures, at random."""
-    own = 0.0 if arm.gravity is None else arm.gravity.payload
-    payload = generator.choice(np.array(payloads or (own,)), count)
+    usual = 0.0 if arm.gravity is None else arm.gravity.payload
+    payload = generator.choice(np.array(payloads or (usual,)), count)
     directions = generator.choice(np.array([-1.0, 1.0]), (count, arm.links))
     return Conditions(payload, None, np.full(count, 0.5), directions)
 

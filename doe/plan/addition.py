@@ -23,7 +23,14 @@ STEPS = 0.3 * 0.3 ** np.arange(8)  # standard deviations of their distances, in 
 
 def with_additions(problem: DesignProblem, plan: Array, count: int, generator: np.random.Generator) -> Array | None:
     """(m + count, n) the plan (m, n) and, one by one, the postures that add most; None where none more is allowed."""
-    longer, places = np.array(plan), places_of(problem, generator)
+    longer = np.array(plan)
+    if problem.choices is not None:
+        places = listed_candidates(problem, problem.choices).postures
+    else:  # random allowed postures, many of them at limits
+        anywhere = random_postures(problem, PLACES, generator)
+        half = anywhere[: PLACES // 2]
+        nearer = np.where(half < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
+        places = np.concatenate([anywhere, np.where(generator.random(half.shape) < 0.5, nearer, half)])
     for _ in range(count):
         posture = _best(problem, longer, places)
         if posture is None:
@@ -35,16 +42,6 @@ def with_additions(problem: DesignProblem, plan: Array, count: int, generator: n
             posture = posture if best is None else best
         longer = np.concatenate([longer, posture[None]])
     return longer
-
-
-def places_of(problem: DesignProblem, generator: np.random.Generator) -> Array:
-    """(k, n) the problem's choices, or random allowed postures, many of them at limits."""
-    if problem.choices is not None:
-        return listed_candidates(problem, problem.choices).postures
-    anywhere = random_postures(problem, PLACES, generator)
-    half = anywhere[: PLACES // 2]
-    nearer = np.where(half < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
-    return np.concatenate([anywhere, np.where(generator.random(half.shape) < 0.5, nearer, half)])
 
 
 def _best(problem: DesignProblem, plan: Array, places: Array) -> Array | None:

@@ -10,7 +10,7 @@ import numpy as np
 from doe.criteria import I
 from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem, InformationModel
-from doe.problem.spatial import of_one_arm
+from doe.problem.spatial import arm_model_of
 from identification.arrays import Array, readonly
 from identification.information import Spectrum, spectrum
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
@@ -66,10 +66,10 @@ class ExpectedDeviations:
         return float(np.max(self.values[chosen], initial=0.0))
 
     def _by_joint(self, kind: str) -> Array:
-        found = np.zeros(self.orientation.size)
+        by_joint = np.zeros(self.orientation.size)
         for k in self.parameters.indices(kind).tolist():
-            found[(self.parameters[k].joint or 0) - 1] = self.values[k]
-        return readonly(found)
+            by_joint[(self.parameters[k].joint or 0) - 1] = self.values[k]
+        return readonly(by_joint)
 
 
 def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | None:
@@ -81,7 +81,7 @@ def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | N
     criterion, sigma = problem.criterion, problem.model.sigma
     if not isinstance(criterion, I) or sigma is None or not np.isfinite(value):
         return None
-    model = of_one_arm(problem.model)
+    model = arm_model_of(problem.model)
     coordinates = criterion.jacobians.shape[1]
     points = 1.0 if model is None else coordinates / of_positions(model).dimension
     return float(np.sqrt(max(-value, 0.0) / points / (runs + problem.prior.runs) * sigma**2 + problem.beyond))
@@ -108,10 +108,10 @@ def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | Non
 
 def prior_rows(problem: DesignProblem) -> Array:
     """(r, d, p) rows whose B^T B sum to the information of `problem.deviations`, d at a time."""
-    known = np.flatnonzero(problem.precisions)
+    informed = np.flatnonzero(problem.precisions)
     d, p = problem.model.dimension, problem.parameters
-    rows = np.zeros((-(-len(known) // d) * d, p))
-    rows[range(len(known)), known] = np.sqrt(problem.precisions[known])
+    rows = np.zeros((-(-len(informed) // d) * d, p))
+    rows[range(len(informed)), informed] = np.sqrt(problem.precisions[informed])
     return rows.reshape(-1, d, p)
 
 
@@ -148,10 +148,10 @@ def deviations_per_draw(
     return tuple(_deviations(one, model.model, problem.joints, sigma) for one in decomposed)
 
 
-def over_draws(found: Sequence[ExpectedDeviations], judge: Callable[..., Array]) -> ExpectedDeviations:
+def over_draws(draws: Sequence[ExpectedDeviations], judge: Callable[..., Array]) -> ExpectedDeviations:
     """Mean (`np.mean`) or worst (`np.max`) of each standard deviation over the draws."""
-    values, orientation = (judge([getattr(one, name) for one in found], axis=0) for name in ("values", "orientation"))
-    return replace(found[0], values=values, orientation=orientation)
+    values, orientation = (judge([getattr(one, name) for one in draws], axis=0) for name in ("values", "orientation"))
+    return replace(draws[0], values=values, orientation=orientation)
 
 
 def _deviations(decomposed: Spectrum, model: InformationModel, joints: int, sigma: float) -> ExpectedDeviations:

@@ -34,18 +34,14 @@ def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
     """
     table = read_table(path)
     plan = Plan(read_postures(table, joints), _weights(table), fit=table.fit)
-    warn_unknown(table, ["run", *joint_columns(table, joints), "weight", *condition_columns(plan.links)])
+    conditions = ["payload_kg", "temperature_C", *(f"direction{j}" for j in range(1, plan.links + 1))]
+    warn_unknown(table, ["run", *joint_columns(table, joints), "weight", *conditions])
     return plan
 
 
 def load_plan_conditions(path: PathLike, joints: int | Sequence[str]) -> dict[str, Array | None]:
     """What else a plan may say of its rows: `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n)."""
     return read_conditions(read_table(path), joints)
-
-
-def condition_columns(links: int) -> list[str]:
-    """Columns of a plan that say under which conditions a row is to be measured."""
-    return ["payload_kg", "temperature_C", *(f"direction{j}" for j in range(1, links + 1))]
 
 
 def plan_text(plan: Plan, joint_types: JointTypes = None) -> str:

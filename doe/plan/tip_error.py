@@ -17,7 +17,7 @@ from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import missing_effects, robust_problem, tip_jacobians, workspace
-from doe.problem.spatial import of_one_arm
+from doe.problem.spatial import arm_model_of
 from identification.arrays import Array
 from identification.information import information_matrix, inverses, spectrum
 from identification.model.positions import of_positions
@@ -47,9 +47,9 @@ class TipError:
 
     def to_json(self) -> dict[str, float | None]:
         """Key `tip_error_mm` (identification/files/README.md, "JSON keys"); None where a plan is not enough."""
-        found = {"model_right": self.right, "effects_missing": self.missing, "effects_missing_prior": self.with_prior}
-        found |= {"model_right_worst": self.worst}
-        return {name: value if np.isfinite(value) else None for name, value in found.items()}
+        errors = {"model_right": self.right, "effects_missing": self.missing, "effects_missing_prior": self.with_prior}
+        errors |= {"model_right_worst": self.worst}
+        return {name: value if np.isfinite(value) else None for name, value in errors.items()}
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,11 @@ class TipErrors:
 
         Of a diagnosed arm nothing is missing: what its data could show is in the model, and would have been shown.
         """
-        own = of_one_arm(problem.model)
-        if problem.model.sigma is None or own is None or problem.missing:
+        arm_model = arm_model_of(problem.model)
+        if problem.model.sigma is None or arm_model is None or problem.missing:
             return None
         poses = workspace(problem)  # once: rare postures take long to find
-        if diagnosed(own.arm):
+        if diagnosed(arm_model.arm):
             return cls(problem, problem, tip_jacobians(problem, poses))
         wide = robust_problem(problem, missing_effects(problem), poses=poses)
         return cls(problem, wide, tip_jacobians(wide, poses))
@@ -85,7 +85,7 @@ class TipErrors:
     def _targets(self) -> Array:
         """(k, d, P) the same, its squares a mean over the measured points, without orientations that are measured too:
         they are no distance."""
-        model, coordinates = of_one_arm(self.wide.model), self.targets.shape[1]
+        model, coordinates = arm_model_of(self.wide.model), self.targets.shape[1]
         each = coordinates if model is None else of_positions(model).dimension
         points = [self.targets[:, k : k + SPACE] for k in range(0, coordinates, each)]
         return np.asarray(np.concatenate(points, axis=1) / np.sqrt(coordinates / each))
@@ -105,14 +105,14 @@ class TipErrors:
 
     def of_plan(self, postures: Array) -> TipError:
         """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
-        own, information = self.problem.parameters, self._information(postures)
+        p, information = self.problem.parameters, self._information(postures)
         with_prior = self._with_prior(information)
         if not self._identified(postures):
             return TipError(np.inf, np.inf, with_prior)
-        posterior = inverses(information[:own, :own] + np.diag(self.problem.precisions))
-        targets = self._targets[..., :own]
+        posterior = inverses(information[:p, :p] + np.diag(self.problem.precisions))
+        targets = self._targets[..., :p]
         right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
-        if self.wide.parameters == own:
+        if self.wide.parameters == p:
             return TipError(float(np.sqrt(right.mean())), np.inf, np.inf, float(np.sqrt(right.max())))
         missing = self._missing(information)
         return TipError(float(np.sqrt(right.mean())), missing, with_prior, float(np.sqrt(right.max())))
@@ -123,10 +123,10 @@ class TipErrors:
         return self.wide.weighted_information(every, np.ones(len(every)))
 
     def _identified(self, postures: Array) -> bool:
-        own = self.problem.parameters
-        rows = self.problem.scaled_jacobians(np.concatenate([postures, self.problem.kept])).reshape(-1, own)
+        p = self.problem.parameters
+        rows = self.problem.scaled_jacobians(np.concatenate([postures, self.problem.kept])).reshape(-1, p)
         held = np.diag(np.sqrt(self.problem.precisions))
-        return bool(spectrum(np.concatenate([rows, held]), np.ones(own)).rank == own)
+        return bool(spectrum(np.concatenate([rows, held]), np.ones(p)).rank == p)
 
     def _with_prior(self, information: Array) -> float:
         posterior = inverses(information + np.diag(self.wide.precisions))
@@ -138,16 +138,16 @@ class TipErrors:
     def _missing(self, information: Array) -> float:
         """The fit takes up of each missing effect what the geometry can, and the tip lacks the rest; it takes the noise
         for that of the instrument, which each posture's own error comes on top of."""
-        own, wide = self.problem.parameters, self.wide
-        posterior = inverses(information[:own, :own] + np.diag(self.problem.precisions))
+        p, wide = self.problem.parameters, self.wide
+        posterior = inverses(information[:p, :p] + np.diag(self.problem.precisions))
         if np.isinf(posterior[0, 0]):
             return np.inf
         sigma, noise = float(self.problem.model.sigma or 0.0) ** 2, float(wide.model.sigma or 0.0) ** 2
-        spread = sigma * posterior + (noise - sigma) * posterior @ information[:own, :own] @ posterior
-        lacking = np.concatenate([posterior @ information[:own, own:], -np.eye(wide.parameters - own)])
-        sizes = noise / wide.precisions[own:]  # squared, in scaled parameters
+        spread = sigma * posterior + (noise - sigma) * posterior @ information[:p, :p] @ posterior
+        lacking = np.concatenate([posterior @ information[:p, p:], -np.eye(wide.parameters - p)])
+        sizes = noise / wide.precisions[p:]  # squared, in scaled parameters
         bias = float(np.sum(np.einsum("ap,ab,bp->p", lacking, self._weight, lacking, optimize=True) * sizes))
-        return float(np.sqrt(np.sum(spread * self._weight[:own, :own]) + bias + wide.beyond))
+        return float(np.sqrt(np.sum(spread * self._weight[:p, :p]) + bias + wide.beyond))
 
 
 @dataclass(frozen=True)
@@ -170,8 +170,8 @@ class ExpectedTip:
     def to_json(self) -> dict[str, Any]:
         """Key `expected_tip` (identification/files/README.md, "JSON keys")."""
         figures = {"plan_mm": self.plan, "random_median_mm": float(np.median(self.random))}
-        known = {name: value if np.isfinite(value) else None for name, value in figures.items()}
-        return known | {"better_than": self.better_than, "random_plans": len(self.random), "fit": self.fit or None}
+        finite = {name: value if np.isfinite(value) else None for name, value in figures.items()}
+        return finite | {"better_than": self.better_than, "random_plans": len(self.random), "fit": self.fit or None}
 
     def __str__(self) -> str:
         """One sentence, or two."""

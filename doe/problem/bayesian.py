@@ -90,8 +90,8 @@ def deviated_draws(
     Lengths deviate by `length` [mm], angles by `angle` [rad], everything else such that it moves the tip as an angle
     does at the end of a lever `arm` [mm].
     """
-    own = {"mm": length, "rad": angle}
-    deviations = np.array([own.get(p.unit, angle * arm / p.scale) for p in model.parameters])
+    by_unit = {"mm": length, "rad": angle}
+    deviations = np.array([by_unit.get(p.unit, angle * arm / p.scale) for p in model.parameters])
     drawn = model.values + deviations * generator.standard_normal((count, len(deviations)))
     return np.clip(drawn, model.parameters.lower, model.parameters.upper)
 
@@ -110,5 +110,5 @@ def ensemble_problem(problem: DesignProblem, draws: Array, kind: str = "average"
     model = EnsembleModel(problem.model, draws)
     criterion: Criterion = (Average if kind == "average" else Worst)(len(model.draws))
     numbers = range(1, len(model.draws) + 1)
-    known = {f"{name} [draw {k}]": deviation for k in numbers for name, deviation in problem.deviations.items()}
-    return replace(problem, model=model, criterion=criterion, deviations=known)
+    of_draws = {f"{name} [draw {k}]": deviation for k in numbers for name, deviation in problem.deviations.items()}
+    return replace(problem, model=model, criterion=criterion, deviations=of_draws)

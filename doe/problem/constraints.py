@@ -61,18 +61,18 @@ class ArmPoints(Protocol):
 def constraints_of(model: Model) -> tuple[Constraint, ...]:
     """The constraints of the model's arm file, ready to be evaluated."""
     made: list[Constraint] = []
-    for given in model.arm.constraints:
-        if isinstance(given, ColumnLimits):
-            made.append(WithinColumn(given, model.reach if model.joint_types[given.joint - 1] == REVOLUTE else 1.0))
-        elif isinstance(given, WorkspaceBox):
-            sides = [given.x, given.y, given.z or (-ANYWHERE, ANYWHERE)][: model.dimension]
+    for limit in model.arm.constraints:
+        if isinstance(limit, ColumnLimits):
+            made.append(WithinColumn(limit, model.reach if model.joint_types[limit.joint - 1] == REVOLUTE else 1.0))
+        elif isinstance(limit, WorkspaceBox):
+            sides = [limit.x, limit.y, limit.z or (-ANYWHERE, ANYWHERE)][: model.dimension]
             made.append(InsideBox(model, tuple(side[0] for side in sides), tuple(side[1] for side in sides)))
-        elif isinstance(given, KeepOutCylinder):
-            made.append(OutsideCylinder(model, given))
-        elif isinstance(given, KeepOutCircle):
-            made.append(OutsideSphere(model, given.center, given.radius))
-        elif isinstance(given, LineOfSight):
-            made.append(InSight(model, given) if model.dimension == 2 else InView(model, given))
+        elif isinstance(limit, KeepOutCylinder):
+            made.append(OutsideCylinder(model, limit))
+        elif isinstance(limit, KeepOutCircle):
+            made.append(OutsideSphere(model, limit.center, limit.radius))
+        elif isinstance(limit, LineOfSight):
+            made.append(InSight(model, limit) if model.dimension == 2 else InView(model, limit))
     return tuple(made)
 
 
@@ -244,11 +244,11 @@ def infeasible(constraints: tuple[Constraint, ...], postures: Array) -> InputErr
     names = [f"constraint {k + 1} ({c.kind})" for k, c in enumerate(constraints)]
     alone = [name for name, fit in zip(names, fits, strict=True) if not fit.any()]
     if alone:
-        found = f"no posture within the joint limits satisfies {' nor '.join(alone)}"
-        return InputError(f"constraints: {found}, allowed: {SOME}")
+        conflict = f"no posture within the joint limits satisfies {' nor '.join(alone)}"
+        return InputError(f"constraints: {conflict}, allowed: {SOME}")
     for k in range(len(names)):
         for other in range(k):
             if not np.any(fits[k] & fits[other]):
-                found = f"no posture satisfies {names[other]} and {names[k]} together"
-                return InputError(f"constraints: {found}, allowed: {SOME}")
+                conflict = f"no posture satisfies {names[other]} and {names[k]} together"
+                return InputError(f"constraints: {conflict}, allowed: {SOME}")
     return InputError(f"constraints: no posture satisfies all of {', '.join(names)} together, allowed: {SOME}")

@@ -88,11 +88,11 @@ def precisions(parameters: ParameterSet, deviations: Mapping[str, float], sigma:
     deviations : parameter name -> standard deviation [API unit];  sigma : of a measured coordinate [mm]
     Raises `InputError` for unknown names, deviations that are not > 0, and where sigma is not known.
     """
-    known = np.full(len(parameters), np.inf)
+    sizes = np.full(len(parameters), np.inf)
     for name, deviation in deviations.items():
         if not 0.0 < deviation < np.inf:
             raise InputError(f"deviations: {name} has {deviation:g}, allowed: a finite number > 0")
-        known[parameters.index(name)] = deviation
+        sizes[parameters.index(name)] = deviation
     if deviations and sigma is None:
         raise InputError(f"a prior {NEEDS_SIGMA}")
-    return readonly(((sigma or 0.0) / (parameters.scales * known)) ** 2)
+    return readonly(((sigma or 0.0) / (parameters.scales * sizes)) ** 2)

@@ -132,7 +132,7 @@ class DesignProblem:
             raise InputError("joint limits: lower >= upper, allowed: lower < upper for every joint")
 
     def __getstate__(self) -> dict[str, Any]:
-        """What pickles: the CasADi functions do not, and are built anew where they are needed."""
+        """What pickles: the CasADi functions do not, and are rebuilt where they are needed."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @classmethod
@@ -142,9 +142,9 @@ class DesignProblem:
         does, see `doe.problem.touching`."""
         if not hasattr(model, "arm"):
             raise InputError(f"model: {type(model).__name__}, allowed: a Model, such as Model(arm)")
-        placed, whole, known = designed(model)
-        of_arm: dict[str, Any] = {"constraints": constraints_of(placed), "deviations": known}
-        free = cls(whole, model.arm.lower, model.arm.upper, **of_arm | changes)
+        placed, measured, deviations = designed(model)
+        of_arm: dict[str, Any] = {"constraints": constraints_of(placed), "deviations": deviations}
+        free = cls(measured, model.arm.lower, model.arm.upper, **of_arm | changes)
         if not touches(placed) or free.choices is not None:
             return free
         return replace(free, choices=touching_postures(placed, free))

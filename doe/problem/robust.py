@@ -19,7 +19,7 @@ from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.prior import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
-from doe.problem.spatial import of_one_arm, whole
+from doe.problem.spatial import arm_model_of, measuring_every_point
 from doe.problem.touching import touches
 from identification.arrays import Array
 from identification.errors import InputError
@@ -39,7 +39,7 @@ def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) 
 
     names : of effects, None: all. Raises `InputError` for another model than an arm's, unknown names, no sigma.
     """
-    if (model := of_one_arm(problem.model)) is None:
+    if (model := arm_model_of(problem.model)) is None:
         raise InputError(f"robust: {type(problem.model).__name__}, allowed: the model of one arm")
     if model.sigma is None:
         raise InputError(f"--robust {NEEDS_SIGMA}")
@@ -59,11 +59,11 @@ def robust_problem(
     poses : (k, n) where the tip is needed, None: the `workspace`
     """
     added = missing_effects(problem) if missing is None else missing
-    own = of_one_arm(problem.model)
+    arm_model = arm_model_of(problem.model)
     noise = float(np.hypot(problem.model.sigma or 0.0, added.prior.own_error))
-    model = replace(Model(replace(added.arm, sigma=noise)), known=None if own is None else own.known)
+    model = replace(Model(replace(added.arm, sigma=noise)), known=None if arm_model is None else arm_model.known)
     deviations = {**problem.deviations, **added.prior.deviations}
-    wide = replace(problem, model=whole(model), deviations=deviations, fit=LIBRARY)
+    wide = replace(problem, model=measuring_every_point(model), deviations=deviations, fit=LIBRARY)
     poses = workspace(wide) if poses is None else poses
     levers = of_positions(model).joint_levers(poses)
     waves = float(np.mean(np.einsum("kdj,j->k", levers**2, added.faster)))
@@ -82,17 +82,11 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     if problem.choices is not None:
         return problem if also is None else replace(problem, choices=np.concatenate([problem.choices, also]))
     generator = np.random.default_rng(0)
-    anywhere = random_postures(problem, CHOICES // 2, generator)
-    more = [] if also is None else [also]
-    return replace(problem, choices=np.concatenate([anywhere, _at_limits(problem, generator), *more]), sampled=True)
-
-
-def _at_limits(problem: DesignProblem, generator: np.random.Generator) -> Array:
-    """(k, n) random allowed postures of which each joint is at its nearer limit with probability one half."""
-    postures = random_postures(problem, CHOICES // 2, generator)
-    nearer = np.where(postures < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
-    postures = np.where(generator.random(postures.shape) < 0.5, nearer, postures)
-    return postures[problem.feasible(postures)]
+    anywhere, others = (random_postures(problem, CHOICES // 2, generator) for _ in range(2))
+    nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
+    at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
+    parts = [anywhere, at_limits[problem.feasible(at_limits)], *([] if also is None else [also])]
+    return replace(problem, choices=np.concatenate(parts), sampled=True)
 
 
 def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:
@@ -102,7 +96,7 @@ def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:
 
 def tip_jacobians(problem: DesignProblem, poses: ArrayLike) -> Array:
     """(k, d, p) scaled Jacobians of the measured points' positions at poses (k, n), whatever is read of them."""
-    if (model := of_one_arm(problem.model)) is None or of_positions(model) is model:
+    if (model := arm_model_of(problem.model)) is None or of_positions(model) is model:
         return problem.scaled_jacobians(poses)
     return tip_jacobian(model, poses) / model.scales
 
@@ -110,6 +104,6 @@ def tip_jacobians(problem: DesignProblem, poses: ArrayLike) -> Array:
 def workspace(problem: DesignProblem) -> Array:
     """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints, as
     where a probe is to touch something."""
-    if problem.choices is not None and not touches(of_one_arm(problem.model)):
+    if problem.choices is not None and not touches(arm_model_of(problem.model)):
         return listed_candidates(problem, problem.choices).postures
     return random_postures(problem, POSES, np.random.default_rng(0))

@@ -89,17 +89,17 @@ def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]
     placed = replace(model, arm=replace(model.arm, chain=with_points(model.arm.chain, contacts=True)))
     if model.sigma is None and model.prior:
         placed = minimal(placed)
-    return placed, whole(placed), placed.prior
+    return placed, measuring_every_point(placed), placed.prior
 
 
-def whole(model: Model) -> InformationModel:
+def measuring_every_point(model: Model) -> InformationModel:
     """The model of an arm with all of its measured points at every posture."""
     several = model.arm.chain is not None and len(model.arm.chain.tools) > 1
     return EveryPoint(model) if several else model
 
 
-def of_one_arm(model: InformationModel) -> Model | None:
-    """The reverse of `whole`; None for a model of anything but one arm."""
+def arm_model_of(model: InformationModel) -> Model | None:
+    """The reverse of `measuring_every_point`; None for a model of anything but one arm."""
     inner = model.model if isinstance(model, EveryPoint) else model
     return inner if isinstance(inner, Model) else None
 
@@ -114,8 +114,8 @@ def without_prior(arm: Arm) -> Arm:
 def refuse_contacts(chain: SpatialChain | None) -> None:
     """Raises `InputError` for a chain whose probe touches a surface, where postures have to be free."""
     if chain is not None and chain.instrument.contact:
-        found = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
-        raise InputError(f"instrument: found {found}, allowed here: distance, or no [instrument]")
+        reason = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
+        raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 
 
 def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
@@ -130,14 +130,14 @@ def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
     if not contacts:
         refuse_contacts(chain)
     if chain.instrument.contact and not stands:
-        found = f"kind {chain.instrument.kind} without center_mm: where it is touched is not known"
+        reason = f"kind {chain.instrument.kind} without center_mm: where it is touched is not known"
         how = "center_mm and normal" if chain.instrument.kind == PLANE else "center_mm"
-        raise InputError(f"instrument: found {found}, allowed for plans: with {how}, or a calibrated arm")
+        raise InputError(f"instrument: found {reason}, allowed for plans: with {how}, or a calibrated arm")
     if stands:
         return chain
     away = AHEAD * chain.reach
-    said = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
-    warnings.warn(f"instrument: the center is not known, {said}", stacklevel=2)
+    assumed = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
+    warnings.warn(f"instrument: the center is not known, {assumed}", stacklevel=2)
     return replace(chain, base=pose([-away, 0.0, 0.0]))
 
 

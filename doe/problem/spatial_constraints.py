@@ -68,13 +68,13 @@ class OutsideCylinder:
         length, radius = float(np.linalg.norm(along)), self.cylinder.radius
         axis, expressions = ca.DM(along / length), []
         for a, b in pairwise(self.model.symbolic_points(q)):
-            here, there = ca.dot(a - ca.DM(start), axis), ca.dot(b - ca.DM(start), axis)
-            beyond = ca.fmax(ca.fmin(here, there) - length, -ca.fmax(here, there))
-            rise = there - here
+            start_along, end_along = ca.dot(a - ca.DM(start), axis), ca.dot(b - ca.DM(start), axis)
+            beyond = ca.fmax(ca.fmin(start_along, end_along) - length, -ca.fmax(start_along, end_along))
+            rise = end_along - start_along
             rise = ca.if_else(ca.fabs(rise) < FLAT, FLAT, rise)
-            enters, leaves = -here / rise, (length - here) / rise
-            offset = a - ca.DM(start) - here * axis
-            turned = (b - a) - (there - here) * axis
+            enters, leaves = -start_along / rise, (length - start_along) / rise
+            offset = a - ca.DM(start) - start_along * axis
+            turned = (b - a) - (end_along - start_along) * axis
             nearest = -ca.dot(offset, turned) / ca.fmax(ca.sumsqr(turned), FLAT)
             first, last = _share(ca.fmin(enters, leaves)), _share(ca.fmax(enters, leaves))
             away = ca.sumsqr(offset + ca.fmax(first, ca.fmin(last, nearest)) * turned) - radius**2

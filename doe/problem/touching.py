@@ -48,8 +48,8 @@ def touching_postures(model: Model, problem: DesignProblem) -> Array:
     chain = model.arm.chain
     assert chain is not None
     if chain.instrument.free_radius and model.best_known.get(RADIUS, 0.0) <= 0.0:
-        found = "radius_mm is not known: where the sphere is touched depends on it"
-        raise InputError(f"instrument: {found}, allowed for plans: with radius_mm, or a calibrated arm")
+        reason = "radius_mm is not known: where the sphere is touched depends on it"
+        raise InputError(f"instrument: {reason}, allowed for plans: with radius_mm, or a calibrated arm")
     generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
     for _ in range(BATCHES):
         anywhere = generator.uniform(problem.lower, problem.upper, (BATCH, len(chain)))
@@ -61,8 +61,8 @@ def touching_postures(model: Model, problem: DesignProblem) -> Array:
         if len(kept) == CHOICES:
             break
     if len(kept) < FEWEST:
-        found = f"touched within limits and constraints at {len(kept)} of {BATCH * BATCHES} random postures led to it"
-        raise InputError(f"instrument: the {chain.instrument.kind} is {found}, allowed: one within reach")
+        reason = f"touched within limits and constraints at {len(kept)} of {BATCH * BATCHES} random postures led to it"
+        raise InputError(f"instrument: the {chain.instrument.kind} is {reason}, allowed: one within reach")
     what = f"{len(kept)} random postures that touch the {chain.instrument.kind} as the arm is best known"
     warnings.warn(f"instrument: plans are chosen from {what}, and bounds are over these", stacklevel=2)
     return kept

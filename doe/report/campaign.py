@@ -67,7 +67,7 @@ PLACED = (
 class Campaign:
     """Name -> content of the files of each kind, in the order given.
 
-    kinds : of every file, in words;  said : command -> name -> its JSON object
+    kinds : of every file, in words;  results : command -> name -> its JSON object
     tests : measurements -> calibrated arm -> what it leaves of them
     """
 
@@ -76,7 +76,7 @@ class Campaign:
     plans: dict[str, tuple[Plan, CsvTable]] = field(default_factory=dict)
     measurements: dict[str, Measurements] = field(default_factory=dict)
     commands: dict[str, CsvTable] = field(default_factory=dict)
-    said: dict[str, dict[str, Mapping[str, Any]]] = field(default_factory=lambda: {command: {} for command in KEYS})
+    results: dict[str, dict[str, Mapping[str, Any]]] = field(default_factory=lambda: {command: {} for command in KEYS})
     tests: dict[str, dict[str, Validation]] = field(default_factory=dict)
 
     @classmethod
@@ -107,7 +107,7 @@ class Campaign:
                 raise InputError(f"{name}: another arm than that of {first}, allowed: files of one arm")
             return "arm with a calibration" if arm.calibration is not None else "arm"
         if ending == ".json":
-            command, self.said[command][name] = said_by(path)
+            command, self.results[command][name] = said_by(path)
             return f"armcal {command} --json"
         if ending not in (".csv", ".tsv", ".txt"):
             raise InputError(f"{name}: ending {path.suffix!r}, allowed: {ALLOWED}")
@@ -155,9 +155,9 @@ class Campaign:
     @property
     def verdict(self) -> list[str]:
         """The verdict in sentences: errors on rows that no fit has seen, then the most advanced result first."""
-        model, diagnoses = self.chosen or "", [*self.said["diagnose"].values()]
+        model, diagnoses = self.chosen or "", [*self.results["diagnose"].values()]
         lines = [validation_verdict(test.to_json(), model, rows) for rows, test in self.elsewhere.items()]
-        lines = lines or [validation_verdict(data) for data in self.said["validate"].values()]
+        lines = lines or [validation_verdict(data) for data in self.results["validate"].values()]
         lines = lines or [gap_in_words(data) for data in diagnoses if data["confirmation"] is not None]
         lines += [sentence for data in diagnoses for sentence in diagnosis_verdict(data) if sentence not in lines]
         seen = (rows for rows in self.tests if rows not in self.elsewhere)  # what other models leave is in the tables
@@ -167,9 +167,9 @@ class Campaign:
             why = f"it leaves the smallest error on {tested}" if tested else "it is the last given"
             others = " and ".join(name for name in self.calibrated if name != model)
             lines.append(f"Of the calibrations the next steps use {model}: {why}. {others} is shown beside it.")
-        lines += [identification_verdict(data) for data in self.said["identify"].values()]
-        lines += [design_verdict(data) for data in self.said["design"].values()]
-        plans = {} if self.said["design"] else self.plans
+        lines += [identification_verdict(data) for data in self.results["identify"].values()]
+        lines += [design_verdict(data) for data in self.results["design"].values()]
+        plans = {} if self.results["design"] else self.plans
         lines += [f"The plan {name} has {len(plan)} runs." for name, (plan, _) in plans.items()]
         lines += [commanded_in_words(name, table) for name, table in self.commands.items()]
         return lines or [f"{name}: {kind}." for name, kind in self.kinds.items()]
@@ -188,18 +188,18 @@ class Campaign:
         ]:
             pooled = " ".join(["armcal diagnose", arm, *data])
             return [*worse, Action("See what all measurements together say, each file as a session:", pooled)]
-        if self.said["diagnose"]:
-            return diagnosis_actions([*self.said["diagnose"].values()][-1], arm, data[:1])
+        if self.results["diagnose"]:
+            return diagnosis_actions([*self.results["diagnose"].values()][-1], arm, data[:1])
         look, hold, use = calibrated_actions(arm, data[0], self.chosen or "calibrated.toml")
-        if self.calibrated or self.said["identify"] or self.said["validate"]:
+        if self.calibrated or self.results["identify"] or self.results["validate"]:
             done = self.chosen is not None and diagnosed(self.calibrated[self.chosen])
-            tested = bool(self.elsewhere) or bool(self.said["validate"])
+            tested = bool(self.elsewhere) or bool(self.results["validate"])
             return [*self.beyond(), *([] if done else [look]), *([] if tested else [hold]), use]
         if self.measurements:
             fit = self.measurements[data[0]].fit
             return [Action("Identify the arm:", identify_command(arm, data[0], fit)), look]
         fits = [plan.fit for plan, _ in self.plans.values()]
-        fits += [said.get("fit") or "" for said in self.said["design"].values()]
+        fits += [design.get("fit") or "" for design in self.results["design"].values()]
         return plan_actions(arm, next(iter(self.plans), "plan.csv"), next(iter(fits), ""))
 
     def beyond(self) -> list[Action]:
@@ -216,12 +216,12 @@ class Campaign:
         """All of it. Raises `InputError` for JSON that lacks what its command says."""
         names = [arm.name for arm in self.arms.values() if arm.name]
         title = f"Calibration report: {names[0]}" if names else "Calibration report"
-        doubtful = [*self.said["diagnose"].values(), *self.said["identify"].values()]
+        doubtful = [*self.results["diagnose"].values(), *self.results["identify"].values()]
         try:
             warnings = [text for data in doubtful for text in data["warnings"]]
             return Document(title, self.verdict, self.sections(), self.actions, warnings)
         except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-            files = ", ".join(name for said in self.said.values() for name in said)
+            files = ", ".join(name for files_data in self.results.values() for name in files_data)
             if not files:
                 raise
             why = f"{type(error).__name__} {error}"
@@ -233,12 +233,12 @@ class Campaign:
         """The parts of the page."""
         folded: list[Section] = []
         sections: list[Section] = []
-        for data in self.said["diagnose"].values():
+        for data in self.results["diagnose"].values():
             for part in diagnosis_sections(data):
                 (folded if part.folded else sections).append(part)
         for name in sorted(self.calibrated, key=lambda name: name != self.chosen):
             sections += calibrated_sections(self.calibrated[name], name, folded=name != self.chosen)
-        for name, data in ({} if self.calibrated else self.said["identify"]).items():
+        for name, data in ({} if self.calibrated else self.results["identify"]).items():
             values, dh = (
                 [CorrectedValue(**row) for row in data.get(key, ())] for key in ("corrected_values", "dh_table")
             )
@@ -251,7 +251,7 @@ class Campaign:
         if arm is not None:
             sections += [plan_section(arm, plan, table, name) for name, (plan, table) in self.plans.items()]
             sections += [commands_section(name, table, arm) for name, table in self.commands.items()]
-        sections += [part for data in self.said["validate"].values() for part in validation_sections(data)]
+        sections += [part for data in self.results["validate"].values() for part in validation_sections(data)]
         return sections + folded
 
     def test_section(self, rows: str) -> Section:
@@ -262,8 +262,8 @@ class Campaign:
         cells = [[name, *map(number, values)] for name, values in zip(names, figures, strict=True)]
         other = None if len(tests) == 1 else list(tests.values())[-2]
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
-        known = set() if other is None else {effect.label for effect in Model(other.arm).effects}
-        named = [effect.label for effect in Model(last.arm).effects if effect.label not in known]
+        earlier_labels = set() if other is None else {effect.label for effect in Model(other.arm).effects}
+        named = [effect.label for effect in Model(last.arm).effects if effect.label not in earlier_labels]
         residuals = measured.postures, before, last.residuals, measured.conditions
         signed = Compared(last.arm, *residuals, Model(last.arm), named).pictures(*pair)
         used = f"Fitted to these rows: {', '.join(fitted)}." if fitted else ""
@@ -302,10 +302,10 @@ def fitted_to(arm: Arm) -> list[str]:
 
 def calibrated_sections(arm: Arm, name: str, *, folded: bool) -> list[Section]:
     """Corrected values of a calibrated arm, and as numbers of its Denavit-Hartenberg table;  name : of its file"""
-    values, said = corrected_values(arm), getattr(arm.calibration, "provenance", {})
+    values, provenance = corrected_values(arm), getattr(arm.calibration, "provenance", {})
     calibrated = Calibrated.of_arm(arm)
     rows, lines = ((), []) if calibrated is None else dh_table(calibrated, values, Path(name))
-    expected, title = expected_elsewhere(said).strip(), f"Corrected values: {name}"
+    expected, title = expected_elsewhere(provenance).strip(), f"Corrected values: {name}"
     corrected = corrected_section(title, values, arm.chain is not None, expected, folded=folded)
     return [corrected, *(Section(part.title, part.parts, folded) for part in dh_sections(rows, lines, name))]
 

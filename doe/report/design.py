@@ -62,26 +62,26 @@ def design_verdict(data: Data) -> str:
     sure = optimality_in_words(data.get("optimality"), data.get("bound")) if data["certified_optimal"] else ""
     optimal = f", {sure}" if sure else ""
     if not (error := data.get("expected_error_mm")):
-        known = "" if data["efficiency"] is None else f" has the efficiency {data['efficiency']:.4f}"
-        return f"The plan of {data['runs']} runs{known or ' has no known bound'} ({data['criterion']}{optimal})."
-    said = f"With the plan of {data['runs']} runs (criterion {data['criterion']}{optimal}) expect an error of "
-    said += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace or --test-poses"
-    said += f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""
+        efficiency = "" if data["efficiency"] is None else f" has the efficiency {data['efficiency']:.4f}"
+        return f"The plan of {data['runs']} runs{efficiency or ' has no known bound'} ({data['criterion']}{optimal})."
+    sentence = f"With the plan of {data['runs']} runs (criterion {data['criterion']}{optimal}) expect an error of "
+    sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace or --test-poses"
+    sentence += f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""
     if error["bound"] is None or data["efficiency"] is None or data.get("outside_limits"):
-        return f"{said}."  # no bound applies to a plan outside the limits
+        return f"{sentence}."  # no bound applies to a plan outside the limits
     bound = data.get("bound") or {"source": "continuous"}  # which older files do not have
     kind = "" if bound.get("rigorous", False) else " (a numerical bound)"
-    said += f"; no plan from {postures_in_words(bound)} is below {in_a_sentence(error['bound'])} mm{kind}"
+    sentence += f"; no plan from {postures_in_words(bound)} is below {in_a_sentence(error['bound'])} mm{kind}"
     hope = "Do not expect it near 1: the" if data["efficiency"] < NEAR else "The"
     judge = f"{hope} bound allows fractions of a run. Judge by the mm."
-    return f"{said}. Efficiency {data['efficiency']:.4f}. {judge}"
+    return f"{sentence}. Efficiency {data['efficiency']:.4f}. {judge}"
 
 
 def design_facts(data: Data, status: str) -> Facts:
     """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""
     bound, kind, in_mm = data["bound"], data["criterion"], data.get("expected_error_mm") is not None
-    known, table_1 = bound and not data["outside_limits"], data["table_1_max_residual"]
-    words, value = bound_in_words(bound) if known else "-", f"{number(bound['value'], 7)} " if known else ""
+    bounded, table_1 = bound and not data["outside_limits"], data["table_1_max_residual"]
+    words, value = bound_in_words(bound) if bounded else "-", f"{number(bound['value'], 7)} " if bounded else ""
     efficiency = f"-: {data['no_efficiency']}" if data["no_efficiency"] else number(data["efficiency"], 6)
     searched = f"{data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
     optimal = optimality_in_words(data["optimality"], bound) or "no"
@@ -99,7 +99,7 @@ def design_facts(data: Data, status: str) -> Facts:
                 "upper bound" if kind == "D" else f"upper bound of {kind}",
                 f"{value}({words})" if value and not in_mm else None,
             ),
-            ("efficiency", f"{efficiency} of the bound ({words})" if known and in_mm else efficiency),
+            ("efficiency", f"{efficiency} of the bound ({words})" if bounded and in_mm else efficiency),
             ("optimal", optimal),
             ("deviation from orthogonality (Table I)", None if table_1 is None or kind == "I" else number(table_1, 6)),
             ("solver", data["solver"] and f"{data['solver']}, {searched}"),
@@ -124,8 +124,8 @@ def remarks(design: Design) -> list[str]:
         elif still:
             why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
         else:
-            more = ", ..." if len(combinations) > 4 else ""
-            why = f"not estimable from the plan: {', '.join(combinations[:4])}{more}"
+            rest = ", ..." if len(combinations) > 4 else ""
+            why = f"not estimable from the plan: {', '.join(combinations[:4])}{rest}"
         lines.append(f"no log det: {why}")
     better = "armcal design --repeats lets them be equal, which can be better"
     if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs ends with, see `spread_out`
@@ -158,10 +158,10 @@ def accuracy(design: Design) -> list[Sheet | str]:
     names = [str(link) for link in range(1, mean.length.size + 1)] if mean.planar else names
     values = zip(*columns.values(), *worst.values(), strict=True)
     rows = [[name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True) if name]
-    given = "if effects of typical size may be missing" if missing else "if the model is complete"
+    condition = "if effects of typical size may be missing" if missing else "if the model is complete"
     headings = ["link" if mean.planar else "parameter", *columns, *(f"worst {heading}" for heading in worst)]
     held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
-    table = Sheet(headings, rows, f"Expected standard deviations {given} (sigma = {sigma:g} mm{over})")
+    table = Sheet(headings, rows, f"Expected standard deviations {condition} (sigma = {sigma:g} mm{over})")
     return [table, *([f"and {len(weak)} {held}"] if weak else [])]
 
 
@@ -188,8 +188,8 @@ def missing_lines(design: Design) -> list[str]:
     lines = [f"{held} corrections of the geometry have the prior of its machining"] if held else []
     if missing:
         effects = {name.partition(":")[0].partition(".")[0] for name in missing}
-        known = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
-        lines.append(f"may be missing, each of its typical size: {known}; {WHAT_TO_FIT}")
+        named = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
+        lines.append(f"may be missing, each of its typical size: {named}; {WHAT_TO_FIT}")
         equations = len(design.plan) * problem.model.dimension
         if equations < problem.parameters:
             few = f"{equations} equations for {problem.parameters} parameters"
@@ -243,8 +243,8 @@ def plan_section(
     title = f"The plan {name}" if table is not None else "The plan"
     if (steps := plan_steps(arm, plan, table, Path(name).stem)) is not None:
         return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
-    said = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
-    return Section(title, [Pictures(lambda: [said.strip(), plan_figure(arm, plan.postures)])])
+    sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
+    return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
 
 
 def plan_steps(arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = "plan") -> dict[str, Any] | None:
@@ -318,16 +318,18 @@ MISSING = (
 
 def advice_document(advice: Advice) -> Document:
     """The answer in one sentence, a row for some of the numbers of runs, and what the figures do not promise."""
-    known = [design.deviations for design in advice.designs]
+    deviations = [design.deviations for design in advice.designs]
     missing = any(np.isfinite(error.missing) for error in advice.tip_errors)  # as in a model that was not diagnosed
     stars = [" *" if (design.efficiency or 0.0) >= ENOUGH else "  " for design in advice.designs]
     columns: dict[str, Iterable[str]] = {
         "runs": map(str, advice.runs),
         "efficiency": [f"{number(d.efficiency, 5)}{star}" for d, star in zip(advice.designs, stars, strict=True)],
     }
-    if not advice.of_tip and any(known):
-        columns["length\nstd\n[mm]"] = [number(None if d is None else d.largest_length, 5) for d in known]
-        columns["angle\nstd\n[deg]"] = [number(None if d is None else np.degrees(d.largest_angle), 5) for d in known]
+    if not advice.of_tip and any(deviations):
+        columns["length\nstd\n[mm]"] = [number(None if d is None else d.largest_length, 5) for d in deviations]
+        columns["angle\nstd\n[deg]"] = [
+            number(None if d is None else np.degrees(d.largest_angle), 5) for d in deviations
+        ]
     for key, heading in [*TIP_ERRORS.items()][: 4 if missing else 2] if advice.tip_errors else ():
         columns[heading] = [number(getattr(error, key), 4) for error in advice.tip_errors]
     every, shown = list(zip(*columns.values(), strict=True)), set(shown_runs(advice))
@@ -412,8 +414,8 @@ def preflight_parts(sees: Detectability) -> list[Sheet | str]:
     rows = []
     for name, visible in zip(sees.names, sees.norm_fractions, strict=True):
         alike = [f"{other} ({likeness:.2f})" for one, other, likeness in sees.pairs() if one == name]
-        more = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
-        rows.append([name, f"{visible:.2f}", str(sees.detectable[name]), ",\n".join(alike[:2]) + more])
+        rest = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
+        rows.append([name, f"{visible:.2f}", str(sees.detectable[name]), ",\n".join(alike[:2]) + rest])
     title = "What this plan can show of missing effects (smallest: with 90 % power)"
     table = Sheet(("effect", "visible", "smallest found", "looks like"), rows, title)
     never = [f"never identifiable: {key}: equivalent to {why}" for key, why in sees.aliases.items()]

@@ -224,16 +224,16 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
 def advice_figure(advice: Advice) -> Figure:
     """Efficiency and expected accuracy against the number of runs."""
     accuracies = [advice.accuracy(design) for design in advice.designs]
-    known = all(accuracy is not None for accuracy in accuracies)
-    figure = Figure(figsize=(10.0, 3.6) if known else (6.0, 3.6), layout="constrained")
-    axes = figure.subplots(1, 2 if known else 1, squeeze=False)[0]
+    with_accuracy = all(accuracy is not None for accuracy in accuracies)
+    figure = Figure(figsize=(10.0, 3.6) if with_accuracy else (6.0, 3.6), layout="constrained")
+    axes = figure.subplots(1, 2 if with_accuracy else 1, squeeze=False)[0]
     good = set(advice.efficient_runs())
     efficiencies = [design.efficiency or float("nan") for design in advice.designs]
     axes[0].plot(advice.runs, efficiencies, color=AFTER, lw=1)
     colors = [AFTER if m in good else "white" for m in advice.runs]
     axes[0].scatter(advice.runs, efficiencies, c=colors, edgecolors=AFTER, s=30, zorder=3)
     axes[0].set(xlabel="runs m", ylabel="D-efficiency", title="filled: within 0.1 % of the bound")
-    if known:
+    if with_accuracy:
         axes[1].plot(advice.runs, accuracies, "o-", color=AFTER, ms=4, lw=1)
         if advice.target is not None:
             axes[1].axhline(advice.target, color=BEFORE, ls="--", lw=1)
@@ -276,7 +276,7 @@ def draw_workspace(
 ) -> list[list[Axes]]:
     """Residual arrows of two models in two columns of axes, with one for each projection, on one scale: the largest
     arrow is an eighth of the reach; and where a planar arm stands."""
-    dimension, known = pairs[0][0].shape[1], Model(arm).best_known if arm.chain is None else {}
+    dimension, values = pairs[0][0].shape[1], Model(arm).best_known if arm.chain is None else {}
     grid = figure.subplots(len(projections(dimension)), 2, sharex=True, sharey="row", squeeze=False)
     scale = 0.12 * arm.reach / (max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0)
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
@@ -295,7 +295,7 @@ def draw_workspace(
             axis.autoscale_view()
             axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
             if arm.chain is None:
-                axis.plot(known.get("base_offset.x0", 0.0), known.get("base_offset.y0", 0.0), "ks", ms=5)
+                axis.plot(values.get("base_offset.x0", 0.0), values.get("base_offset.y0", 0.0), "ks", ms=5)
     return [list(column) for column in grid.T]
 
 

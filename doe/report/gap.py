@@ -86,13 +86,13 @@ def kinds_of(labels: Sequence[str]) -> dict[str, list[str]]:
 def effects_in_words(labels: Sequence[str]) -> str:
     """`encoder disc off centre, once per turn (encoder_eccentricity:1)`; the first few, one kind is said once; of many
     joints `backlash of joints 1 to 5`."""
-    said = []
+    phrases = []
     for kind, these in kinds_of(labels).items():
         joints = [label.removeprefix(f"{kind}:") for label in these]
         many = len(these) > 2 and all(joint.isdigit() for joint in joints)
         listed = f"{kind} of {of_joints(sorted(map(int, joints)))}" if many else ", ".join(these)
-        said.append(f"{library()[kind].summary} ({listed})" if kind in library() else listed)
-    return "; ".join(said[:MOST]) + (f"; and {len(said) - MOST} more" if len(said) > MOST else "")
+        phrases.append(f"{library()[kind].summary} ({listed})" if kind in library() else listed)
+    return "; ".join(phrases[:MOST]) + (f"; and {len(phrases) - MOST} more" if len(phrases) > MOST else "")
 
 
 def helps(data: Data) -> bool:
@@ -330,10 +330,10 @@ def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Secti
 
 def shape_in_short(curve: Data) -> str:
     """`waves 11, 14, 2, 5 (93 %)`; other shapes as they are said, without the angles."""
-    said = str(curve["shape"])
-    kind, waves, _ = said.partition(": ")
+    shape = str(curve["shape"])
+    kind, waves, _ = shape.partition(": ")
     if not waves:
-        return said.partition(" over ")[0]
+        return shape.partition(" over ")[0]
     orders = ", ".join(f"{wave['order']:g}" for wave in curve["waves"])
     return f"{kind} {orders} ({100.0 * sum(wave['share'] for wave in curve['waves']):.0f} %)"
 

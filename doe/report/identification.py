@@ -65,7 +65,7 @@ def inspection_document(result: Inspection, arm: str, rows: str) -> Document:
         figures.append(("such a fit", enough.count))
         if not result.problems:  # else data that are to be put right would be judged
             weak = [f"{name} (std {std:{'.3g' if std < 1000.0 else '.0f'}} {unit})" for name, std, unit in enough.weak]
-            figures.append(("determines", "; ".join(enough.found) or "nothing by itself"))
+            figures.append(("determines", "; ".join(enough.identifiable) or "nothing by itself"))
             figures += [("only weakly", "; ".join(weak)), ("does not", "; ".join(enough.open))]
             figures.append(("accuracy", enough.accuracy))
     joints = []
@@ -162,10 +162,10 @@ def compared_with(result: Identification, place: bool = False) -> str:
 
 
 def corrected_section(
-    title: str, rows: Sequence[CorrectedValue], spatial: bool, *more: str, folded: bool = False
+    title: str, rows: Sequence[CorrectedValue], spatial: bool, *remarks: str, folded: bool = False
 ) -> Section:
     """The corrected values to enter in the controller, and what they mean to it."""
-    return Section(title, [corrected_table(rows), *conventions(rows, spatial), *more], folded)
+    return Section(title, [corrected_table(rows), *conventions(rows, spatial), *remarks], folded)
 
 
 def corrected_table(rows: Sequence[CorrectedValue], title: str = "") -> Sheet:
@@ -192,22 +192,22 @@ def equals_drawing(row: CorrectedValue, decimals: int) -> bool:
 
 def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
     """What the rows mean to a controller, and which of them the measurements do not determine, in lines."""
-    said = ["Zeros: add to the zero of the joint (real = reading + this), or take off every command."]
-    said = said if any(row.name.startswith("zero of") for row in rows) else []
+    lines = ["Zeros: add to the zero of the joint (real = reading + this), or take off every command."]
+    lines = lines if any(row.name.startswith("zero of") for row in rows) else []
     if any(row.parameter == "base_offset.x0" for row in rows):
         typed = "type them into the controller only if the measurements are in the controller's own frame"
-        said.append(f"Zero of joint 1 and base_offset: where the arm stands; {typed}.")
+        lines.append(f"Zero of joint 1 and base_offset: where the arm stands; {typed}.")
     if spatial:
-        said += [
+        lines += [
             "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",
             "These values belong together: enter all of them.",
         ]
     if weak := sum(row.weak for row in rows):
-        said.append(
+        lines.append(
             f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of the standard "
             "deviation that they had before, and the prior holds them."
         )
-    return said
+    return lines
 
 
 def dh_table(
@@ -274,8 +274,8 @@ def servo_parts(errors: Sequence[Data]) -> list[Any]:
     """Servo error of each joint, reading less command, and how it is read;  errors : key `servo_error`"""
     keys = ("offset", "reversal", "rms", "largest", "rest")
     rows = [[str(row["joint"]), *(f"{row[key]:z.5f}" for key in keys), row["unit"]] for row in errors]
-    said = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
-    return [Sheet(("joint", *keys, "unit"), rows, "Servo error"), said] if rows else []
+    meaning = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
+    return [Sheet(("joint", *keys, "unit"), rows, "Servo error"), meaning] if rows else []
 
 
 def correct(arm: str) -> Action:
@@ -359,7 +359,7 @@ def compensation_document(result: Compensation) -> Document:
             f"; orientations are those wanted to {miss_text(result.to_json()['max_error_deg'])} deg, by the same model"
         )
     reasons = [f"target {k} ! {message}" for k, message in enumerate(result.messages, start=1) if message]
-    more = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
+    rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
     types = result.joint_types or (REVOLUTE,) * result.commands.shape[1]
     digits = 3 if len(types) + result.targets.shape[1] <= 6 else 2  # of more joints and axes than 80 columns have room
     joints = [f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1)]
@@ -369,7 +369,7 @@ def compensation_document(result: Compensation) -> Document:
     table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
     rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
     verdict = " ".join([f"{reached}.", *without_command(result)])
-    return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *more], warnings=result.warnings)
+    return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=result.warnings)
 
 
 def without_command(result: Compensation) -> list[str]:

@@ -33,17 +33,17 @@ def library_document(entries: Sequence[Entry]) -> Document:
             if e.kind == kind
         ]
         parts.append(Sheet(("name", "what is wrong", "needs"), rows, title))
-    more = "A name with :j belongs to joint j. More about one of them: armcal effects backlash"
-    return Document("Effects", [], [*parts, more])
+    advice = "A name with :j belongs to joint j. More about one of them: armcal effects backlash"
+    return Document("Effects", [], [*parts, advice])
 
 
 def gravity_document(needed: Sequence[str]) -> Document:
     """What is no effect but what effects follow from;  needed : names of these"""
-    said = (
+    needs = (
         "[gravity] is no effect but a block of the arm file: how gravity pulls, and what the links and the payload "
         f"weigh. The torques that follow from it are needed by {', '.join(needed)}. To paste, with your masses:"
     )
-    return Document("gravity", [], [f"{said}\n\n{GRAVITY}\n"])
+    return Document("gravity", [], [f"{needs}\n\n{GRAVITY}\n"])
 
 
 def entry_document(entry: Entry) -> Document:

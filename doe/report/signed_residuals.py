@@ -125,9 +125,9 @@ def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> tupl
         return line, moved, bool(np.linalg.norm(left) <= OTHERWISE * np.linalg.norm(moved))
     curves = [(e.joint - 1, e.curve) for e in model.effects if e.curve is not None and e.joint is not None]
     hold = all_hold(curves, rows.postures)
-    there = np.concatenate([[-np.inf], np.sort(q[hold > 0.5]), [np.inf]])
-    after = np.searchsorted(there, grid)
-    near = np.minimum(grid - there[after - 1], there[after] - grid) < FAR * (float(np.ptp(q)) or 1.0)
+    places = np.concatenate([[-np.inf], np.sort(q[hold > 0.5]), [np.inf]])
+    after = np.searchsorted(places, grid)
+    near = np.minimum(grid - places[after - 1], places[after] - grid) < FAR * (float(np.ptp(q)) or 1.0)
     return np.where(near, line, np.nan), lever * (hold * effect.curve.at(q))[:, None], True
 
 

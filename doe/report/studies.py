@@ -69,8 +69,8 @@ def comparison_parts(rows: pl.DataFrame) -> list[Part]:
         f"{row['len']} x {row['status']}: {row['error']}"
         for row in kinds.iter_rows(named=True)
     ]
-    more = [f"and {len(lines) - 10} more; the rows have all"] if len(lines) > 10 else []
-    return [*parts, *lines[:10], *more]
+    rest = [f"and {len(lines) - 10} more; the rows have all"] if len(lines) > 10 else []
+    return [*parts, *lines[:10], *rest]
 
 
 def label(setting: Setting) -> str:
@@ -350,12 +350,12 @@ def blind_pictures(folder: Path, result: BlindStudy) -> None:
 
 def reliability_figure(rows: pl.DataFrame) -> Figure:
     """Reliability diagram: share right against stated probability, bars of two standard errors, and number of sets."""
-    said, right, count = (rows[name].to_numpy() for name in ("said", "right", "count"))
+    stated, right, count = (rows[name].to_numpy() for name in ("said", "right", "count"))
     error = 2.0 * np.sqrt(np.maximum(right * (1.0 - right), 0.25 / count) / count)
     figure = Figure(figsize=(5.0, 5.6), layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     axes.plot([0.0, 1.0], [0.0, 1.0], color="gray", linewidth=1.0, label="as often as said")
-    axes.errorbar(said, right, error, fmt="o", markersize=5, capsize=3, label="data sets, +- 2 standard errors")
+    axes.errorbar(stated, right, error, fmt="o", markersize=5, capsize=3, label="data sets, +- 2 standard errors")
     axes.set(ylabel="share that was right", ylim=(0.0, 1.02), title="Said with probability p: right in p?")
     axes.legend(loc="lower right", frameon=False)
     low, high = rows["from"].to_numpy(), rows["to"].to_numpy()

@@ -41,7 +41,7 @@ ALL, SAMPLE = 64, 32  # runs up to which all characters are tried; number tried 
 TURN = 2.0 * np.pi
 WHOLE = 2048  # runs up to which one group is tried
 SMALL = 48  # runs of the plans that are put together, or as many as the factorial of all joints has
-PATTERNS = 16  # different plans of one size, and times that those too near others are placed anew
+PATTERNS = 16  # different plans of one size, and times that those too near others are placed again
 ATTEMPTS = 8  # plans of one group before smaller ones are put together
 NEARLY = 64  # runs by which a plan may exceed one from theory to be begun from it
 

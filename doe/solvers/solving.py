@@ -75,25 +75,25 @@ def solve(
         whole = Budget(starts or chosen.starts_for(problem), deadline, may_agree=starts is None, began=began)
         # a bound for many parameters takes seconds, which are no part of the search's time; a theorem takes none
         first, late = whole.part(HALF), bound is None and problem.many_parameters and not applies(problem)
-        known = None if late else bound or best_known_bound(problem, runs, first.ended)
+        best_bound = None if late else bound or best_known_bound(problem, runs, first.ended)
         budget = first if late else whole
         offers = named_offers(problem, runs, chosen, budget, seed, begin, theory_first=solver is None)
-        search = PlanSearch(problem, known, accepted)
+        search = PlanSearch(problem, best_bound, accepted)
         search.run(offers, budget, progress)
         if search.postures is None and search.status is Status.interrupted:
             raise KeyboardInterrupt
         if search.postures is None:
             none = f"no plan that identifies all {problem.parameters} parameters was found by {chosen.name}"
             raise JobError(f"design: {none}")
-        known = best_known_bound(problem, runs, whole.ended) if late else known
+        best_bound = best_known_bound(problem, runs, whole.ended) if late else best_bound
         postures = search.postures
         if np.isfinite(search.value):  # else the plan is refused, and no room for it may be left
             postures = spread_free_joints(problem, postures, np.random.default_rng([seed, runs]))
         plan = Plan(problem.clip(postures), joint_types=problem.model.joint_types, fit=problem.fit)
         name = search.solver or chosen.name
-        design = Design(problem, plan, known, search.status, name, search.starts, perf_counter() - began)
+        design = Design(problem, plan, best_bound, search.status, name, search.starts, perf_counter() - began)
         if bound is None:
-            held = bound_that_holds(problem, known, design.plan.postures, design.value, whole.ended)
+            held = bound_that_holds(problem, best_bound, design.plan.postures, design.value, whole.ended)
             design = replace(design, bound=held)
     return judged_identifiable(design, throw=throw)
 

@@ -58,19 +58,22 @@ def compensate(
     """
     if arm.calibration is None and not any(spec.values for spec in arm.effects):
         raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
-    given = None if postures is None else _checked("postures", postures, arm.links)
+    nominal_postures = None if postures is None else _checked("postures", postures, arm.links)
     turned = _orientations(arm, orientations, targets is None)
-    arm = _aiming(arm, poses=turned is not None)
+    scale = None if turned is None else arm.reach  # which an angle of a pose counts times
+    arm = in_own_frame(arm)
+    if arm.chain is not None:
+        arm = replace(arm, chain=replace(arm.chain, angle_scale=scale))
     nominal_arm = Model(drawn_arm(arm))
-    goals = _goals(nominal_arm, targets, given)
-    if turned is not None and targets is None and given is not None:
-        turned = nominal_arm.orientations(given)
+    goals = _goals(nominal_arm, targets, nominal_postures)
+    if turned is not None and targets is None and nominal_postures is not None:
+        turned = nominal_arm.orientations(nominal_postures)
     if turned is not None and len(turned) != len(goals):
         raise InputError(f"orientations: {len(turned)} rows for {len(goals)} targets, allowed: as many")
     where = replace(conditions or Conditions(), orientation=turned)
     nominal = (
-        given
-        if given is not None
+        nominal_postures
+        if nominal_postures is not None
         else within_or_near(nominal_arm, familiar_range(arm), goals, Conditions(orientation=turned), constraints)
     )
     model = Model(arm)
@@ -81,7 +84,7 @@ def compensate(
         where = replace(where, directions=directions_from_order(nominal), past=past)
     enough = tolerance_of(arm)
     commands = reaching(model, goals, nominal, where, constraints, enough)
-    if given is None:
+    if nominal_postures is None:
         commands = near_or_within(model, familiar_range(arm), goals, commands, where, constraints, enough)
     return replace(_compensation(model, goals, nominal, commands, where, constraints), sided=sided)
 
@@ -117,21 +120,14 @@ def tolerance_of(arm: Arm) -> float:
     return max(TOLERANCE, rms * float(np.sqrt(chdtri(d, MISSED_BY_CHANCE) / d)))
 
 
-def _orientations(arm: Arm, given: ArrayLike | None, as_nominal: bool) -> Array | None:
+def _orientations(arm: Arm, orientations: ArrayLike | None, as_nominal: bool) -> Array | None:
     """(k, 3, 3) wanted, (0, 3, 3) where they follow from nominal postures, None where any will do."""
-    if given is not None:
+    if orientations is not None:
         if arm.chain is None:
             raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
-        return np.asarray(given, dtype=float).reshape(-1, 3, 3)
+        return np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
     poses = as_nominal and arm.chain is not None and arm.chain.angle_scale is not None
     return np.zeros((0, 3, 3)) if poses else None
-
-
-def _aiming(arm: Arm, poses: bool) -> Arm:
-    """The arm as if its tool were measured by points, or by poses of which an angle counts times the reach."""
-    scale = arm.reach if poses else None
-    arm = in_own_frame(arm)
-    return arm if arm.chain is None else replace(arm, chain=replace(arm.chain, angle_scale=scale))
 
 
 def drawn_arm(arm: Arm) -> Arm:
@@ -142,8 +138,8 @@ def drawn_arm(arm: Arm) -> Arm:
         chain = standing_in(chain, arm.calibration.values)
     if chain is not None or not stands:
         return replace(arm, effects=(), calibration=None, chain=chain)
-    known = Model(arm).best_known
-    return replace(arm, effects=stands, calibration=Calibration({name: known.get(name, 0.0) for name in BASE}))
+    values = Model(arm).best_known
+    return replace(arm, effects=stands, calibration=Calibration({name: values.get(name, 0.0) for name in BASE}))
 
 
 def _goals(nominal: Model, targets: ArrayLike | None, postures: Array | None) -> Array:

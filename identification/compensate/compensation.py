@@ -83,12 +83,12 @@ class Compensation:
         [mm]."""
         familiar = " (within the angles identified)" if inside else ""
         by = f"{error:.4g} mm{'' if self.angles is None else f' and {angle:.4g} deg'}"
-        said = (
+        clauses = (
             [] if near else [f"out of reach within the joint limits: the nearest posture{familiar} misses it by {by}"]
         )
         numbered = enumerate(zip(self.constraints, missed, strict=True), start=1)
-        said += [f"constraint {k} ({kind}) is missed by {size:.4g} mm" for k, (kind, size) in numbered if size > 0.0]
-        return "; ".join(said)
+        clauses += [f"constraint {k} ({kind}) is missed by {size:.4g} mm" for k, (kind, size) in numbered if size > 0.0]
+        return "; ".join(clauses)
 
     @property
     def safe_commands(self) -> Array:
@@ -108,19 +108,19 @@ class Compensation:
     @property
     def warnings(self) -> list[str]:
         """What must be known of the commands, in sentences."""
-        said = extrapolated(self.outside, "targets")
-        found = [] if said is None else [f"{said}, and the error that is left may be larger than it says"]
+        outside = extrapolated(self.outside, "targets")
+        notes = [] if outside is None else [f"{outside}, and the error that is left may be larger than it says"]
         if (out := np.count_nonzero(~self.near)) > FEW * len(self.targets):
             frame = "are they in mm, and in the frame of the measurements that calibrated the arm"
-            found.append(f"{out} of {len(self.targets)} targets are out of reach: {frame}?")
+            notes.append(f"{out} of {len(self.targets)} targets are out of reach: {frame}?")
         if close := np.count_nonzero(self.reached & (self.errors > TOLERANCE)):
             most = f"by {float(np.max(self.errors[self.reached])):.2g} mm at most"
             least = f"less than the {self.tolerance:.2g} mm that the calibration itself is uncertain by"
-            found.append(f"{close} of the targets reached are missed {most}, {least}: no posture of the arm is nearer")
+            notes.append(f"{close} of the targets reached are missed {most}, {least}: no posture of the arm is nearer")
         if self.sided and self.reached.any():
             side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
-            found.append(f"{side}. Drive the targets in this order, and to the first with every joint {self._rising}")
-        return found
+            notes.append(f"{side}. Drive the targets in this order, and to the first with every joint {self._rising}")
+        return notes
 
     @property
     def _rising(self) -> str:
@@ -199,6 +199,6 @@ class Compensation:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
 
 
-def _where(said: NDArray[np.bool_], rows: Array) -> list[Any]:
+def _where(shown: NDArray[np.bool_], rows: Array) -> list[Any]:
     """(k) rows, None where they are not to be said."""
-    return [row if one else None for one, row in zip(said.tolist(), rows.tolist(), strict=True)]
+    return [row if one else None for one, row in zip(shown.tolist(), rows.tolist(), strict=True)]

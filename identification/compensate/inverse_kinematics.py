@@ -48,8 +48,8 @@ def inverse_kinematics(
     negligible = np.full(len(goals), 1e-5 * TOLERANCE)
     limits = model.arm.lower, model.arm.upper
     problem = LeastSquares(distances, *limits, reach, negligible, metric=reach, iterations=iterations)
-    found = levenberg_marquardt(problem, starts)
-    return found.parameters, np.sqrt(found.squares)
+    solution = levenberg_marquardt(problem, starts)
+    return solution.parameters, np.sqrt(solution.squares)
 
 
 def metric(model: Model) -> Array:
@@ -63,7 +63,7 @@ def linearization(model: Model, conditions: Conditions) -> Linearize:
 
     def linearize(postures: Array, rows: Index) -> tuple[Array, Array]:
         table = model.condition_table(postures, conditions.rows(rows))
-        found, jacobian = evaluate(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
-        return found[..., 0], jacobian
+        tips, jacobian = evaluate(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
+        return tips[..., 0], jacobian
 
     return linearize

@@ -47,26 +47,26 @@ def within_or_near(
     best found where no posture gets there."""
     lower, upper = familiar
     near = np.tile((lower + upper) / 2.0, (len(goals), 1))
-    found = best_of_seeds(model, goals, near, conditions, constraints)[0]
-    out = np.flatnonzero(np.any((found < lower) | (found > upper), axis=1))
+    reached = best_of_seeds(model, goals, near, conditions, constraints)[0]
+    out = np.flatnonzero(np.any((reached < lower) | (reached > upper), axis=1))
     if not out.size or np.any(lower >= upper):
-        return found
+        return reached
     inside = Model(replace(model.arm, lower=lower, upper=upper))
-    for starts in (np.clip(found, lower, upper), near):
+    for starts in (np.clip(reached, lower, upper), near):
         if not out.size:
             break
         postures, left = inverse_kinematics(inside, goals[out], starts[out], conditions.rows(out))
         better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
-        found[out[better]] = postures[better]
+        reached[out[better]] = postures[better]
         out = out[~better]
-    return found
+    return reached
 
 
 def near_or_within(
     model: Model,
     familiar: tuple[Array, Array],
     goals: Array,
-    found: Array,
+    reached: Array,
     where: Conditions,
     constraints: Constraints,
     enough: float = TOLERANCE,
@@ -74,10 +74,10 @@ def near_or_within(
     """(k, n) postures that were found for goals (k, d); for those out of reach, farther than `enough` [mm], where they
     are outside familiar angles, the nearest within them."""
     lower, upper = familiar
-    left = np.linalg.norm(goals - model.position(found, conditions=where), axis=1)
-    out = np.flatnonzero((left > enough) & np.any((found < lower) | (found > upper), axis=1))
+    left = np.linalg.norm(goals - model.position(reached, conditions=where), axis=1)
+    out = np.flatnonzero((left > enough) & np.any((reached < lower) | (reached > upper), axis=1))
     if out.size:
         inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + STILL)))
-        starts = np.clip(found[out], lower, upper)
-        found[out] = best_of_seeds(inside, goals[out], starts, where.rows(out), constraints)[0]
-    return found
+        starts = np.clip(reached[out], lower, upper)
+        reached[out] = best_of_seeds(inside, goals[out], starts, where.rows(out), constraints)[0]
+    return reached

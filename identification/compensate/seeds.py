@@ -117,12 +117,12 @@ class _Search(NamedTuple):
         every, flat = np.repeat(rows, starts.shape[1]), starts.reshape(-1, starts.shape[2])
         flat, left = inverse_kinematics(self.model, self.goals[every], flat, self.conditions.rows(every), iterations)
         missed = violations(self.constraints, flat).sum(axis=1).reshape(starts.shape[:2])
-        found, left = flat.reshape(starts.shape), left.reshape(starts.shape[:2])
-        distance = np.linalg.norm((found - self.near[rows, None]) * metric(self.model) / self.model.reach, axis=2)
+        reached, left = flat.reshape(starts.shape), left.reshape(starts.shape[:2])
+        distance = np.linalg.norm((reached - self.near[rows, None]) * metric(self.model) / self.model.reach, axis=2)
         rank = ranked(distance, left, missed)
         order = np.argsort(rank, axis=1)
         left, rank = (np.take_along_axis(values, order, axis=1) for values in (left, rank))
-        return Tried(np.take_along_axis(found, order[:, :, None], axis=1), left, rank)
+        return Tried(np.take_along_axis(reached, order[:, :, None], axis=1), left, rank)
 
     def again(self, postures: Array, errors: Array) -> None:
         """Replaces postures (k, n) and errors (k,) of goals that other seeds missed, those first that were missed
@@ -130,17 +130,17 @@ class _Search(NamedTuple):
         missed = np.flatnonzero(errors > TOLERANCE)
         missed = missed[np.argsort(errors[missed], kind="stable")]
         for rows in np.split(missed, range(TRIED_AGAIN, len(missed), TRIED_AGAIN)):
-            found, left = self.led_on(rows, self.tried(rows)) if len(rows) else (postures[:0], errors[:0])
+            reached, left = self.led_on(rows, self.tried(rows)) if len(rows) else (postures[:0], errors[:0])
             better = left <= TOLERANCE
             if not better.any():
                 break
-            postures[rows[better]], errors[rows[better]] = found[better], left[better]
+            postures[rows[better]], errors[rows[better]] = reached[better], left[better]
 
     def hard(self, rows: Index, first: Tried) -> tuple[Array, Array]:
         """(k, n) postures and (k,) errors of goals that a first try failed at."""
         postures, errors = first.best
-        there = ~self.barred(rows, first) if self.constraints and len(rows) else np.ones(len(rows), dtype=bool)
-        for part in np.split(np.flatnonzero(there), range(CHUNK, np.count_nonzero(there), CHUNK)):
+        open_goals = ~self.barred(rows, first) if self.constraints and len(rows) else np.ones(len(rows), dtype=bool)
+        for part in np.split(np.flatnonzero(open_goals), range(CHUNK, np.count_nonzero(open_goals), CHUNK)):
             if len(part):
                 postures[part], errors[part] = self.led_on(rows[part], first.at(part))
         return postures, errors
@@ -149,12 +149,12 @@ class _Search(NamedTuple):
         """(k,) where the goals themselves miss a constraint, as far as a first try and a few more seeds tell: postures
         that reach a goal are different, and all miss some margin by the same amount."""
         few = np.broadcast_to(self.seeds[:WITNESSES], (len(rows), WITNESSES, self.seeds.shape[1]))
-        more = self.tried(rows, few)
-        found, left = (np.concatenate(pair, axis=1) for pair in zip(first[:2], more[:2], strict=True))
+        further = self.tried(rows, few)
+        postures, left = (np.concatenate(pair, axis=1) for pair in zip(first[:2], further[:2], strict=True))
         reached = left <= TOLERANCE
-        margins = np.column_stack([each.margin(found.reshape(-1, found.shape[2])) for each in self.constraints])
+        margins = np.column_stack([each.margin(postures.reshape(-1, postures.shape[2])) for each in self.constraints])
         high, low = _ends(margins.reshape(*left.shape, -1), reached)
-        spread = np.subtract(*_ends(found, reached)).max(axis=1)
+        spread = np.subtract(*_ends(postures, reached)).max(axis=1)
         same = np.any((high < -TOLERANCE) & (high - low <= SAME * -high), axis=1)
         return same & (np.count_nonzero(reached, axis=1) >= WITNESSES) & (spread > DIFFERENT)
 
@@ -166,15 +166,15 @@ class _Search(NamedTuple):
         postures, errors = tried.best
         where, beyond = self.conditions.rows(rows), errors > TOLERANCE
         if beyond.any():
-            found = tried.postures[beyond]
+            begun = tried.postures[beyond]
             postures[beyond], errors[beyond] = _polished(
-                self.model, self.goals[rows[beyond]], found, where.rows(beyond)
+                self.model, self.goals[rows[beyond]], begun, where.rows(beyond)
             )
         missed = ~beyond & tried.fails & bool(self.constraints)
         if missed.any() and postures.shape[1] > self.goals.shape[1]:  # a redundant arm has more than the seeds found
-            found = tried.postures[missed]
+            begun = tried.postures[missed]
             postures[missed], errors[missed] = _turned_away(
-                self.model, self.goals[rows[missed]], found, where.rows(missed), self.constraints
+                self.model, self.goals[rows[missed]], begun, where.rows(missed), self.constraints
             )
         return postures, errors
 
@@ -247,7 +247,9 @@ def _polished(model: Model, goals: Array, starts: Array, conditions: Conditions)
     """(k, n) postures and (k,) errors: the closest to goals (k, d) out of reach, within the limits; starts (k, s, n),
     best first."""
     linearize, arm, units = linearization(model, conditions), model.arm, model.reach / metric(model)
-    kinds = [_one_of_each_kind(ordered) for ordered in starts]
+    # of starts that are nearly the same the first
+    firsts = (np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1]) for ordered in starts)
+    kinds = [ordered[first] for ordered, first in zip(starts, firsts, strict=True)]
     goal = np.repeat(np.arange(len(kinds)), [len(kind) for kind in kinds])
     bends = np.concatenate([np.zeros((1, arm.links)), np.diag(BEND * units)])
 
@@ -268,8 +270,3 @@ def _polished(model: Model, goals: Array, starts: Array, conditions: Conditions)
     order = np.lexsort((-height(ends, np.arange(len(ends))), goal))
     best = order[np.unique(goal[order], return_index=True)[1]]
     return inverse_kinematics(model, goals, ends[best], conditions)  # where two postures meet Newton's method is slow
-
-
-def _one_of_each_kind(ordered: Array) -> Array:
-    """(k, n) of the postures (s, n), the first of those that are nearly the same."""
-    return ordered[np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1])]

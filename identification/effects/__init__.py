@@ -55,10 +55,10 @@ OTHER_NAMES = {
 
 @cache
 def _load_entry_points() -> None:
-    for _, where, found in additions("armcal.effects"):
-        if not (isinstance(found, type) and issubclass(found, Effect)):
+    for _, where, effect in additions("armcal.effects"):
+        if not (isinstance(effect, type) and issubclass(effect, Effect)):
             raise InputError(f"{where}, allowed: a class under Effect")
-        register(found)
+        register(effect)
 
 
 def library() -> Mapping[str, type[Effect]]:
@@ -114,32 +114,26 @@ def build(
     if dimension not in cls.dimensions:
         kind = "planar" if dimension == 3 else "spatial"
         raise InputError(f"effects: {spec.name} is of {kind} arms, {nearest(spec.name, of_dimension(dimension))}")
-    _check_joint(cls, spec, links)
-    chosen = {name: _check_setting(cls, name, spec) for name in cls.settings}
-    effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen, tagged, dimension)
-    if cls.tabulated != (spec.curve is not None):
-        found = "has no table of values" if cls.tabulated else "has a table of values"
-        raise InputError(f"effects: {spec.key} {found}, allowed: one for joint_error_curve, none for others")
-    effect.curve = spec.curve
-    allowed = {p.short for p in effect.parameters} | set(cls.settings)
-    for short in spec.values:
-        if short not in allowed:
-            raise InputError(f"effects: {spec.key} has no parameter {short!r}, {nearest(short, allowed)}")
-    return effect
-
-
-def _check_joint(cls: type[Effect], spec: EffectSpec, links: int) -> None:
     if spec.joint is None and cls.per_joint == "required":
         raise InputError(f"effects: {spec.name} needs a joint, allowed: {cls.first_joint} to {links}")
     if spec.joint is not None and cls.per_joint == "none":
         raise InputError(f"effects: {spec.name} is of the whole arm, joint = {spec.joint} is not allowed")
     if spec.joint is not None and not cls.first_joint <= spec.joint <= links:
         raise InputError(f"effects: {spec.name} at joint {spec.joint}, allowed: {cls.first_joint} to {links}")
-
-
-def _check_setting(cls: type[Effect], name: str, spec: EffectSpec) -> int | float:
-    setting, value = Setting.of(cls.settings[name]), spec.values.get(name)
-    if value is None or not setting.allows(value):
-        found = "is missing" if value is None else f"= {value:g}"
-        raise InputError(f"effects: {spec.key}: {name} {found}, allowed: {setting.allowed}")
-    return int(value) if setting.whole else float(value)
+    chosen: dict[str, int | float] = {}
+    for name, declared in cls.settings.items():
+        setting, value = Setting.of(declared), spec.values.get(name)
+        if value is None or not setting.allows(value):
+            fault = "is missing" if value is None else f"= {value:g}"
+            raise InputError(f"effects: {spec.key}: {name} {fault}, allowed: {setting.allowed}")
+        chosen[name] = int(value) if setting.whole else float(value)
+    effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen, tagged, dimension)
+    if cls.tabulated != (spec.curve is not None):
+        fault = "has no table of values" if cls.tabulated else "has a table of values"
+        raise InputError(f"effects: {spec.key} {fault}, allowed: one for joint_error_curve, none for others")
+    effect.curve = spec.curve
+    allowed = {p.short for p in effect.parameters} | set(cls.settings)
+    for short in spec.values:
+        if short not in allowed:
+            raise InputError(f"effects: {spec.key} has no parameter {short!r}, {nearest(short, allowed)}")
+    return effect

@@ -146,9 +146,9 @@ class Effect:
 
     def at_frame(self, vector: ca.SX, chain: Chain) -> ca.SX:
         """(3n,) zeros except `vector` (3,) at the frame of this effect's joint."""
-        found = ca.SX.zeros(3 * chain.links)
-        found[3 * self.joint_index : 3 * self.joint_index + 3] = vector
-        return found
+        at_frames = ca.SX.zeros(3 * chain.links)
+        at_frames[3 * self.joint_index : 3 * self.joint_index + 3] = vector
+        return at_frames
 
     # -- what a subclass defines ------------------------------------------------------------------------------------
     def define(self) -> tuple[Parameter, ...]:

@@ -116,8 +116,8 @@ class Chain:
     @cached_property
     def acceleration(self) -> ca.SX:
         """(2,) acceleration of gravity [m/s^2], rotated by `turn`."""
-        given = ca.SX(ca.DM(self.required_gravity.acceleration))
-        return given if ca.SX(self.turn).is_zero() else rotate(self.turn, given)
+        gravity = ca.SX(ca.DM(self.required_gravity.acceleration))
+        return gravity if ca.SX(self.turn).is_zero() else rotate(self.turn, gravity)
 
     @property
     def required_gravity(self) -> Gravity:
@@ -151,13 +151,13 @@ class SpatialState(Chain):
     @cached_property
     def acceleration(self) -> ca.SX:
         """(3,) acceleration of gravity [m/s^2] in the frame of the base, rotated by `turn`."""
-        turn, given = ca.SX(self.turn), ca.SX(ca.DM(self.required_gravity.acceleration))
+        turn, gravity = ca.SX(self.turn), ca.SX(ca.DM(self.required_gravity.acceleration))
         if turn.is_zero():
-            return given
+            return gravity
         frame = Frame.world()
         for axis in range(3):
             frame = frame.turned(axis, turn[axis])
-        return ca.mtimes(frame.axes, given)
+        return ca.mtimes(frame.axes, gravity)
 
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, ca.SX]]:  # type: ignore[override]
@@ -165,19 +165,19 @@ class SpatialState(Chain):
         as far along as the file says; the payload where the file says, else at the first measured point."""
         gravity, chain = self.required_gravity, self.chain
         at = next(iter(chain.tools.values())) if gravity.payload_at is None else gravity.payload_at
-        found = [(self.payload, self.links - 1, self.frames[-1].point(ca.SX(ca.DM(at)) + self.shift))]
+        masses = [(self.payload, self.links - 1, self.frames[-1].point(ca.SX(ca.DM(at)) + self.shift))]
         for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
-            found.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
-        return found
+            masses.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
+        return masses
 
     @cached_property
     def torques(self) -> ca.SX:
         """(n,) gravity torques about revolute joints [N m], forces along prismatic ones [N]."""
-        found = []
+        by_joint = []
         for j, joint in enumerate(self.chain.joints):
             load = self.moment(j) if joint.type == REVOLUTE else self.weight(j)
-            found.append(ca.dot(ca.DM(joint.axis), load))
-        return ca.vertcat(*found)
+            by_joint.append(ca.dot(ca.DM(joint.axis), load))
+        return ca.vertcat(*by_joint)
 
     def moment(self, joint: int) -> ca.SX:
         """(3,) moment [N m] of all loads beyond a joint, from 0, about the origin of its frame, in the frame's axes."""

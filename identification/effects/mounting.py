@@ -73,12 +73,12 @@ class SessionBase(Effect):
 
     In space + (x, y, z) and rotations by (wx, wy, wz) about the axes of the base.
 
-    Nothing physical is missing: arm or instrument was set up anew. `identify` and `diagnose` add it by themselves
+    Nothing physical is missing: arm or instrument was set up again. `identify` and `diagnose` add it by themselves
     where the data name sessions, and leave it out of what they write.
     """
 
     name = "session_base"
-    summary = "arm or instrument set up anew for each session"
+    summary = "arm or instrument set up again for each session"
     needs = frozenset({"session"})
     settings = MappingProxyType({"sessions": (2, MAX_SESSIONS)})
     nuisance = True
@@ -101,8 +101,8 @@ class SessionBase(Effect):
 
     def _own(self, chain: Chain, values: ca.SX) -> ca.SX:
         """Translation and rotation of the row's session, zero for the first."""
-        there = self._sessions(chain)
-        return ca.mtimes(ca.reshape(values, -1, there.numel()), there)
+        in_session = self._sessions(chain)
+        return ca.mtimes(ca.reshape(values, -1, in_session.numel()), in_session)
 
     def _sessions(self, chain: Chain) -> ca.SX:
         """Indicator of each session after the first: 1 for the row's session, else 0."""

@@ -76,31 +76,34 @@ def position_and_state(
     [mm] without extensions, and the tip (d) [mm] before the instrument.
     """
     n, d = chain.links, chain.dimension
-    own = values.numel() - sum(len(effect.parameters) for effect in effects)
-    geometry, parts = values[:own], _with_values(effects, values[own:])
-    more = by_place(ca.SX.zeros(sum(widths(n, d).values())) if added is None else added, n, d)
-    given = ca.vertcat(*(more[place] for place in OF_LOAD if place in more))
-    loads = sum((_loads(e, chain, v) for e, v in parts), given)
+    start = values.numel() - sum(len(effect.parameters) for effect in effects)
+    geometry, parts = values[:start], []  # each effect with the values of its own parameters
+    for effect in effects:
+        parts.append((effect, values[start : start + len(effect.parameters)]))
+        start += len(effect.parameters)
+    additions = by_place(ca.SX.zeros(sum(widths(n, d).values())) if added is None else added, n, d)
+    added_loads = ca.vertcat(*(additions[place] for place in OF_LOAD if place in additions))
+    loads = sum((_loads(e, chain, v) for e, v in parts), added_loads)
     loads[0] += chain.payload
     chain, plain = in_state(chain, loads), chain.geometry.link_lengths(geometry)
     for effect, v in parts:
         for place, value in _inside(effect, chain, v, plain).items():
-            more[place] += value
-    real = chain.q + more["joint_angles"]
-    tip, turned = chain.geometry.tip(real, geometry, more, chain.marker, chain.reference)
-    measured = tip + more["instrument"] + sum(e.instrument(tip, v) for e, v in parts)
+            additions[place] += value
+    real = chain.q + additions["joint_angles"]
+    tip, turned = chain.geometry.tip(real, geometry, additions, chain.marker, chain.reference)
+    measured = tip + additions["instrument"] + sum(e.instrument(tip, v) for e, v in parts)
     return ca.vertcat(chain.geometry.instrument.symbolic(measured, geometry), turned), ca.vertcat(loads, plain, tip)
 
 
 def _loads(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
     """What an effect adds to the loads, as numbers in the order of `OF_LOAD`."""
-    found = {
+    at_place = {
         "payload": effect.payload(chain, values),
         "gravity_turn": effect.gravity_turn(chain, values),
         "payload_shift": effect.payload_shift(chain, values),
     }
     sizes = widths(chain.links, chain.dimension)
-    return ca.vertcat(*(ca.SX.zeros(sizes[place]) + found[place] for place in OF_LOAD if place in sizes))
+    return ca.vertcat(*(ca.SX.zeros(sizes[place]) + at_place[place] for place in OF_LOAD if place in sizes))
 
 
 def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict[str, ca.SX | float]:
@@ -133,17 +136,8 @@ def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, st
     """
     n, d = chain.links, chain.dimension
     loads = load_size(d)
-    found = _inside(effect, loaded, values, state[loads : loads + n])
-    found["instrument"] = effect.instrument(state[loads + n :], values)
+    at_place = _inside(effect, loaded, values, state[loads : loads + n])
+    at_place["instrument"] = effect.instrument(state[loads + n :], values)
     places = {place: size for place, size in widths(n, d).items() if place not in OF_LOAD}
-    added = (ca.SX.zeros(size) + found[place] for place, size in places.items())
+    added = (ca.SX.zeros(size) + at_place[place] for place, size in places.items())
     return ca.vertcat(_loads(effect, chain, values), *added)
-
-
-def _with_values(effects: Sequence[Effect], values: ca.SX) -> Parts:
-    """Each effect with the values of its own parameters."""
-    parts, start = [], 0
-    for effect in effects:
-        parts.append((effect, values[start : start + len(effect.parameters)]))
-        start += len(effect.parameters)
-    return parts

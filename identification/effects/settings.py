@@ -52,16 +52,16 @@ class Setting:
     symbolic: bool = True
 
     @classmethod
-    def of(cls, given: Setting | tuple[int, int]) -> Setting:
+    def of(cls, setting: Setting | tuple[int, int]) -> Setting:
         """A setting unchanged; a pair (low, high) as the setting of all whole numbers in between."""
-        return given if isinstance(given, cls) else cls(*given, whole=True, symbolic=False)  # type: ignore[misc]
+        return setting if isinstance(setting, cls) else cls(*setting, whole=True, symbolic=False)  # type: ignore[misc]
 
     def scan(self, scope: Scope) -> list[float]:
         """The distinct values to try, ascending, rounded as in labels and files."""
         if self.values is None:
             return [float(k) for k in range(int(self.low), int(self.high) + 1)]
-        found = self.values(scope) if callable(self.values) else self.values
-        kept = {float(f"{value:.{DIGITS}g}") for value in found if self.allows(value)}
+        values = self.values(scope) if callable(self.values) else self.values
+        kept = {float(f"{value:.{DIGITS}g}") for value in values if self.allows(value)}
         return sorted(kept)
 
     def allows(self, value: float) -> bool:

@@ -46,22 +46,25 @@ def turns_measured(model: object, measurements: Measurements) -> Array | None:
     return flange_turns(arm.chain, measurements)
 
 
-def base_and_tool(found: Identification, tip: Callable[[Array], float] | None) -> list[str]:
+def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> list[str]:
     """The sentence that names it, where it is what leaves a fit uncertain; else none.
 
     tip : expected error of the tip [mm] with a covariance (p, p); None: something is not identifiable at all
     """
-    if (turns := found.flange_turns) is None or turns[0] > HARDLY:
+    if (turns := fit.flange_turns) is None or turns[0] > HARDLY:
         return []
-    arm = found.model.arm
+    arm = fit.model.arm
     assert arm.chain is not None
-    tools = [k for k, p in enumerate(found.model.parameters) if p.kind == TOOL]
+    tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
     if not tools:
         return []
-    if tip is None and all(found.identifiable[tools]):
+    if tip is None and all(fit.identifiable[tools]):
         return []
-    if tip is not None and CAUSE * tip(_tool_given(found.covariance, tools)) > tip(found.covariance):
-        return []
+    if tip is not None:
+        across = fit.covariance[:, tools]
+        within = np.linalg.pinv(fit.covariance[np.ix_(tools, tools)], hermitian=True)
+        if CAUSE * tip(fit.covariance - across @ within @ across.T) > tip(fit.covariance):  # with the tools known
+            return []
     anywhere = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSES, arm.links))
     able = flange_turns(arm.chain, Measurements(anywhere, np.zeros((POSES, 3))))
     if able[0] <= HARDLY:  # all its axes are parallel
@@ -73,9 +76,3 @@ def base_and_tool(found: Identification, tip: Callable[[Array], float] | None) -
         return [f"{TOGETHER}: {kept}. Measure postures that turn it about two axes {how}"]
     kept = f"the flange turned about one axis only, about others by {np.degrees(turns[0]):.2g} deg (RMS)"
     return [f"{TOGETHER}: {kept}. Measure postures that turn it about another axis, too, {how}"]
-
-
-def _tool_given(covariance: Array, tools: list[int]) -> Array:
-    """(p, p) of the other parameters, and 0 of these, where they are known."""
-    across = covariance[:, tools]
-    return np.asarray(covariance - across @ np.linalg.pinv(covariance[np.ix_(tools, tools)], hermitian=True) @ across.T)

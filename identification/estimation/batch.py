@@ -20,7 +20,7 @@ from identification.estimation.checks import check_measurements
 from identification.estimation.chord import Chord
 from identification.estimation.estimate import weighting
 from identification.estimation.levenberg_marquardt import levenberg_marquardt, outcomes
-from identification.estimation.methods import gauss_newton, linear, starts
+from identification.estimation.methods import damped_gauss_newton, linear, starts
 from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
 from identification.information import full_rank, identifiability_of, spectrum
@@ -110,8 +110,8 @@ def _problem(model: Model, plan: Measurements | ArrayLike, measured: Array, weig
         raise InputError(f"positions: shape {measured.shape}, allowed: (K, {m}, {d})")
     prior = Prior(model.prior) if model.prior else None
     check_measurements(model, replace(plan, positions=np.zeros((m, d))))
-    own = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
-    noise = weighting(model, plan, own if prior is None else "given", weights)
+    of_plan = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
+    noise = weighting(model, plan, of_plan if prior is None else "given", weights)
     return Problem(model, plan.postures, plan.conditions, measured, noise.weights, prior=prior)
 
 
@@ -139,16 +139,16 @@ def _iterated(problem: Problem) -> BatchFit:
     for _ in range(2):
         rest = np.flatnonzero(~stationary)
         for part in _chunks(len(rest), m):
-            some = rest[part]
-            own = problem.rows(some)
-            chord = Chord(own, own.linearize(parameters[some], np.arange(len(some)))[1])
-            parameters[some], rss[some], stationary[some] = chord.solve(own, parameters[some])
+            sets = rest[part]
+            problems = problem.rows(sets)
+            chord = Chord(problems, problems.linearize(parameters[sets], np.arange(len(sets)))[1])
+            parameters[sets], rss[sets], stationary[sets] = chord.solve(problems, parameters[sets])
     status[stationary] = Status.converged
     rest = np.flatnonzero(~stationary)
     for part in _chunks(len(rest), m):
-        some = rest[part]
-        found = levenberg_marquardt(problem.rows(some).least_squares, parameters[some])
-        parameters[some], rss[some], status[some] = found.parameters, found.squares, found.status
+        sets = rest[part]
+        solution = levenberg_marquardt(problem.rows(sets).least_squares, parameters[sets])
+        parameters[sets], rss[sets], status[sets] = solution.parameters, solution.squares, solution.status
     return BatchFit(parameters, rss - np.sum((parameters @ problem.prior_rows.T) ** 2, axis=1), status)
 
 
@@ -168,14 +168,14 @@ def estimate_each(
     count, m, _ = plans.shape
     parameters, rss, status = _empty(count, model)
     for part in _chunks(count, m):
-        own = sessions(plans[part], model.remembers) if conditions is None else conditions.rows(part)
-        problem = Problem(model, plans[part], own, measured[part], np.ones(m))
+        of_sets = sessions(plans[part], model.remembers) if conditions is None else conditions.rows(part)
+        problem = Problem(model, plans[part], of_sets, measured[part], np.ones(m))
         jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
         estimable = np.flatnonzero(full_rank(jacobians, model.scales))
         if estimable.size:
-            solve, some = linear if problem.exact_form else gauss_newton, estimable + part.start
-            found = solve(problem.rows(estimable))
-            parameters[some], rss[some], status[some] = found.parameters, found.squares, found.status
+            solve, sets = linear if problem.exact_form else damped_gauss_newton, estimable + part.start
+            solution = solve(problem.rows(estimable))
+            parameters[sets], rss[sets], status[sets] = solution.parameters, solution.squares, solution.status
     return BatchFit(np.where((status == Status.converged)[:, None], parameters, np.nan), rss, status)
 
 

@@ -46,8 +46,8 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
     held = {*model.prior, *(() if prior is None else prior.names)}
     p -= len(held & set(model.names))
     if (d := measurements.dimension) * m < p:
-        found = f"{d} m = {d * m} < p = {p}"
-        raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // d)}")
+        counted = f"{d} m = {d * m} < p = {p}"
+        raise InputError(f"measurements: fewer equations than unknowns: {counted}, allowed: m >= {-(-p // d)}")
 
 
 def _check_needs(model: Model, measurements: Measurements) -> None:
@@ -69,20 +69,15 @@ def _check_kind(name: str, value: object, needed: str, allowed: str) -> None:
         raise InputError(f"{name}: found {type(value).__name__}, allowed: {allowed}")
 
 
-def _relative_weights(weights: ArrayLike | None, m: int) -> Array:
-    """(m,), one each if there are none. Raises `InputError`."""
-    relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
-    if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
-        raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
-    return relative
-
-
 def weighting(
     model: Model, measurements: Measurements, sigma: ArrayLike | str | None, weights: ArrayLike | None
 ) -> Noise:
     """Which sigma holds (argument, then rows, then arm), and the weights that follow; of rows that are copied the first
     counts, the others have no weight. Raises `InputError`."""
-    relative = _relative_weights(weights, len(measurements))
+    m = len(measurements)
+    relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
+    if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
+        raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
     relative = np.where(measurements.originals == np.arange(len(measurements)), relative, 0.0)
     if isinstance(sigma, str) and sigma not in RELIANCE:
         raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
@@ -90,16 +85,13 @@ def weighting(
     if reliance == "estimated":
         return Noise(relative, None, reliance)
     numbers = None if isinstance(sigma, str) else sigma
-    given = next((s for s in (numbers, measurements.sigma, model.sigma) if s is not None), None)
-    if given is None and reliance == "given":
+    stated = next((s for s in (numbers, measurements.sigma, model.sigma) if s is not None), None)
+    if stated is None and reliance == "given":
         allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
         raise InputError(f"sigma: 'given', but none is given, allowed: {allowed}")
-    return Noise(relative, None) if given is None else _known_noise(relative, np.asarray(given, dtype=float), reliance)
-
-
-def _known_noise(relative: Array, deviations: Array, reliance: str | None) -> Noise:
-    """From relative weights (m,) and one standard deviation [mm] or (m,) of them."""
-    m = len(relative)
+    if stated is None:
+        return Noise(relative, None)
+    deviations = np.asarray(stated, dtype=float)
     if deviations.shape not in ((), (m,)) or not np.all(np.isfinite(deviations) & (deviations > 0.0)):
         raise InputError(f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
     return Noise(relative / deviations**2, float(np.sqrt(np.mean(deviations**2))), reliance)

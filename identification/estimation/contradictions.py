@@ -2,7 +2,7 @@
 
 The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one degree
 of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors of one
-parameter look like errors of others, and the fit is made anew without it before the others are tested.
+parameter look like errors of others, and the fit is made again without it before the others are tested.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ class Contradiction:
     instead: tuple[str, ...] = ()  # parameters that would explain the measurements as well
 
     @classmethod
-    def of(cls, name: str, before: Earlier, found: Identification, instead: tuple[str, ...]) -> Contradiction:
+    def of(cls, name: str, before: Earlier, fit: Identification, instead: tuple[str, ...]) -> Contradiction:
         """Of a parameter before, and of a fit without that prior."""
-        p, deviations = found.model.parameters[k := found.names.index(name)], np.sqrt(np.diag(before.covariance))
-        there = before.names.index(name)
-        figures = before.values[there], deviations[there], found.parameters[k], found.std[k]
+        p, deviations = fit.model.parameters[k := fit.names.index(name)], np.sqrt(np.diag(before.covariance))
+        k_before = before.names.index(name)
+        figures = before.values[k_before], deviations[k_before], fit.parameters[k], fit.std[k]
         prior, prior_std, value, std = (float(x * p.to_file) for x in figures)
         return cls(name, p.file_unit, prior, prior_std, value, std, instead)
 
@@ -66,16 +66,20 @@ class Contradiction:
         return dict(vars(self))
 
 
-def warning(found: Sequence[Contradiction], anew: Sequence[Parameter]) -> list[str]:
-    """The warning;  anew : parameters without a prior."""
-    if not found:
+def warning(contradictions: Sequence[Contradiction], without_prior: Sequence[Parameter]) -> list[str]:
+    """The warning;  without_prior : parameters without a prior."""
+    if not contradictions:
         return []
-    more = f"; and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    words = [one.name for one in found] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in anew]
-    said = f"the measurements contradict the prior: {'; '.join(map(str, found[:SHOWN]))}{more} (others as there)"
+    rest = f"; and {len(contradictions) - SHOWN} more" if len(contradictions) > SHOWN else ""
+    words = [one.name for one in contradictions] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
+    sentence = (
+        f"the measurements contradict the prior: {'; '.join(map(str, contradictions[:SHOWN]))}{rest} (others as there)"
+    )
     do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
     lacks = "the model lacks what differs between both measurements: armcal diagnose"
-    return [f"{said}. The fit is right for neither. Either they changed and are to be found anew: {do}; or {lacks}"]
+    return [
+        f"{sentence}. The fit is right for neither. Either they changed and are to be estimated again: {do}; or {lacks}"
+    ]
 
 
 class Linear(NamedTuple):
@@ -101,23 +105,23 @@ class Linear(NamedTuple):
         left = target - scaled @ np.linalg.lstsq(scaled, target, rcond=None)[0]
         return float(left @ left) / noise**2
 
-    def noise(self, known: bool, given: bool) -> tuple[float, float]:
+    def noise(self, has_sigma: bool, sigma_holds: bool) -> tuple[float, float]:
         """That the measurements have without the earlier calibration, and its degrees of freedom: infinite where it is
         the one given, 0 where nothing is left to tell.
 
-        known : rows are divided by sigma, which the noise is not below;  given : it is the noise
+        has_sigma : rows are divided by sigma, which the noise is not below;  sigma_holds : it is the noise
         """
         alone = self.released(self.problem.model.names)
         equations = self.problem.model.dimension * int(np.count_nonzero(self.problem.weights))
-        noise, spare = 1.0 if known or given else self.problem.noise, 0.0
-        for _ in range(0 if given else ROUNDS):
+        noise, spare = 1.0 if has_sigma or sigma_holds else self.problem.noise, 0.0
+        for _ in range(0 if sigma_holds else ROUNDS):
             rows = alone.rows(self.problem.model.parameters, noise)
             spare = equations - effective_count(self.jacobian, rows)
             if spare < 1.0:
                 break
             noise = float(np.sqrt(self.squares(alone, noise) * noise**2 / spare))
-            noise = max(noise, 1.0 if known else LEAST)
-        return (noise, np.inf) if given or (known and noise == 1.0) else (noise, max(spare, 0.0))
+            noise = max(noise, 1.0 if has_sigma else LEAST)
+        return (noise, np.inf) if sigma_holds or (has_sigma and noise == 1.0) else (noise, max(spare, 0.0))
 
 
 def released(prior: Prior, names: Collection[str], machining: Mapping[str, float]) -> Prior:
@@ -134,32 +138,32 @@ Tested = tuple[Linear, float, float]  # with its noise and degrees of freedom, a
 def contradicted(at: Callable[[Collection[str]], Tested]) -> dict[str, tuple[str, ...]]:
     """Parameters whose prior the measurements contradict, the clearest first, each with those that would explain it as
     well;  at : the problem about the fit without the prior of some parameters."""
-    found = dict[str, tuple[str, ...]]()
+    explained = dict[str, tuple[str, ...]]()
     while True:
-        linear, noise, freedom = at(found)
+        linear, noise, freedom = at(explained)
         assert linear.problem.prior is not None
         assert linear.problem.prior.earlier is not None
         rest = [name for name in linear.problem.prior.earlier.names if name in linear.problem.model.names]
-        rest = [name for name in rest if freedom >= 1.0 and noise > LEAST and name not in found]
-        least = linear.squares(linear.released(found), noise)
-        left = {name: linear.squares(linear.released([*found, name]), noise) for name in rest}
+        rest = [name for name in rest if freedom >= 1.0 and noise > LEAST and name not in explained]
+        least = linear.squares(linear.released(explained), noise)
+        left = {name: linear.squares(linear.released([*explained, name]), noise) for name in rest}
         best = min(left, key=lambda name: left[name], default="")
         if not rest or _p_value(least - left[best], freedom) * len(rest) >= LEVEL:
-            return found
+            return explained
         instead = [name for name in rest if name != best and _p_value(left[name] - left[best], freedom) > RIVAL]
-        found[best] = tuple(instead)
+        explained[best] = tuple(instead)
 
 
-def about_fits(problem: Problem, x: Array, known: bool, given: bool) -> Callable[[Collection[str]], Tested]:
+def about_fits(problem: Problem, x: Array, has_sigma: bool, sigma_holds: bool) -> Callable[[Collection[str]], Tested]:
     """For `contradicted`: each fit starts from the one before, since an error of degrees is not linear.
 
-    x : (p,) of the fit with the whole prior;  known, given : as of `Linear.noise`
+    x : (p,) of the fit with the whole prior;  has_sigma, sigma_holds : as of `Linear.noise`
     """
 
     def linear_at(values: Array) -> Tested:
         residuals, jacobians = replace(problem, prior=None).least_squares.linearize(values[None], np.arange(1))
         linear = Linear(problem, values, residuals[0], jacobians[0])
-        return linear, *linear.noise(known, given)
+        return linear, *linear.noise(has_sigma, sigma_holds)
 
     last = linear_at(x)
 
@@ -181,21 +185,21 @@ def _p_value(drop: float, freedom: float) -> float:
 
 
 def with_contradictions(
-    found: Identification, problem: Problem, noise: Noise, again: Callable[[Mapping[str, float]], Identification]
+    fit: Identification, problem: Problem, noise: Noise, again: Callable[[Mapping[str, float]], Identification]
 ) -> Identification:
     """The fit with what contradicts its prior, and with the covariance of the noise that is there without it.
 
     problem : as it was solved;  again : the fit without the earlier calibration's prior, some parameters known
     """
-    at = about_fits(problem, found.parameters, noise.sigma is not None, noise.reliance == "given")
+    at = about_fits(problem, fit.parameters, noise.sigma is not None, noise.reliance == "given")
     linear, least, _ = at(())
     names = contradicted(at)
     rows = replace(problem, noise=min(least, problem.noise)).prior_rows
     seen = spectrum(np.concatenate([linear.jacobian, rows]), problem.model.scales, problem.tolerance).covariance
-    found = replace(found, covariance_seen=min(least, problem.noise) ** 2 * seen)
+    fit = replace(fit, covariance_seen=min(least, problem.noise) ** 2 * seen)
     if not names or problem.prior is None or problem.prior.earlier is None:
-        return found
+        return fit
     earlier = problem.prior.earlier
-    known = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
-    free, before = again(known), earlier.given(known)
-    return replace(found, contradictions=tuple(Contradiction.of(name, before, free, names[name]) for name in names))
+    held = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
+    free, before = again(held), earlier.conditioned_on(held)
+    return replace(fit, contradictions=tuple(Contradiction.of(name, before, free, names[name]) for name in names))

@@ -94,38 +94,38 @@ class _Quantity(NamedTuple):
 
 def corrected_values(
     arm: Arm,
-    found: Calibration | None = None,
+    calibration: Calibration | None = None,
     freedom: Collection[float] | None = None,
     unknown: Collection[str] = (),
-    known: Array | None = None,
+    factor: Array | None = None,
     seen: Array | None = None,
 ) -> tuple[CorrectedValue, ...]:
     """What was estimated or differs from the drawing: geometry, then effects.
 
-    found : None: the arm's own calibration
-    freedom : degrees of freedom of the variances of `found.parameter_names`; None: as its provenance says
+    calibration : None: the arm's own calibration
+    freedom : degrees of freedom of the variances of `calibration.parameter_names`; None: as its provenance says
     unknown : names of parameters that are not estimable
-    known : (p, r) factor of the covariance of `found.parameter_names` before the measurements, 0 where there is none;
-        None: that of the arm's machining, where all that it says something of was estimated
-    seen : (p, p) covariance by which the measurements say next to nothing; None: that of `found`
+    factor : (p, r) factor of the covariance of `calibration.parameter_names` before the measurements, 0 where
+        there is none; None: that of the arm's machining, where all that it says something of was estimated
+    seen : (p, p) covariance by which the measurements say next to nothing; None: that of `calibration`
     """
-    model, found = Model(arm), found or arm.calibration or Calibration({})
-    values = {**model.fixed, **found.values}
-    names = {*found.parameter_names, *unknown}
+    model, calibration = Model(arm), calibration or arm.calibration or Calibration({})
+    values = {**model.fixed, **calibration.values}
+    names = {*calibration.parameter_names, *unknown}
     geometry = _planar(arm, values) if arm.chain is None else _spatial(arm, arm.chain, values, names)
-    spread = freedom_of(found) if freedom is None else np.array([*freedom], dtype=float)
-    prior = model.prior if {*model.prior} <= {*found.parameter_names} else {}
-    before = np.diag([prior.get(name, 0.0) for name in found.parameter_names]) if known is None else known
-    seen = found.covariance if seen is None else seen
-    places = {name: k for k, name in enumerate(found.parameter_names)}
+    spread = freedom_of(calibration) if freedom is None else np.array([*freedom], dtype=float)
+    prior = model.prior if {*model.prior} <= {*calibration.parameter_names} else {}
+    before = np.diag([prior.get(name, 0.0) for name in calibration.parameter_names]) if factor is None else factor
+    seen = calibration.covariance if seen is None else seen
+    places = {name: k for k, name in enumerate(calibration.parameter_names)}
     quantities = (*geometry, *_effects(model, values))
-    rows = (_row(quantity, found, places, spread, unknown, before, seen) for quantity in quantities)
+    rows = (_row(quantity, calibration, places, spread, unknown, before, seen) for quantity in quantities)
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
 def _row(
     quantity: _Quantity,
-    found: Calibration,
+    calibration: Calibration,
     places: Mapping[str, int],
     freedom: Array,
     unknown: Collection[str],
@@ -134,30 +134,25 @@ def _row(
 ) -> CorrectedValue:
     at, slope = _slope(quantity, places)
     undetermined, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
-    if found.covariance is not None and at.size and not undetermined:
-        deviation = max(float(slope @ found.covariance[np.ix_(at, at)] @ slope), 0.0) ** 0.5
+    if calibration.covariance is not None and at.size and not undetermined:
+        deviation = max(float(slope @ calibration.covariance[np.ix_(at, at)] @ slope), 0.0) ** 0.5
     half = float(quantile_95(freedom[at].min(initial=np.inf))) * deviation
     limits = np.clip([quantity.value - half, quantity.value + half], *quantity.bounds)
     figures = [np.nan if undetermined else quantity.value, deviation, *limits]
     value, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
-    own = quantity.name, quantity.parameter, quantity.nominal
-    prior = _prior_std(slope, before[at])
+    about = quantity.name, quantity.parameter, quantity.nominal
+    has_prior = bool(slope.size and np.all(np.any(before[at] != 0.0, axis=1)))
+    prior = float(np.linalg.norm(before[at].T @ slope)) if has_prior else None
     held = False
     if std is not None and prior is not None and seen is not None:
         held = bool(slope @ seen[np.ix_(at, at)] @ slope > (1.0 - LITTLE) * prior**2)
-    return CorrectedValue(*own, value, std, low, high, quantity.unit, quantity.convention, prior, held)
+    return CorrectedValue(*about, value, std, low, high, quantity.unit, quantity.convention, prior, held)
 
 
 def _slope(quantity: _Quantity, places: Mapping[str, int]) -> tuple[NDArray[np.intp], Array]:
     """(k,) parameters that it depends on, by their places in order, and its derivatives by them."""
     used = sorted((places[name], slope) for name, slope in quantity.derivatives.items() if slope and name in places)
     return np.array([place for place, _ in used], dtype=np.intp), np.array([slope for _, slope in used], dtype=float)
-
-
-def _prior_std(slope: Array, before: Array) -> float | None:
-    """Of a combination (k,) of parameters with the rows `before` (k, r), None unless each has a prior."""
-    known = bool(slope.size and np.all(np.any(before != 0.0, axis=1)))
-    return float(np.linalg.norm(before.T @ slope)) if known else None
 
 
 # -- what there is -----------------------------------------------------------------------------------------------------
@@ -186,24 +181,24 @@ def _zeros(arm: Arm, values: Values) -> Iterator[_Quantity]:
 def _effects(model: Model, values: Values) -> Iterator[_Quantity]:
     """Parameters of effects, their names with the settings."""
     for effect in model.effects:
-        said = STANDS if effect.name == "base_offset" else EFFECT
+        convention = STANDS if effect.name == "base_offset" else EFFECT
         for p in effect.parameters:
             name, value = f"{effect.label}.{p.short}", values.get(p.name, 0.0) * p.to_file
             bounds = p.lower * p.to_file, p.upper * p.to_file
-            yield _Quantity(name, p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, said, bounds)
+            yield _Quantity(name, p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, convention, bounds)
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------
 def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[str]) -> Iterator[_Quantity]:
     """Zeros of the joints, their frames, base and measured points; derivatives by the parameters `names`."""
     yield from _zeros(arm, values)
-    drawn, there = _tables(chain, {}), _tables(chain, values)
+    drawn, corrected = _tables(chain, {}), _tables(chain, values)
     steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in names and p.kind != JOINT_OFFSET}
     ends = {
         name: [_tables(chain, {**values, name: values.get(name, 0.0) + sign * step}) for sign in (1.0, -1.0)]
         for name, step in steps.items()
     }
-    for place, table in there.items():
+    for place, table in corrected.items():
         for key, value in table.items():
             slopes = {
                 name: _nearest(up[place][key] - down[place][key], 0.0, key) / (2.0 * steps[name])
@@ -221,8 +216,8 @@ def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[st
 def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:
     """Place -> its numbers in file units: frame of each joint, base, measured points."""
     geometry = CorrectedGeometry(chain, values)
-    found = geometry.tables()
-    rows = {f"joint {row.pop('joint')}": row for row in found["geometry"]}
+    tables = geometry.tables()
+    rows = {f"joint {row.pop('joint')}": row for row in tables["geometry"]}
     for j, joint in enumerate(chain.joints, start=1):
         if abs(joint.origin[2, 0]) > np.sin(np.radians(UPRIGHT)):
             place, drawn = geometry.origin(j), joint.origin[:3, :3]
@@ -231,8 +226,8 @@ def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:
             rows[f"joint {j}"] = {k: round(v, 12) if k.endswith("_deg") else v for k, v in turned.items()}
     hidden = {f"{name.partition('.')[2]}_deg" for name in chain.instrument.hidden(chain.base)}
     hidden |= {key.replace("_deg", "_mm") for key in hidden}
-    base = {} if found["base"] is None else {"base": {k: v for k, v in found["base"].items() if k not in hidden}}
-    tools = {f"tool {name}": place for name, place in found["tools"].items()}
+    base = {} if tables["base"] is None else {"base": {k: v for k, v in tables["base"].items() if k not in hidden}}
+    tools = {f"tool {name}": place for name, place in tables["tools"].items()}
     return {place: {k: v for k, v in row.items() if k != "name"} for place, row in (rows | base | tools).items()}
 
 
@@ -245,5 +240,5 @@ def _convention(place: str, table: Mapping[str, float]) -> str:
     if not place.startswith("joint "):
         return BASE if place == "base" else TOOL
     j = int(place.removeprefix("joint "))
-    said, before = FRAME if "roll_deg" in table else TURNED_FRAME, "the base" if j == 1 else f"joint {j - 1}"
-    return said.format(j=j, before=before)
+    convention, before = FRAME if "roll_deg" in table else TURNED_FRAME, "the base" if j == 1 else f"joint {j - 1}"
+    return convention.format(j=j, before=before)

@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
 from identification.estimation.checks import Noise, check_measurements, weighting
 from identification.estimation.levenberg_marquardt import Solution
@@ -62,23 +61,19 @@ def estimate(
     filed, model = as_filed(model, measurements), placed_model(model, measurements)
     noise = weighting(model, measurements, sigma, weights)
     problem = Problem.of(model, measurements, noise.weights)
-    chosen = _known_method(method or ("linear" if problem.exact_form else "gauss_newton"))
+    chosen = method or ("linear" if problem.exact_form else "gauss_newton")
+    if chosen not in METHODS:
+        raise InputError(f"method: unknown name {chosen!r}, {nearest(chosen, METHODS)}")
     solution, decomposed, problem = _solve(problem, chosen, noise)
-    found = _result(problem, measurements, chosen, solution, decomposed, noise)
-    return found if filed is None else replace(found, residuals_before=filed)
-
-
-def _known_method(name: str) -> str:
-    if name not in METHODS:
-        raise InputError(f"method: unknown name {name!r}, {nearest(name, METHODS)}")
-    return name
+    fit = _result(problem, measurements, chosen, solution, decomposed, noise)
+    return fit if filed is None else replace(fit, residuals_before=filed)
 
 
 def _solution(problem: Problem, method: str) -> Solution:
-    found = METHODS[method](problem)
-    if not found.status[0].succeeded:
-        raise JobError(f"{method}: {found.status[0].value} Nothing damps this method; gauss_newton may do better.")
-    return found
+    solution = METHODS[method](problem)
+    if not solution.status[0].succeeded:
+        raise JobError(f"{method}: {solution.status[0].value} Nothing damps this method; gauss_newton may do better.")
+    return solution
 
 
 def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:
@@ -86,7 +81,8 @@ def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spect
     solution = _solution(problem, method)
     residuals, jacobian = problem.linearize_at(solution.parameters[0])
     decomposed = spectrum(jacobian, problem.model.scales, problem.tolerance)
-    sigma = noise.sigma or _estimated(residuals, decomposed.rank) or 0.0
+    dof = residuals.size - decomposed.rank
+    sigma = noise.sigma or (float(np.sqrt(np.sum(residuals**2) / dof)) if dof > 0 else 0.0)
     reach = problem.model.reach
     useful = max(RANK_TOLERANCE, sigma / (np.sqrt(len(problem.weights)) * LARGEST_SHARE * reach))
     if decomposed.truncated(min(useful, 0.1)).rank == decomposed.rank:
@@ -97,16 +93,11 @@ def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spect
     return solution, spectrum(jacobian, problem.model.scales, problem.tolerance), problem
 
 
-def _estimated(residuals: Array, rank: int) -> float | None:
-    dof = residuals.size - rank
-    return float(np.sqrt(np.sum(residuals**2) / dof)) if dof > 0 else None
-
-
 def _result(
     problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, noise: Noise
 ) -> Identification:
-    rows, known = FittedRows.of(problem, data, solution.parameters[0], decomposed.rank), noise.sigma is not None
-    made = uncertainty(rows, decomposed, known=known, reliance=noise.reliance)
+    rows, has_sigma = FittedRows.of(problem, data, solution.parameters[0], decomposed.rank), noise.sigma is not None
+    made = uncertainty(rows, decomposed, known=has_sigma, reliance=noise.reliance)
     scale = float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = scale if noise.sigma is None or scale is None else noise.sigma * scale
     return identification(

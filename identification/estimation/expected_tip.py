@@ -28,7 +28,7 @@ SHARE = 0.5  # of the drawing's own error
 def expected_tip(model: Model, parameters: Array, covariance: Array, postures: Array) -> float:
     """Root mean square over postures of the expected distance [mm]: the square root of the mean of trace(J C J^T).
 
-    The tip is the first measured point, in the frame of the measurements (of lengths: best registered anew), under
+    The tip is the first measured point, in the frame of the measurements (of lengths: best registered again), under
     neutral conditions. What the model lacks is not in it.
 
     parameters : (p,) of the fit;  covariance : (p, p), with a prior that of the posterior;  postures : (m, n) [rad]
@@ -43,7 +43,7 @@ def working_postures(low: Array, high: Array) -> Array:
     return np.random.default_rng(0).uniform(low, high, (POSES, len(low)))
 
 
-def tip_of(found: Identification, *, measured: bool) -> float | None:
+def tip_of(fit: Identification, *, measured: bool) -> float | None:
     """`expected_tip` of a fit over the joint limits, whatever they are, or over further postures like those measured
     [mm], with the error of its own that the prior says each posture has; None where something is not identifiable,
     without deviations, and of other models than an arm's.
@@ -53,33 +53,31 @@ def tip_of(found: Identification, *, measured: bool) -> float | None:
     G. Wahba, "Generalized cross-validation", 1979), repeats counted once; and in the box of the angles measured it is
     hardly less, whatever few rows say.
     """
-    arm, own = getattr(found.model, "arm", None), found.postures
-    if not isinstance(arm, Arm) or found.not_identifiable or not np.all(np.isfinite(found.covariance)):
+    arm, postures_measured = getattr(fit.model, "arm", None), fit.postures
+    if not isinstance(arm, Arm) or fit.not_identifiable or not np.all(np.isfinite(fit.covariance)):
         return None
-    if arm.chain is not None and not arm.chain.instrument.whole and len(own) < FEWEST:
+    if arm.chain is not None and not arm.chain.instrument.whole and len(postures_measured) < FEWEST:
         return None
 
     def over(postures: Array) -> float:
-        return float(
-            np.hypot(expected_tip(found.model, found.parameters, found.covariance, postures), own_error(found))
-        )
+        return float(np.hypot(expected_tip(fit.model, fit.parameters, fit.covariance, postures), own_error(fit)))
 
     if not measured:
         return over(working_postures(arm.lower, arm.upper))
-    numbers = len(own) * found.residuals_after.shape[1]
-    share = max(numbers - found.determined, 1.0) / numbers
-    few = own[:: max(len(own) // POSES, 1)]
-    among = expected_tip(found.model, found.parameters, found.covariance, few) / float(np.sqrt(share))
-    among = float(np.hypot(among, own_error(found)))
-    return min(among, over(working_postures(own.min(axis=0), own.max(axis=0))))
+    numbers = len(postures_measured) * fit.residuals_after.shape[1]
+    share = max(numbers - fit.determined, 1.0) / numbers
+    few = postures_measured[:: max(len(postures_measured) // POSES, 1)]
+    among = expected_tip(fit.model, fit.parameters, fit.covariance, few) / float(np.sqrt(share))
+    among = float(np.hypot(among, own_error(fit)))
+    return min(among, over(working_postures(postures_measured.min(axis=0), postures_measured.max(axis=0))))
 
 
-def own_error(found: Identification) -> float:
+def own_error(fit: Identification) -> float:
     """Root mean square distance [mm] by which a posture's own error moves the tip, as the prior of a fit says."""
-    model = found.model
-    if found.prior is None or not isinstance(getattr(model, "arm", None), Arm):
+    model = fit.model
+    if fit.prior is None or not isinstance(getattr(model, "arm", None), Arm):
         return 0.0
-    return found.prior.own_error * float(np.sqrt(2 if model.arm.chain is None else 3))
+    return fit.prior.own_error * float(np.sqrt(2 if model.arm.chain is None else 3))
 
 
 def size_left_open(arm: Arm) -> str:
@@ -91,31 +89,31 @@ def size_left_open(arm: Arm) -> str:
     return "; but however many, contacts with planes fit an arm of any size, which only [machining] tells"
 
 
-def hardly_determined(found: Identification) -> list[str]:
+def hardly_determined(fit: Identification) -> list[str]:
     """What is doubtful about a fit that leaves the tip uncertain, beyond the noise of one measurement: by over half of
     what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits."""
-    if found.expected_tip_measured is None or found.expected_tip is None:
-        return base_and_tool(found, None)
-    own = own_error(found) ** 2  # which no further rows help against
+    if fit.expected_tip_measured is None or fit.expected_tip is None:
+        return base_and_tool(fit, None)
+    own_square = own_error(fit) ** 2  # which no further rows help against
     inside, anywhere = (
-        float(np.sqrt(max(error**2 - own, 0.0))) for error in (found.expected_tip_measured, found.expected_tip)
+        float(np.sqrt(max(error**2 - own_square, 0.0))) for error in (fit.expected_tip_measured, fit.expected_tip)
     )
-    equations = found.residuals_before.size
-    spare = equations - len(places := placing(found.model.parameters))
-    off = found.rms_before if len(places) < len(found.names) else found.rms_after  # its place says nothing of the arm
+    equations = fit.residuals_before.size
+    spare = equations - len(places := placing(fit.model.parameters))
+    off = fit.rms_before if len(places) < len(fit.names) else fit.rms_after  # its place says nothing of the arm
     before = off * float(np.sqrt(equations / spare)) if spare > 0 else 0.0
-    noise = max(found.scatter or 0.0, found.sigma or 0.0) * float(np.sqrt(found.model.arm.dimension))
-    far = f"{found.rms_before:{'.3g' if found.rms_before < 1000.0 else '.0f'}} mm"
+    noise = max(fit.scatter or 0.0, fit.sigma or 0.0) * float(np.sqrt(fit.model.arm.dimension))
+    far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
     few, far_off = inside > max(SHARE * before, noise), anywhere > max(before, noise)
     if few or far_off:
-        everywhere = working_postures(found.model.arm.lower, found.model.arm.upper)
-        if cause := base_and_tool(found, lambda c: expected_tip(found.model, found.parameters, c, everywhere)):
+        everywhere = working_postures(fit.model.arm.lower, fit.model.arm.upper)
+        if cause := base_and_tool(fit, lambda c: expected_tip(fit.model, fit.parameters, c, everywhere)):
             return cause
     if few:
-        said = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
-        return [f"{FEW}: {said}{was}. Measure more postures{size_left_open(found.model.arm)}"]
+        doubt = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
+        return [f"{FEW}: {doubt}{was}. Measure more postures{size_left_open(fit.model.arm)}"]
     if far_off:
-        said = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
-        return [f"away from the postures measured {said}. Keep near these postures, or measure others"]
+        doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
+        return [f"away from the postures measured {doubt}. Keep near these postures, or measure others"]
     return []

@@ -39,8 +39,8 @@ def freedom_kept(names: Sequence[str], freedom: Array) -> dict[str, Any]:
 def freedom_of(calibration: Calibration) -> Array:
     """(p,) degrees of freedom of the variances of its `parameter_names`; infinite where it does not say."""
     kept = calibration.provenance.get(FREEDOM)
-    given = [kept.get(name) if isinstance(kept, Mapping) else kept for name in calibration.parameter_names]
-    return np.array([x if isinstance(x, int | float) and x > 0.0 else np.inf for x in given], dtype=float)
+    stated = [kept.get(name) if isinstance(kept, Mapping) else kept for name in calibration.parameter_names]
+    return np.array([x if isinstance(x, int | float) and x > 0.0 else np.inf for x in stated], dtype=float)
 
 
 def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedom: ArrayLike) -> Array:

@@ -18,7 +18,7 @@ ALONE = 1e-9  # of 1: what is left of a posture that alone determines something
 
 
 @single_thread()
-def left_out_residuals(found: Identification, measurements: Measurements) -> Array | None:
+def left_out_residuals(fit: Identification, measurements: Measurements) -> Array | None:
     """(m, d) each posture's positions less where a fit to all other postures puts them [mm].
 
     With the leverages H_g of the rows of a posture the residuals without them are (I - H_g)^-1 r_g: exact for a model
@@ -29,18 +29,18 @@ def left_out_residuals(found: Identification, measurements: Measurements) -> Arr
 
     None where something is not identifiable, or a posture alone determines it.
     """
-    if found.not_identifiable or len(measurements) != len(found.residuals_after):
+    if fit.not_identifiable or len(measurements) != len(fit.residuals_after):
         return None
     kept, weights = measurements.originals == np.arange(len(measurements)), np.ones(len(measurements))
     if (sigma := measurements.sigma) is not None:
         weights = np.sqrt(np.mean(sigma**2)) / sigma
-    _, jacobian = found.model.linearize(measurements.postures, found.parameters, measurements.conditions)
+    _, jacobian = fit.model.linearize(measurements.postures, fit.parameters, measurements.conditions)
     weights = weights[kept]
     rows = weights[:, None, None] * jacobian[kept]
     m, d, p = rows.shape
-    prior = np.zeros((0, p)) if found.prior is None else found.prior.rows(found.model.parameters, found.scatter or 0.0)
+    prior = np.zeros((0, p)) if fit.prior is None else fit.prior.rows(fit.model.parameters, fit.scatter or 0.0)
     leverage = _orthonormal(np.concatenate([rows.reshape(-1, p), prior]))[: m * d].reshape(m, d, -1)
-    residuals = weights[:, None] * found.residuals_after[kept]
+    residuals = weights[:, None] * fit.residuals_after[kept]
     without = np.empty_like(residuals)
     for group in _groups(measurements.posture_numbers[kept]):
         block = leverage[group].reshape(-1, leverage.shape[-1])
@@ -51,9 +51,9 @@ def left_out_residuals(found: Identification, measurements: Measurements) -> Arr
     return np.asarray((without / weights[:, None])[np.cumsum(kept)[measurements.originals] - 1])
 
 
-def left_out_rms(found: Identification, measurements: Measurements) -> float | None:
+def left_out_rms(fit: Identification, measurements: Measurements) -> float | None:
     """Root mean square distance [mm] of `left_out_residuals`, copies not counted; None as there."""
-    residuals = left_out_residuals(found, measurements)
+    residuals = left_out_residuals(fit, measurements)
     return None if residuals is None else rms_distance(residuals[np.unique(measurements.originals)][:, POINT])
 
 

@@ -160,21 +160,21 @@ def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points
     """Where searches from these points end, recorded in the solution."""
     ends = []
     for iteration in range(problem.iterations):
-        found = _steps(problem, points)
-        ended = found.stationary | (points.damping > MAX_DAMPING)
-        status = outcomes(found.stationary[ended], Status.converged, Status.almost_solved)
-        solution.record(points.at(ended), found.active[ended], status, iteration)
+        linear = _steps(problem, points)
+        ended = linear.stationary | (points.damping > MAX_DAMPING)
+        status = outcomes(linear.stationary[ended], Status.converged, Status.almost_solved)
+        solution.record(points.at(ended), linear.active[ended], status, iteration)
         ends.append(points.at(ended))
         points = points.at(~ended)
         if len(points.problems) == 0:
             break
-        points = _moved(problem, points, found.steps[~ended], found.stiffness[~ended])
+        points = _moved(problem, points, linear.steps[~ended], linear.stiffness[~ended])
     else:
         # a flat curved valley (nearly undetermined combination, few rows) is left slowly: what is missing is far below
         # its standard deviation
-        found = _steps(problem, points._replace(damping=np.zeros(len(points.problems))))
-        status = outcomes(found.explained <= FLAT, Status.almost_solved, Status.iteration_limit)
-        solution.record(points, found.active, status, problem.iterations)
+        linear = _steps(problem, points._replace(damping=np.zeros(len(points.problems))))
+        status = outcomes(linear.explained <= FLAT, Status.almost_solved, Status.iteration_limit)
+        solution.record(points, linear.active, status, problem.iterations)
         ends.append(points)
     return Points._make(np.concatenate(arrays) for arrays in zip(*ends, strict=True))
 
@@ -189,23 +189,23 @@ def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
     """
     void = np.sqrt(np.einsum("knp,knp->kp", points.jacobians, points.jacobians)) <= VANISHED * lengths[points.problems]
     void &= problem.lower < problem.upper
-    points, void = points.at(some := void.any(axis=1)), void[some]
+    points, void = points.at(stuck := void.any(axis=1)), void[stuck]
     if not len(points.problems):
         return points
-    x, (own, column) = points.parameters, np.nonzero(void)
+    x, (search, column) = points.parameters, np.nonzero(void)
     up, down = problem.upper - x, x - problem.lower
     size = np.maximum(np.abs(x), 1.0 / problem.scales)
-    above, below = (np.minimum(room, size)[own, column, None] for room in (up, down))  # of each void parameter
+    above, below = (np.minimum(room, size)[search, column, None] for room in (up, down))  # of each void parameter
     step = np.where(above >= below, above, -below)
-    tried = x[own]
-    tried[np.arange(len(own)), column] += step[:, 0]
+    tried = x[search]
+    tried[np.arange(len(search)), column] += step[:, 0]
     # one at a time: a problem is asked for one point
-    parts = [problem.linearize(tried[k : k + 1], points.problems[own[k : k + 1]]) for k in range(len(own))]
+    parts = [problem.linearize(tried[k : k + 1], points.problems[search[k : k + 1]]) for k in range(len(search))]
     residuals, jacobians = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     gradient, tried_gradient = (
         np.einsum("knp,kn->kp", *pair) for pair in ((points.jacobians, points.residuals), (jacobians, residuals))
     )
-    change = tried_gradient - gradient[own]
+    change = tried_gradient - gradient[search]
     sizes = np.sqrt(np.einsum("knp,knp->kp", jacobians, jacobians))
     in_mm = np.abs(change) / problem.scales
     small = in_mm <= VANISHED * np.max(in_mm, axis=1, keepdims=True)
@@ -216,16 +216,16 @@ def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
         # (void parameters, p) for the gradient of each parameter
         along = np.where(bend == 0.0, 0.0, np.where(sign * bend > 0.0, above, -below))
         slope = sign * gradient
-        np.add.at(slope, own, sign * along * bend)
+        np.add.at(slope, search, sign * along * bend)
         # that parameter, too, where it has no effect of its own: at a ratio far from 1 both would return to zero
-        each = np.arange(len(own)), column
+        each = np.arange(len(search)), column
         aside = (above if sign > 0.0 else -below)[:, 0]
         along[each] = np.where(bend[each] == 0.0, aside, along[each])
         moves.append(along)
         slopes.append(np.where(room > 0.0, slope / problem.scales, 0.0))
     best = np.argmax(np.concatenate(slopes, axis=1), axis=1)
     moved = x.copy()
-    moved[own, column] += np.concatenate(moves, axis=1)[np.arange(len(own)), best[own]]
+    moved[search, column] += np.concatenate(moves, axis=1)[np.arange(len(search)), best[search]]
     moved = np.clip(moved, problem.lower, problem.upper)
     descends = (np.max(np.concatenate(slopes, axis=1), axis=1) > 0.0) & np.any(moved != x, axis=1)
     points, moved = points.at(descends), moved[descends]
@@ -295,15 +295,15 @@ def damped_steps(
         return np.where(held, 0.0, steps), gradient, stiffness
     # in the 1-norm, which is never less than the ratio of the eigenvalues
     condition = np.linalg.norm(normal, 1, axis=(1, 2)) * np.linalg.norm(inverse, 1, axis=(1, 2))
-    if (more := damping > 0.0).any():
-        inverse[more] = np.linalg.inv(normal[more] + damping[more, None, None] * np.eye(len(diagonal)))
+    if (damped := damping > 0.0).any():
+        inverse[damped] = np.linalg.inv(normal[damped] + damping[damped, None, None] * np.eye(len(diagonal)))
     once = inverse @ (residuals if wide else gradient)[:, :, None]
     steps, softer = ((across @ a if wide else a)[:, :, 0] for a in (once, inverse @ once))
     stiffness = _stiffness(steps, softer)
     rest = ~(condition < min(1.0 / CLEAR, tolerance**-2))
     if rest.any():
-        found = truncated_steps(columns[rest], residuals[rest], damping[rest], tolerance)
-        steps[rest], gradient[rest], stiffness[rest] = found
+        truncated = truncated_steps(columns[rest], residuals[rest], damping[rest], tolerance)
+        steps[rest], gradient[rest], stiffness[rest] = truncated
     return np.where(held, 0.0, steps), gradient, stiffness
 
 

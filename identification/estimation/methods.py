@@ -27,14 +27,14 @@ def linear(problem: Problem) -> Solution:
     return Solution(parameters, squares, np.zeros(parameters.shape, dtype=bool), status, np.ones(len(squares), int))
 
 
-def gauss_newton(problem: Problem) -> Solution:
+def damped_gauss_newton(problem: Problem) -> Solution:
     """A stationary point within the bounds, by damped Gauss-Newton steps (Levenberg-Marquardt) from `starts`."""
     return levenberg_marquardt(problem.least_squares, starts(problem))
 
 
 METHODS: Mapping[str, Callable[[Problem], Solution]] = {
     "linear": linear,
-    "gauss_newton": gauss_newton,
+    "gauss_newton": damped_gauss_newton,
     "paper_steps": paper_steps,
 }
 
@@ -44,17 +44,17 @@ def starts(problem: Problem) -> Array:
 
     The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
     """
-    known = np.tile(problem.start, (len(problem.positions), 1))
+    best_known = np.tile(problem.start, (len(problem.positions), 1))
     if RADIUS in problem.model.names:
-        return _with_radius(problem, known)
+        return _with_radius(problem, best_known)
     form = problem.model.closed_form
     if form is None:
-        return known
-    solved = known.copy()
+        return best_known
+    solved = best_known.copy()
     solved[:, form.indices] = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)[0]
     if not np.any(problem.start):
         return solved  # nothing is known that the closed form does not know
-    return np.where((problem.squares(known) < problem.squares(solved))[:, None], known, solved)
+    return np.where((problem.squares(best_known) < problem.squares(solved))[:, None], best_known, solved)
 
 
 def _with_radius(problem: Problem, starts: Array) -> Array:

@@ -47,20 +47,22 @@ def as_it_was(problem: Problem) -> Array:
     residual = problem.positions[0] - position
     slopes = (problem.root_weights[:, :, None] * jacobian[:, :, free]).reshape(-1, len(free))
     step = np.linalg.lstsq(slopes, (problem.root_weights * residual).ravel(), rcond=None)[0]
-    there = problem.start.copy()
-    there[free] += step
-    return np.asarray(problem.residuals(there)[0])
+    parameters = problem.start.copy()
+    parameters[free] += step
+    return np.asarray(problem.residuals(parameters)[0])
 
 
 def as_filed(model: Model, data: Measurements) -> Array | None:
     """(m, d) residuals [mm] of a spatial arm where its calibration has it, if nothing but that place is estimated; None
     for other fits and where the file does not say it: `as_it_was` fits it."""
     arm = getattr(model, "arm", None)
-    chain, there = (None, None) if arm is None else (arm.chain, arm.calibration)
-    if chain is None or there is None or len(data.session_names) > 1:
+    chain, calibration = (None, None) if arm is None else (arm.chain, arm.calibration)
+    if chain is None or calibration is None or len(data.session_names) > 1:
         return None
-    said = (BASE in chain.known or there.base is not None) and (TOOL in chain.known or {*there.tools} >= {*chain.tools})
-    if not said or len(placing(model.parameters)) < len(model.names):
+    placed = (BASE in chain.known or calibration.base is not None) and (
+        TOOL in chain.known or {*calibration.tools} >= {*chain.tools}
+    )
+    if not placed or len(placing(model.parameters)) < len(model.names):
         return None
     return np.asarray(data.positions - model.position(data.postures, model.values, data.conditions))
 
@@ -75,25 +77,25 @@ def identification(
     spread: Spread,
 ) -> Identification:
     """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit."""
-    model, parameters, known = problem.model, solution.parameters[0], noise.sigma is not None
-    found = identifiability_of(decomposed, model.names, model.scales)
+    model, parameters, has_sigma = problem.model, solution.parameters[0], noise.sigma is not None
+    identifiability = identifiability_of(decomposed, model.names, model.scales)
     before, after = as_it_was(problem), problem.residuals(parameters)[0]
-    doubtful = doubts(model, parameters, found.identifiable, before, after, data)
+    doubtful = doubts(model, parameters, identifiability.identifiable, before, after, data)
     unexplained = unexplained_by_fit(problem, parameters, after)
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
     used = np.flatnonzero(problem.weights > 0.0)
     first = used[np.unique(data.repeat_numbers[used], return_index=True)[1]]
-    status = Status.not_identifiable if found.combinations else solution.status[0]
+    status = Status.not_identifiable if identifiability.combinations else solution.status[0]
     return Identification(
         model=model,
         parameters=parameters,
         covariance=spread.uncertainty.covariance,
-        identifiable=found.identifiable,
-        not_identifiable=found.combinations,
-        sigma=noise.sigma if known else spread.scatter,
-        sigma_known=known,
-        chi2=spread.squares if known else None,
+        identifiable=identifiability.identifiable,
+        not_identifiable=identifiability.combinations,
+        sigma=noise.sigma if has_sigma else spread.scatter,
+        sigma_known=has_sigma,
+        chi2=spread.squares if has_sigma else None,
         dof=spread.freedom,
         residuals_before=before,
         residuals_after=after,
@@ -117,14 +119,14 @@ def unexplained_by_fit(problem: Problem, parameters: Array, residual: Array) -> 
 
     parameters : (p,) of the fit;  residual : (m, d) [mm]
     """
-    found, used = np.zeros(len(residual), dtype=bool), problem.weights > 0.0
+    unexplained, used = np.zeros(len(residual), dtype=bool), problem.weights > 0.0
     white = (problem.root_weights * residual)[used]
     p, d = len(parameters), white.shape[1]
     if white.size - p + len(problem.prior_rows) <= p:
-        return found
+        return unexplained
     if white.size > MANY * p and robust_squares(np.sum(white**2, axis=1), d).max() < CLEAR * limit_of(d):
-        return found
+        return unexplained
     columns = problem.jacobian(parameters).reshape(len(used), -1)[used].reshape(white.size, p)
     held = problem.prior_rows
-    found[used] = outlying(white, columns, held, held @ (problem.prior_center - parameters))
-    return found
+    unexplained[used] = outlying(white, columns, held, held @ (problem.prior_center - parameters))
+    return unexplained

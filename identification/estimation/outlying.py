@@ -39,11 +39,11 @@ def outlying(
     """
     (m, d), p = residual.shape, columns.shape[1]
     basis = column_space(columns if held is None else np.concatenate([columns, held]), np.ones(p))
-    blocks, known = basis[: m * d].reshape(m, d, -1), basis[m * d :]
-    moment = known.T @ (np.zeros(len(known)) if left is None else left)
+    blocks, held_basis = basis[: m * d].reshape(m, d, -1), basis[m * d :]
+    moment = held_basis.T @ (np.zeros(len(held_basis)) if left is None else left)
     kept, limit = np.ones(m, dtype=bool), limit_of(d)
     for _ in range(int(MOST_OUTLIERS * m) + 1):
-        squares = studentised(residual, blocks, kept, known, moment)
+        squares = studentised(residual, blocks, kept, held_basis, moment)
         worst = np.argsort(squares)[-(1 + m // AT_ONCE) :]
         if squares[worst[-1]] <= limit:
             return ~kept if np.mean(kept) >= 1.0 - MOST_OUTLIERS else np.zeros(m, dtype=bool)
@@ -75,11 +75,13 @@ def _crowded(wrong: NDArray[np.bool_], groupings: list[NDArray[np.int64]]) -> ND
     """(m,) items in groups that have more wrong ones than half of `CHANCE` allows;  groupings : (m,) groups of each."""
     p_values, chosen = [], [np.zeros(len(wrong), dtype=bool)]
     for groups in groupings:
-        sizes, found = np.bincount(groups), np.bincount(groups, wrong)
+        sizes, wrong_in_group = np.bincount(groups), np.bincount(groups, wrong)
         x = 2
-        while x <= found.max():
-            p_values.append(pdtrc(np.sum(found >= x) - 1, np.sum(_tail(x, sizes, int(wrong.sum()), len(wrong)))))
-            chosen.append((found >= x)[groups])
+        while x <= wrong_in_group.max():
+            p_values.append(
+                pdtrc(np.sum(wrong_in_group >= x) - 1, np.sum(_tail(x, sizes, int(wrong.sum()), len(wrong))))
+            )
+            chosen.append((wrong_in_group >= x)[groups])
             x = 2 * x - 1
     limit = 0.5 * CHANCE / max(len(p_values), 1)
     return np.any([rows for rows, p in zip(chosen, [0.0, *p_values], strict=True) if p <= limit], axis=0)
@@ -94,27 +96,27 @@ def _tail(x: int, sizes: NDArray[np.int64], wrong: int, count: int) -> Array:
 
 def _log_ways(n: NDArray[np.int64], k: NDArray[np.int64]) -> Array:
     """Logarithm of the number of ways to choose k of n."""
-    there = k <= n
-    return np.where(there, -np.log1p(n) - betaln(np.where(there, n - k, 0) + 1.0, k + 1.0), -np.inf)
+    possible = k <= n
+    return np.where(possible, -np.log1p(n) - betaln(np.where(possible, n - k, 0) + 1.0, k + 1.0), -np.inf)
 
 
 def studentised(
-    residual: Array, blocks: Array, kept: NDArray[np.bool_], known: Array | None = None, moment: Array | None = None
+    residual: Array, blocks: Array, kept: NDArray[np.bool_], held_rows: Array | None = None, moment: Array | None = None
 ) -> Array:
     """(m,) squared residual of each row in units of its own covariance and of the robust scale of the kept rows, after
     a fit to these; 0 of the others.
 
-    residual : (m, d);  blocks : (m, d, k) columns that are orthonormal together with `known` (r, k), rows of a prior;
-    moment : (k,) known.T times the prior's residuals
+    residual : (m, d);  blocks : (m, d, k) columns that are orthonormal together with `held_rows`
+    held_rows : (r, k) of a prior;  moment : (k,) held_rows.T times the prior's residuals
     """
     d, k = blocks.shape[1:]
-    own, inside, squares = blocks[kept], residual[kept], np.zeros(len(kept))
-    flat = own.reshape(inside.size, k)
-    normal = flat.T @ flat if known is None else flat.T @ flat + known.T @ known
+    kept_blocks, inside, squares = blocks[kept], residual[kept], np.zeros(len(kept))
+    flat = kept_blocks.reshape(inside.size, k)
+    normal = flat.T @ flat if held_rows is None else flat.T @ flat + held_rows.T @ held_rows
     inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
     right = flat.T @ inside.reshape(-1) if moment is None else flat.T @ inside.reshape(-1) + moment
-    off = inside - own @ (inverse @ right)
-    rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(own.shape) @ own.transpose(0, 2, 1)
+    off = inside - kept_blocks @ (inverse @ right)
+    rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(kept_blocks.shape) @ kept_blocks.transpose(0, 2, 1)
     squares[kept] = robust_squares(np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0]), d)
     return squares
 

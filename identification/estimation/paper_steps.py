@@ -14,7 +14,6 @@ from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Solution, truncated_steps
 from identification.estimation.problem import Problem
 from identification.information import column_lengths
-from identification.kinematics.parameters import ParameterSet
 from identification.status import Status
 
 MAX_ITERATIONS = 50
@@ -24,32 +23,24 @@ STEP_TOLERANCE = 1e-12  # of the arm's reach; "required accuracy" of Step 5
 def paper_steps(problem: Problem) -> Solution:
     """Steps 1-5 until the correction is below 1e-12 of the reach. Raises `InputError` for parameters with bounds."""
     model = problem.model
-    _require_unbounded(model.parameters)
+    for parameter in model.parameters:
+        if np.isfinite(parameter.lower) or np.isfinite(parameter.upper):
+            bounded = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
+            raise InputError(f"method: paper_steps knows no bounds, {bounded}; allowed: gauss_newton")
     errors = np.zeros(len(model.parameters))  # Step 1
     enough = STEP_TOLERANCE * model.reach
     for iteration in range(1, MAX_ITERATIONS + 1):
         residuals, jacobian = problem.linearize_at(errors)  # Step 2
-        correction = _correction(residuals, jacobian, model.scales, problem.tolerance)  # Step 3, eq. 11
+        # Step 3, eq. 11: the least-squares solution, the shortest where the rank is not full
+        lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), model.scales)
+        columns = np.where(zero, 0.0, jacobian / lengths)
+        correction = truncated_steps(columns[None], residuals[None], np.zeros(1), problem.tolerance)[0][0] / lengths
         errors = errors + correction  # Step 4
         if not np.all(np.isfinite(errors)):
             return _end(problem, np.zeros(len(errors)), Status.solver_failed, iteration)
         if np.linalg.norm(correction * model.scales) <= enough:  # Step 5
             return _end(problem, errors, Status.converged, iteration)
     return _end(problem, errors, Status.iteration_limit, MAX_ITERATIONS)
-
-
-def _require_unbounded(parameters: ParameterSet) -> None:
-    for parameter in parameters:
-        if np.isfinite(parameter.lower) or np.isfinite(parameter.upper):
-            found = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
-            raise InputError(f"method: paper_steps knows no bounds, {found}; allowed: gauss_newton")
-
-
-def _correction(residuals: Array, jacobian: Array, scales: Array, tolerance: float) -> Array:
-    """(p,) least-squares solution, the shortest where the rank is not full."""
-    lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), scales)
-    columns = np.where(zero, 0.0, jacobian / lengths)
-    return truncated_steps(columns[None], residuals[None], np.zeros(1), tolerance)[0][0] / lengths
 
 
 def _end(problem: Problem, errors: Array, status: Status, iterations: int) -> Solution:

@@ -61,15 +61,15 @@ def doubts(
     bad += [*far_off(residual, model), *([] if arm is None else flipped(model, parameters, identifiable))]
     if arm is None:
         return Doubts(tuple(bad), bool(bad))
-    said = [
+    sentences = [
         *bad,
         *([] if implausible else (read and far_zeros(model, parameters)) or read),
         *another_frame(arm, measurements),
         *outside_limits(arm, measurements),
         *copied_rows(measurements),
     ]
-    said += [] if residual.size <= parameters.size else only_rounding(residual, measurements)
-    return Doubts(tuple(said), bool(bad))
+    sentences += [] if residual.size <= parameters.size else only_rounding(residual, measurements)
+    return Doubts(tuple(sentences), bool(bad))
 
 
 def far_off(residual: Array, model: Model) -> list[str]:
@@ -85,10 +85,10 @@ def far_off(residual: Array, model: Model) -> list[str]:
 def misread(arm: Arm, measurements: Measurements) -> Doubts:
     """Columns that look swapped, reversed or mirrored, which a fit may hide in errors of the geometry, and zeros that
     are elsewhere, which it finds."""
-    found = read_differently(arm, measurements)
-    if found.better is None or found.better.moved_zeros:
-        return Doubts(tuple(found.sentences), False)
-    return Doubts(tuple(f"implausible: {said}; armcal check tells more" for said in found.sentences), True)
+    reading = read_differently(arm, measurements)
+    if reading.better is None or reading.better.moved_zeros:
+        return Doubts(tuple(reading.sentences), False)
+    return Doubts(tuple(f"implausible: {sentence}; armcal check tells more" for sentence in reading.sentences), True)
 
 
 def far_zeros(model: Model, parameters: Array) -> list[str]:
@@ -135,14 +135,14 @@ def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
 
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
     """Links whose length changes sign or by the order of the length; in space frames far from where they are drawn."""
-    said = frames_far_off(model, parameters)
+    sentences = frames_far_off(model, parameters)
     for p, value, estimable in zip(model.parameters, parameters, identifiable, strict=True):
         if p.kind == LENGTH_ERROR and p.joint is not None and estimable:
             length = float(model.arm.lengths[p.joint - 1])
             if abs(value) > FLIPPED * length:
-                found = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
-                said.append(f"implausible: {found}; another arm, frame or unit?")
-    return said
+                comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
+                sentences.append(f"implausible: {comparison}; another arm, frame or unit?")
+    return sentences
 
 
 def frames_far_off(model: Model, parameters: Array) -> list[str]:
@@ -155,8 +155,8 @@ def frames_far_off(model: Model, parameters: Array) -> list[str]:
     if excess[worst] <= 1.0:
         return []
     parameter = model.parameters[worst]
-    found = f"{parameter.name} comes out as {parameters[worst] * parameter.to_file:.4g} {parameter.file_unit}"
-    return [f"implausible: {found}; other units, joints in another order or with another sign? armcal check tells"]
+    correction = f"{parameter.name} comes out as {parameters[worst] * parameter.to_file:.4g} {parameter.file_unit}"
+    return [f"implausible: {correction}; other units, joints in another order or with another sign? armcal check tells"]
 
 
 def another_frame(arm: Arm, measurements: Measurements) -> list[str]:

@@ -45,15 +45,15 @@ class Earlier(ByValue):
         chosen = tuple(self.names[k] for k in kept)
         return Earlier(chosen, self.values[kept], self.covariance[np.ix_(kept, kept)])
 
-    def given(self, known: Mapping[str, float]) -> Earlier:
+    def conditioned_on(self, values: Mapping[str, float]) -> Earlier:
         """Of the others, where some of the parameters have these values."""
-        there = np.array([name in known for name in self.names], dtype=bool)
-        crossed, among = self.covariance[np.ix_(~there, there)], self.covariance[np.ix_(there, there)]
-        off = np.array([known[name] for name in self.names if name in known]) - self.values[there]
+        named = np.array([name in values for name in self.names], dtype=bool)
+        crossed, among = self.covariance[np.ix_(~named, named)], self.covariance[np.ix_(named, named)]
+        off = np.array([values[name] for name in self.names if name in values]) - self.values[named]
         gain = np.linalg.lstsq(among, crossed.T, rcond=None)[0].T
-        left = self.covariance[np.ix_(~there, ~there)] - gain @ crossed.T
-        free = tuple(name for name in self.names if name not in known)
-        return Earlier(free, self.values[~there] + gain @ off, left)
+        left = self.covariance[np.ix_(~named, ~named)] - gain @ crossed.T
+        free = tuple(name for name in self.names if name not in values)
+        return Earlier(free, self.values[~named] + gain @ off, left)
 
     @property
     def root(self) -> tuple[Array, Array]:
@@ -83,8 +83,8 @@ class Prior(ByValue):
             if not 0.0 < deviation < np.inf:
                 raise InputError(f"prior: {name} has standard deviation {deviation:g}, allowed: a finite number > 0")
         first = () if self.earlier is None else self.earlier.names
-        own = {name: deviation for name, deviation in self.deviations.items() if name not in first}
-        object.__setattr__(self, "deviations", MappingProxyType(own))
+        independent = {name: deviation for name, deviation in self.deviations.items() if name not in first}
+        object.__setattr__(self, "deviations", MappingProxyType(independent))
 
     @property
     def names(self) -> frozenset[str]:
@@ -115,9 +115,9 @@ class Prior(ByValue):
         if self.earlier is None:
             return np.zeros((len(parameters), 0))
         here = self.earlier.about(parameters.names)
-        found = np.zeros((len(parameters), len(here.names)))
-        found[[parameters.index(name) for name in here.names]] = here.root[1].T if inverse else here.root[0]
-        return found
+        root = np.zeros((len(parameters), len(here.names)))
+        root[[parameters.index(name) for name in here.names]] = here.root[1].T if inverse else here.root[0]
+        return root
 
 
 def effective_count(jacobian: Array, rows: Array) -> float:

@@ -54,10 +54,10 @@ class Problem:
 
     def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""
-        some = replace(self, positions=self.positions[index])
+        chosen = replace(self, positions=self.positions[index])
         if self.postures.ndim == 2:
-            return some
-        return replace(some, postures=self.postures[index], conditions=self.conditions.rows(index))
+            return chosen
+        return replace(chosen, postures=self.postures[index], conditions=self.conditions.rows(index))
 
     @cached_property
     def root_weights(self) -> Array:
@@ -110,17 +110,17 @@ class Problem:
 
     def linearize(self, parameters: Array, index: Index) -> tuple[Array, Array]:
         """(k, m d + r) weighted residuals of the data sets numbered (k,) and the (k, m d + r, p) weighted Jacobian."""
-        some = self if len(index) == len(self.positions) else self.rows(index)
-        position, jacobian = self.model.linearize(some.postures, parameters, some.conditions)
-        residuals = self.root_weights * (some.positions - position)
+        chosen = self if len(index) == len(self.positions) else self.rows(index)
+        position, jacobian = self.model.linearize(chosen.postures, parameters, chosen.conditions)
+        residuals = self.root_weights * (chosen.positions - position)
         jacobian *= self.root_weights[:, :, None]  # in place: new memory takes as long as the product
         k, m, d, p = jacobian.shape
         residuals, jacobian = residuals.reshape(k, m * d), jacobian.reshape(k, m * d, p)
         if len(rows := self.prior_rows) == 0:
             return residuals, jacobian
-        more = np.broadcast_to(rows, (k, *rows.shape))
+        prior_rows = np.broadcast_to(rows, (k, *rows.shape))
         return np.concatenate([residuals, (self.prior_center - parameters) @ rows.T], axis=1), np.concatenate(
-            [jacobian, more], axis=1
+            [jacobian, prior_rows], axis=1
         )
 
     def linearize_at(self, parameters: Array) -> tuple[Array, Array]:

@@ -62,8 +62,8 @@ class Restricted:
     def minus_log(self, noise: Array) -> Array:
         """(...) -2 log of the likelihood of values of the noise, up to a constant."""
         total = self.values + np.square(noise)[..., None]
-        own = np.sum(np.log(total) + self.squares / total, axis=-1)
-        return np.asarray(own + self.count * 2.0 * np.log(noise) + self.rest / noise**2)
+        by_direction = np.sum(np.log(total) + self.squares / total, axis=-1)
+        return np.asarray(by_direction + self.count * 2.0 * np.log(noise) + self.rest / noise**2)
 
     def likeliest(self, least: float, largest: float) -> tuple[float, float]:
         """Least -2 log of the likelihood, and the noise there, between two values."""
@@ -73,7 +73,7 @@ class Restricted:
             lowest = int(np.argmin(self.minus_log(np.exp(grid))))
             low, high = grid[max(lowest - 1, 0)], grid[min(lowest + 1, GRID - 1)]
         first, middle, last = self.minus_log(np.exp([low, 0.5 * (low + high), high]))
-        bend = first - 2.0 * middle + last  # the vertex of a parabola: a last digit cannot turn it
+        bend = first - 2.0 * middle + last  # of a parabola, whose vertex rounding hardly moves
         vertex = 0.5 * (low + high) + (0.25 * (high - low) * (first - last) / bend if bend > 0.0 else 0.0)
         noise = np.exp(np.clip(vertex, low, high))
         return float(self.minus_log(noise)), float(noise)
@@ -114,8 +114,8 @@ class LinearizedProblem(NamedTuple):
         factor = np.zeros((len(parameters), 0)) if prior is None else prior.factor(parameters)
         target = residual + jacobian @ np.where(factor.any(axis=1), x - problem.prior_center, 0.0)
         equations = problem.model.dimension * int(np.count_nonzero(problem.weights))
-        own = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
-        machined = np.array([name in own for name in parameters.names])
+        of_machining = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
+        machined = np.array([name in of_machining for name in parameters.names])
         zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
         return cls(target, jacobian, equations, factor, machined, zeros)
 
@@ -130,13 +130,13 @@ class LinearizedProblem(NamedTuple):
         return self.equations - self.free.shape[1]
 
 
-def likeliest(problem: LinearizedProblem, noise: Noise, given: bool) -> tuple[float, Widths]:
-    """Noise, no less than a given one (`given`: that one), and the widths of the prior of the largest likelihood."""
+def likeliest(problem: LinearizedProblem, noise: Noise, sigma_holds: bool) -> tuple[float, Widths]:
+    """Noise, no less than a given one (`sigma_holds`: that), and the widths of the prior of the largest likelihood."""
     basis = np.linalg.qr(problem.free)[0]
     target, jacobian = (a - basis @ (basis.T @ a) for a in (problem.target, problem.jacobian))
-    known = noise.sigma is not None or given
+    has_sigma = noise.sigma is not None or sigma_holds
     scatter = float(np.linalg.norm(target)) / np.sqrt(max(problem.spare, 1))  # without all that has a prior
-    unit = 1.0 if known else max(scatter, 1e-12)
+    unit = 1.0 if has_sigma else max(scatter, 1e-12)
     if problem.spare == 0:
         return unit, AS_STATED
 
@@ -145,12 +145,14 @@ def likeliest(problem: LinearizedProblem, noise: Noise, given: bool) -> tuple[fl
         times = np.where(problem.zeros, widths.zeros, 1.0) * np.where(problem.machined, widths.machining, 1.0)
         effects, root = (jacobian * times) @ problem.factor, np.sqrt(share)
         spare = max(round(share * problem.spare), 1)
-        found = Restricted.of(root * target, effects[:, :0], root * effects, spare)
-        value, scale = found.likeliest(unit if known else unit / LARGEST, unit if given else LARGEST * unit)
+        restricted = Restricted.of(root * target, effects[:, :0], root * effects, spare)
+        value, scale = restricted.likeliest(
+            unit if has_sigma else unit / LARGEST, unit if sigma_holds else LARGEST * unit
+        )
         return value + CREDIBLE * sum(width != 1.0 for width in widths), scale
 
     widths = WIDTHS if problem.machined.any() else WIDTHS[:1], ZERO_WIDTHS if problem.zeros.any() else ZERO_WIDTHS[:1]
-    several = [Widths(*both) for both in product(*widths)]
+    several = [Widths(*pair) for pair in product(*widths)]
     share = min(1.0, ENOUGH / problem.equations)
     best = several[0] if len(several) == 1 else min(several, key=lambda one: fitted(one, share)[0])
     return fitted(best, 1.0)[1], best
@@ -163,4 +165,6 @@ def widened(problem: Problem, widths: Widths) -> Prior | None:
     prior, machined = problem.prior, problem.model.prior
     zeros = {p.name for p in problem.model.parameters if p.kind == JOINT_OFFSET}
     factors = {name: widths.machining * (widths.zeros if name in zeros else 1.0) for name in machined}
-    return replace(prior, deviations={name: own * factors.get(name, 1.0) for name, own in prior.deviations.items()})
+    return replace(
+        prior, deviations={name: deviation * factors.get(name, 1.0) for name, deviation in prior.deviations.items()}
+    )

@@ -137,8 +137,8 @@ class Identification:
     def warnings(self) -> tuple[str, ...]:
         """Warnings to be read before the results."""
         prior = () if self.prior is None else self.prior.names
-        anew = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
-        misfit = (*contradictions.warning(self.contradictions, anew), *((self.misfit,) if self.misfit else ()))
+        without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
+        misfit = (*contradictions.warning(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
         doubts = (*self.doubts, *hardly_determined(self))
         if self.status is Status.iteration_limit:
             return (shown.UNFINISHED, *misfit, *doubts)
@@ -270,10 +270,12 @@ class Identification:
         """Values for the controller: nominal and corrected lengths, zeros, frames, effects; empty without an arm."""
         if not isinstance(getattr(self.model, "arm", None), Arm):
             return ()
-        found = Calibration(self._everything, self.names, self.covariance)
-        unknown = [name for name, known in zip(self.names, self.identifiable, strict=True) if not known]
-        known = None if self.prior is None else self.prior.factor(self.model.parameters)
-        return corrected_values(self.model.arm, found, self.uncertainty.freedom, unknown, known, self.covariance_seen)
+        calibration = Calibration(self._everything, self.names, self.covariance)
+        unknown = [name for name, estimable in zip(self.names, self.identifiable, strict=True) if not estimable]
+        prior_factor = None if self.prior is None else self.prior.factor(self.model.parameters)
+        return corrected_values(
+            self.model.arm, calibration, self.uncertainty.freedom, unknown, prior_factor, self.covariance_seen
+        )
 
     def to_frame(self, kind: str = "polars") -> Any:
         """`corrected_values` as a frame, polars or pandas."""

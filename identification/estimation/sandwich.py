@@ -52,9 +52,9 @@ def sandwich(
     )  # (p, G): what each group adds to the estimates
     held = np.eye(root.shape[1]) - np.einsum("mdr,mds->rs", columns, columns, optimize=True)  # R^T R; without it zero
     held = root @ held @ root.T
-    known = np.maximum(np.diag(held), 0.0)
+    held_variances = np.maximum(np.diag(held), 0.0)
     freedom = np.array(
-        [_freedom(row @ vectors, leverages, factors, vectors, k) for row, k in zip(root, known, strict=True)]
+        [_freedom(row @ vectors, leverages, factors, vectors, k) for row, k in zip(root, held_variances, strict=True)]
     )
     return Sandwich(corrected @ corrected.T + variance * held, freedom)
 
@@ -68,26 +68,26 @@ def decomposed_groups(columns: Array, residual: Array, groups: NDArray[np.int64]
     values, vectors = np.zeros((len(counts), most)), np.zeros((len(counts), r, most))
     scores = np.zeros((len(counts), most))
     for size in np.unique(counts):
-        of_size, own = np.flatnonzero(counts == size), slice(min(r, d * int(size)))
+        of_size, columns_used = np.flatnonzero(counts == size), slice(min(r, d * int(size)))
         rows = order[starts[of_size, None] + np.arange(size)]
         q = columns[rows].reshape(len(of_size), -1, r)
         across = np.swapaxes(q, 1, 2)
         if q.shape[1] < r:
-            found, left = np.linalg.eigh(q @ across)
-            directions = across @ left / np.sqrt(np.where(found > TINY, found, np.inf))[:, None, :]
+            eigenvalues, left = np.linalg.eigh(q @ across)
+            directions = across @ left / np.sqrt(np.where(eigenvalues > TINY, eigenvalues, np.inf))[:, None, :]
         else:
-            found, directions = np.linalg.eigh(across @ q)
-        values[of_size, own], vectors[of_size, :, own] = found, directions
-        there = np.swapaxes(directions, 1, 2) @ (across @ residual[rows].reshape(len(of_size), -1, 1))
-        scores[of_size, own] = there[:, :, 0]
+            eigenvalues, directions = np.linalg.eigh(across @ q)
+        values[of_size, columns_used], vectors[of_size, :, columns_used] = eigenvalues, directions
+        projected = np.swapaxes(directions, 1, 2) @ (across @ residual[rows].reshape(len(of_size), -1, 1))
+        scores[of_size, columns_used] = projected[:, :, 0]
     return values, vectors, scores
 
 
-def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array, known: float) -> float:
+def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array, held: float) -> float:
     """Satterthwaite's degrees of freedom of one variance, 2 E^2 / var, under white noise of variance one.
 
     The variance is |P^T e|^2 of white e with P^T P = diag(d) - W W^T: d_g = |A_g Q_g a|^2 and W_g = Q_g^T A_g Q_g a.
-    turned : (G, r) a in the eigenvectors of each group;  known : the prior's part of the variance
+    turned : (G, r) a in the eigenvectors of each group;  held : the prior's part of the variance
     """
     diagonal = np.sum(leverages * np.square(factors * turned), axis=1)
     inner = (vectors @ (leverages * factors * turned)[:, :, None])[:, :, 0]
@@ -98,4 +98,4 @@ def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array, kn
         squares = np.sum(np.square(inner.T @ inner if inner.shape[0] > inner.shape[1] else inner @ inner.T))
     first = diagonal.sum() - lengths.sum()
     second = np.sum(diagonal**2) - 2.0 * np.sum(diagonal * lengths) + squares
-    return float((first + known) ** 2 / second) if second > 0.0 else float("inf")
+    return float((first + held) ** 2 / second) if second > 0.0 else float("inf")

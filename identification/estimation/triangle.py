@@ -32,8 +32,8 @@ def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
         return residuals, jacobians
     parts = [slice(start, start + BLOCK) for start in range(0, rows, BLOCK)]
     tables = [(np.column_stack([j[k], r[k]]) for k in parts) for r, j in zip(residuals, jacobians, strict=True)]
-    found = np.array([triangle(table) for table in tables])
-    return found[:, :, -1], found[:, :, :-1]
+    triangles = np.array([triangle(table) for table in tables])
+    return triangles[:, :, -1], triangles[:, :, :-1]
 
 
 def regular_steps(
@@ -43,11 +43,11 @@ def regular_steps(
     (E^T E + damping)^-1 s, both zero where held; None for others, and where a triangle will not do."""
     if columns.shape[2] < MANY or len(columns) != 1:
         return None
-    found = _regular_step(columns[0][:, ~held[0]], residuals[0], float(damping[0]), tolerance)
-    if found is None:
+    regular = _regular_step(columns[0][:, ~held[0]], residuals[0], float(damping[0]), tolerance)
+    if regular is None:
         return None
     steps, softer = np.zeros((2, *held.shape))
-    steps[~held], softer[~held] = found
+    steps[~held], softer[~held] = regular
     return steps, softer
 
 
@@ -63,8 +63,8 @@ def _regular_step(columns: Array, residual: Array, damping: float, tolerance: fl
         if not np.linalg.norm(parts[:p, :p]) * np.linalg.norm(inverse) < 1.0 / tolerance:
             return None
         if damping > 0.0:
-            more = np.sqrt(damping) * np.eye(p, p + 1)
-            parts = np.asarray(np.linalg.qr(np.concatenate([parts[:p], more]), mode="r"))
+            damping_rows = np.sqrt(damping) * np.eye(p, p + 1)
+            parts = np.asarray(np.linalg.qr(np.concatenate([parts[:p], damping_rows]), mode="r"))
             inverse = np.linalg.inv(parts[:p, :p])
     except np.linalg.LinAlgError:
         return None

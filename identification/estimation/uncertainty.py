@@ -89,9 +89,9 @@ class FittedRows:
         root : (p, rank), root @ root.T = (J^T J + R^T R)^-1
         """
         share = 1.0 / np.sqrt(np.bincount(self.postures))[self.postures, None]
-        both = np.concatenate([self.residual[:, :, None], self.jacobian @ root], axis=2) * share[:, :, None]
-        sums = np.zeros((int(self.postures.max()) + 1, *both.shape[1:]))
-        np.add.at(sums, self.postures, both)
+        columns = np.concatenate([self.residual[:, :, None], self.jacobian @ root], axis=2) * share[:, :, None]
+        sums = np.zeros((int(self.postures.max()) + 1, *columns.shape[1:]))
+        np.add.at(sums, self.postures, columns)
         squares = np.sum(sums**2, axis=(0, 1))
         return float(squares[0]), float(sums[:, :, 0].size - squares[1:].sum())
 
@@ -172,10 +172,12 @@ def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool, variance: floa
     length = correlated(rows, root)
     if not (misfit or rows.several or length > 1 or lack_of_fit(rows.residual, rows.repeats, rows.rank)[1] < LEVEL):
         return None
-    found = [(kind, groups, made) for kind, groups, made in _made(rows, root, length, variance) if made is not None]
-    if not found:
+    sandwiches = [
+        (kind, groups, made) for kind, groups, made in _made(rows, root, length, variance) if made is not None
+    ]
+    if not sandwiches:
         return None
-    kind, groups, widest = max(found, key=lambda one: _size(one[2], root))
+    kind, groups, widest = max(sandwiches, key=lambda one: _size(one[2], root))
     return Uncertainty("sandwich", widest.covariance, widest.freedom, kind, int(groups.max()) + 1)
 
 
@@ -184,13 +186,13 @@ def _made(
 ) -> list[tuple[str, NDArray[np.int64], Sandwich | None]]:
     """Sandwiches over rows or postures and, where rows are correlated in time, over stretches of time."""
     kind = "postures" if rows.several else "rows"
-    found = [(kind, rows.postures, _enough(rows, root, rows.postures, variance))]
+    sandwiches = [(kind, rows.postures, _enough(rows, root, rows.postures, variance))]
     while length > 1:
         groups = stretches(rows.sequence, length)
         if (made := _enough(rows, root, groups, variance)) is not None:
-            return [*found, ("stretches", groups, made)]
+            return [*sandwiches, ("stretches", groups, made)]
         length //= 2
-    return found
+    return sandwiches
 
 
 def _enough(rows: FittedRows, root: Array, groups: NDArray[np.int64], variance: float) -> Sandwich | None:

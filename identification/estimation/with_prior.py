@@ -72,20 +72,20 @@ def estimate_with_prior(
         effective = effective_count(jacobian, problem.prior_rows)
     dof = round(model.dimension * np.count_nonzero(problem.weights) - effective)
     rows = FittedRows.of(problem, measurements, parameters, effective)
-    known = noise.sigma is not None
-    made = uncertainty(rows, decomposed, known=known, reliance=noise.reliance, noise=problem.noise)
+    has_sigma = noise.sigma is not None
+    made = uncertainty(rows, decomposed, known=has_sigma, reliance=noise.reliance, noise=problem.noise)
     spread = Spread(made, problem.noise * (noise.sigma or 1.0), float(problem.squares(parameters)[0]), dof)
-    found = identification(problem, measurements, "gauss_newton", solution, decomposed, noise, spread)
-    found = replace(found, prior=problem.prior, machining_factor=widths.machining if model.prior else None)
-    found = replace(found, doubts=(*found.doubts, *far_from_drawing(model.arm.machining, widths)))
+    fit = identification(problem, measurements, "gauss_newton", solution, decomposed, noise, spread)
+    fit = replace(fit, prior=problem.prior, machining_factor=widths.machining if model.prior else None)
+    fit = replace(fit, doubts=(*fit.doubts, *far_from_drawing(model.arm.machining, widths)))
     if prior.earlier is None:
-        return found
+        return fit
 
-    def again(known: Mapping[str, float]) -> Identification:
-        held = replace(model, known={**model.fixed, **known})
+    def again(values: Mapping[str, float]) -> Identification:
+        held = replace(model, known={**model.fixed, **values})
         return estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
 
-    return with_contradictions(found, problem, noise, again)
+    return with_contradictions(fit, problem, noise, again)
 
 
 def _decomposed(jacobian: Array, problem: Problem) -> Spectrum:
@@ -94,10 +94,10 @@ def _decomposed(jacobian: Array, problem: Problem) -> Spectrum:
     """
     rows, scales = problem.prior_rows, problem.model.scales
     held = np.any(rows != 0.0, axis=0)
-    found = spectrum(np.concatenate([jacobian, rows]), scales, problem.tolerance, held)
-    sizes = np.linalg.svd(rows / found.lengths, compute_uv=False)
+    decomposed = spectrum(np.concatenate([jacobian, rows]), scales, problem.tolerance, held)
+    sizes = np.linalg.svd(rows / decomposed.lengths, compute_uv=False)
     least = np.min(sizes, initial=np.inf, where=sizes > ROUNDED * np.max(sizes, initial=0.0))
-    return found.truncated(float(np.clip(0.1 * least / found.values[0], ROUNDED, problem.tolerance)))
+    return decomposed.truncated(float(np.clip(0.1 * least / decomposed.values[0], ROUNDED, problem.tolerance)))
 
 
 def far_from_drawing(machining: Machining, widths: Widths) -> list[str]:
@@ -105,10 +105,12 @@ def far_from_drawing(machining: Machining, widths: Widths) -> list[str]:
     rotation = f"{np.degrees(machining.rotation):g} deg"
     width, zeros, sizes = widths.machining, widths.zeros, f"{machining.translation:g} mm and {rotation}"
     ask = "; are units, order and signs of joints and coordinates right? armcal check tells" if width >= UNUSUAL else ""
-    said = f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large{ask}"
+    of_lengths = (
+        f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large{ask}"
+    )
     why = f"taken as {width * zeros:g} times as large, as where a motor was changed or a drawing counts from elsewhere"
     of_zeros = f"zeros of joints are farther from the drawing than [machining] says ({rotation}): {why}"
-    return [sentence for factor, sentence in ((width, said), (zeros, of_zeros)) if factor != 1.0]
+    return [sentence for factor, sentence in ((width, of_lengths), (zeros, of_zeros)) if factor != 1.0]
 
 
 def _solved(problem: Problem, noise: Noise, zeros: Mapping[str, float]) -> tuple[Problem, Solution, Widths, Array]:
@@ -117,26 +119,26 @@ def _solved(problem: Problem, noise: Noise, zeros: Mapping[str, float]) -> tuple
 
     zeros : parameters to start from elsewhere than at the best known values
     """
-    given, linearized = noise.reliance == "given", _Linearizations(replace(problem, prior=None))
+    sigma_holds, linearized = noise.reliance == "given", _Linearizations(replace(problem, prior=None))
 
     def solved(at: Array, most: int) -> tuple[Problem, Solution, Widths]:
-        scale, widths = likeliest(LinearizedProblem.of(problem, at, *linearized.at(at)), noise, given)
-        found = replace(problem, noise=scale, prior=widened(problem, widths))
-        return found, levenberg_marquardt(replace(linearized.with_prior(found), iterations=most), at[None]), widths
+        scale, widths = likeliest(LinearizedProblem.of(problem, at, *linearized.at(at)), noise, sigma_holds)
+        posed = replace(problem, noise=scale, prior=widened(problem, widths))
+        return posed, levenberg_marquardt(replace(linearized.with_prior(posed), iterations=most), at[None]), widths
 
     parameters = problem.model.parameters
     elsewhere, values = [p.name in zeros for p in parameters], parameters.vector(zeros, default=0.0)
     start = np.where(elsewhere, values, starts(problem)[0])
-    found, solution, widths = solved(start, ITERATIONS if given else FIRST)
+    posed, solution, widths = solved(start, ITERATIONS if sigma_holds else FIRST)
     most = ITERATIONS
-    for _ in range(0 if given else ROUNDS):
-        before, steps = found.noise, solution.iterations
-        found, solution, widths = solved(solution.parameters[0], most)
+    for _ in range(0 if sigma_holds else ROUNDS):
+        before, steps = posed.noise, solution.iterations
+        posed, solution, widths = solved(solution.parameters[0], most)
         solution = replace(solution, iterations=solution.iterations + steps)
-        if most == 0 or abs(found.noise - before) <= STEADY * before:
+        if most == 0 or abs(posed.noise - before) <= STEADY * before:
             break
         most = 0 if solution.status[0] is Status.iteration_limit else ITERATIONS  # the noise there, no further steps
-    return found, solution, widths, linearized.at(solution.parameters[0])[1]
+    return posed, solution, widths, linearized.at(solution.parameters[0])[1]
 
 
 @dataclass
@@ -144,14 +146,14 @@ class _Linearizations:
     """Triangles of a problem without its prior, each made once: fits of other noise pass through the same points."""
 
     problem: Problem
-    known: dict[bytes, tuple[Array, Array]] = field(default_factory=dict)
+    by_point: dict[bytes, tuple[Array, Array]] = field(default_factory=dict)
 
     def at(self, x: Array) -> tuple[Array, Array]:
         """(N,) residuals and (N, p) Jacobian at x (p,)."""
-        if (key := x.tobytes()) not in self.known:
+        if (key := x.tobytes()) not in self.by_point:
             residuals, jacobians = self.problem.least_squares.linearize(x[None], np.arange(1))
-            self.known[key] = residuals[0], jacobians[0]
-        return self.known[key]
+            self.by_point[key] = residuals[0], jacobians[0]
+        return self.by_point[key]
 
     def with_prior(self, problem: Problem) -> LeastSquares:
         """The same problem with the prior."""

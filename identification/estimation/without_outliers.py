@@ -22,8 +22,8 @@ def without_outliers(
     """
     kept = np.arange(len(measurements))
     while True:
-        found = fit(measurements.rows(kept))
-        if not found.outlier_rows:
+        fitted = fit(measurements.rows(kept))
+        if not fitted.outlier_rows:
             left_out = np.setdiff1d(np.arange(len(measurements)), kept)
-            return found, tuple((left_out + 1).tolist())
-        kept = np.delete(kept, np.array(found.outlier_rows) - 1)
+            return fitted, tuple((left_out + 1).tolist())
+        kept = np.delete(kept, np.array(fitted.outlier_rows) - 1)

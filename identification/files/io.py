@@ -123,7 +123,8 @@ def write_together(contents: Mapping[PathLike, str | bytes], force: bool = False
                 staged[target] = _beside(target, temporary)
                 _write_new(staged[target], content, mode_of=target)
             for target, new in staged.items():
-                before = _copied(target, temporary) if backup and target.exists() else None
+                kept = backup and target.exists()
+                before = Path(shutil.copy2(target, _beside(target, temporary))) if kept else None
                 _place(new, target, fresh=not force)
                 undo.callback(target.unlink) if before is None else undo.callback(os.replace, before, target)
             undo.pop_all()
@@ -169,10 +170,6 @@ def _beside(target: Path, stack: ExitStack) -> Path:
     path = target.with_name(f".{secrets.token_hex(8)}.tmp")
     stack.callback(path.unlink, missing_ok=True)
     return path
-
-
-def _copied(target: Path, stack: ExitStack) -> Path:
-    return Path(shutil.copy2(target, _beside(target, stack)))
 
 
 def _place(new: Path, target: Path, *, fresh: bool) -> None:

@@ -52,7 +52,10 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     postures = read_postures(table, types)
     n = postures.shape[1]
     poses = chain is not None and chain.angle_scale is not None
-    session = _session(table, probe)
+    # each surface that is touched has a place of its own, as each session has
+    labels = ["session", "surface"] if probe is not None and probe.contact else ["session"]
+    names = [table.texts(column) for column in labels if column in table]
+    session = np.array(["/".join(parts) for parts in zip(*names, strict=True)]) if names else None
     order = _order(table)
     asked = any(_COMMANDED.match(column) for column in table.columns)
     fields: dict[str, Any] = {
@@ -252,13 +255,6 @@ def _repeats(table: Table) -> NDArray[np.int64] | None:
         return None
     whole = table.floats("posture", "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < _WHOLE))
     return whole.astype(np.int64)
-
-
-def _session(table: Table, probe: Instrument | None) -> NDArray[np.str_] | None:
-    """(m,) names of the sessions; each surface that is touched has a place of its own, as each session has."""
-    columns = ["session", "surface"] if probe is not None and probe.contact else ["session"]
-    names = [table.texts(column) for column in columns if column in table]
-    return np.array(["/".join(parts) for parts in zip(*names, strict=True)]) if names else None
 
 
 def _order(table: Table) -> Array | None:

@@ -1,7 +1,7 @@
 """URDF files: the chain of joints from a base to a tip link, and a corrected chain written back.
 
 Read by the standard library; declarations of a document type or of entities are refused. Only the `origin` elements of
-the chain's joints are written anew, everything else of the file stays as it is, byte for byte. URDF speaks metres and
+the chain's joints are rewritten, everything else of the file stays as it is, byte for byte. URDF speaks metres and
 radians (http://wiki.ros.org/urdf/XML/joint).
 """
 
@@ -119,9 +119,9 @@ class Urdf:
     def _origin(self, element: ElementTree.Element) -> Array:
         """(4, 4) [mm]."""
         place = self._numbers(element, "origin", "xyz", (0.0, 0.0, 0.0)) * METER
-        return pose(place, from_roll_pitch_yaw(*self._turn(element)))
+        return pose(place, from_roll_pitch_yaw(*self._roll_pitch_yaw(element)))
 
-    def _turn(self, element: ElementTree.Element) -> Array:
+    def _roll_pitch_yaw(self, element: ElementTree.Element) -> Array:
         """(3,) roll, pitch and yaw [rad]."""
         return self._numbers(element, "origin", "rpy", (0.0, 0.0, 0.0))
 
@@ -207,7 +207,7 @@ def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> s
             fixed = fixed @ urdf._origin(element)
         else:
             corrected[str(element.get("name"))] = np.linalg.inv(fixed) @ remaining.pop(0)
-            drawn[str(element.get("name"))] = urdf._turn(element)
+            drawn[str(element.get("name"))] = urdf._roll_pitch_yaw(element)
             fixed = np.eye(4)
     text = urdf.text.encode()
     for start, end, name, closed in sorted(_origin_places(text, corrected), reverse=True):

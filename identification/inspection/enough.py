@@ -29,7 +29,7 @@ class Sufficiency:
 
     numbers, parameters : equations and unknowns;  spare : equations that are left to judge the fit
     held : how many of the parameters have a prior of their own, as the geometry of an arm in space
-    found : what is determined, in words;  open : combinations that are not
+    identifiable : what is determined, in words;  open : combinations that are not
     weak : (name, standard deviation, unit) of parameters that are estimated, but too uncertain to be of use
     tip, tip_measured : expected error of the tip [mm], over the joint limits and at postures like those measured; None:
         not known
@@ -40,7 +40,7 @@ class Sufficiency:
     parameters: int
     spare: int
     held: int
-    found: tuple[str, ...]
+    identifiable: tuple[str, ...]
     open: tuple[str, ...]
     weak: tuple[tuple[str, float, str], ...]
     tip: float | None
@@ -73,7 +73,7 @@ class Sufficiency:
             "numbers": self.numbers,
             "parameters": self.parameters,
             "spare_numbers": self.spare,
-            "identifiable": self.found,
+            "identifiable": self.identifiable,
             "weakly_determined": [{"name": name, "std": std, "unit": unit} for name, std, unit in self.weak],
             "expected_tip_mm": self.tip,
             "expected_tip_measured_mm": self.tip_measured,
@@ -103,7 +103,7 @@ def sufficiency(fit: Identification, measurements: Measurements, floor: NoiseFlo
         parameters=parameters,
         spare=spare,
         held=len(held),
-        found=_in_words(fit, held, {name for name, *_ in weak}),
+        identifiable=_in_words(fit, held, {name for name, *_ in weak}),
         open=fit.not_identifiable,
         weak=weak,
         tip=None if judged is None else judged.expected_tip,

@@ -132,11 +132,11 @@ class Reading:
             # it stands as drawn or half a turn away
             swapped, flipped = "x_mm and y_mm are swapped", "an axis of the positions points the other way"
             if self.turn is None:
-                swapped, known = "two of x_mm, y_mm, z_mm are swapped", False
+                swapped, turn_tells = "two of x_mm, y_mm, z_mm are swapped", False
             else:
-                known = abs(np.sin(2.0 * self.turn)) <= np.sin(2.0 * UPRIGHT)
+                turn_tells = abs(np.sin(2.0 * self.turn)) <= np.sin(2.0 * UPRIGHT)
             upright = self.turn is not None and abs(np.cos(self.turn)) > np.cos(QUARTER)
-            sentences.append((flipped if upright else swapped) if known else f"{swapped}, or {flipped}")
+            sentences.append((flipped if upright else swapped) if turn_tells else f"{swapped}, or {flipped}")
         return tuple(sentences)
 
 

@@ -31,13 +31,13 @@ LEVER = 1e-3  # of the largest torque: an upright first axis has none but roundi
 class Sag:
     """What compliance of the joints explains, with gravity along the last axis of the base.
 
-    masses : (n,) of the links [kg];  given : as the URDF file has them; False: 1 kg each
+    masses : (n,) of the links [kg];  from_urdf : as the URDF file has them; False: 1 kg each
     rms_before, rms_after, max_before, max_after : distances [mm] of each posture from where a fit of the geometry to
         all others puts it, without and with compliance;  p_value : one-sided, of no gain
     """
 
     masses: tuple[float, ...]
-    given: bool
+    from_urdf: bool
     dimension: int
     rms_before: float
     rms_after: float
@@ -64,7 +64,7 @@ class Sag:
         up = "y" if self.dimension == 2 else "z"
         masses = (
             "the masses are those of the URDF file"
-            if self.given
+            if self.from_urdf
             else "1 kg stands for the mass of each link, and the compliances take up the scale; real masses are better"
         )
         return (
@@ -75,7 +75,7 @@ class Sag:
     def to_json(self) -> dict[str, Any]:
         """Key `gravity` of `check` (identification/files/README.md, "JSON keys")."""
         lengths = {f"{name}_mm": getattr(self, name) for name in ("rms_before", "rms_after", "max_before", "max_after")}
-        named = {"masses_kg": list(self.masses), "masses_from": "urdf" if self.given else "unit"}
+        named = {"masses_kg": list(self.masses), "masses_from": "urdf" if self.from_urdf else "unit"}
         return {"recommended": self.recommended, **lengths, "p_value": self.p_value, **named, "lines": list(self.lines)}
 
 
@@ -94,8 +94,8 @@ def sag(arm: Arm, measurements: Measurements, fit: Identification, masses: Seque
     heavy = replace(arm, gravity=Gravity(down, kilograms, np.full(arm.links, 0.5)))
     torques = Model(heavy).on_chain(lambda chain: chain.torques)(measurements.postures, measurements.conditions)
     sizes = np.sqrt(np.mean(torques**2, axis=0))
-    there = {effect.joint for effect in arm.effects if effect.name == "joint_compliance"}
-    joints = [j for j in (np.flatnonzero(sizes > LEVER * sizes.max()) + 1).tolist() if j not in there]
+    modelled = {effect.joint for effect in arm.effects if effect.name == "joint_compliance"}
+    joints = [j for j in (np.flatnonzero(sizes > LEVER * sizes.max()) + 1).tolist() if j not in modelled]
     soft = heavy.with_effects(*arm.effects, *(EffectSpec("joint_compliance", j) for j in joints))
     try:
         sagging = estimate(Model(with_sessions(soft, measurements)), measurements)
@@ -108,7 +108,7 @@ def sag(arm: Arm, measurements: Measurements, fit: Identification, masses: Seque
     before, after = distances_left
     return Sag(
         masses=tuple(kilograms.tolist()),
-        given=masses is not None,
+        from_urdf=masses is not None,
         dimension=arm.dimension,
         rms_before=float(np.sqrt(np.mean(before**2))),
         rms_after=float(np.sqrt(np.mean(after**2))),

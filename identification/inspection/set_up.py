@@ -84,8 +84,8 @@ def constant_length(arm: Arm, measurements: Measurements, fit: Identification | 
 
     fit : without it, None: there is none
     """
-    known = fit is None or not arm.measures_distances or any(spec.name == OFFSET for spec in arm.effects)
-    if known or fit is None or fit.dof <= SPARE or rms_distance(fit.residuals_after) < NOTHING:
+    settled = fit is None or not arm.measures_distances or any(spec.name == OFFSET for spec in arm.effects)
+    if settled or fit is None or fit.dof <= SPARE or rms_distance(fit.residuals_after) < NOTHING:
         return []
     wider = replace(arm, calibration=None).with_effects(*arm.effects, EffectSpec(OFFSET))
     wider_fit = estimate(Model(with_sessions(wider, measurements)), measurements)

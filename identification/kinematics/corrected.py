@@ -11,17 +11,22 @@ import numpy as np
 from identification.arrays import Array
 from identification.kinematics.frames import AXES, from_own_axes, own_axes_angles, pose, rotation_about
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.spatial import ALIGNED, Joint, SpatialChain
+from identification.kinematics.spatial import ALIGNED, SpatialChain
 
 Numbers = Mapping[str, float]  # parameter name -> value [mm, rad]; what is not there is zero
 
 
 def corrected(chain: SpatialChain, values: Numbers) -> SpatialChain:
     """The chain whose nominal geometry is this one's with its errors."""
-    joints = tuple(
-        replace(joint, origin=_corrected_origin(joint, j, values)) for j, joint in enumerate(chain.joints, start=1)
-    )
-    return replace(standing_in(chain, values), joints=joints)
+    joints = []
+    for j, joint in enumerate(chain.joints, start=1):
+        shift, turn = _six(values, "translation_", "rotation_", f":{j}")
+        offset = values.get(f"joint_offset:{j}", 0.0)
+        zero = (
+            pose(rotation=rotation_about(joint.axis, offset)) if joint.type == REVOLUTE else pose(joint.axis * offset)
+        )
+        joints.append(replace(joint, origin=np.asarray(joint.origin @ pose(shift, turn) @ zero)))
+    return replace(standing_in(chain, values), joints=tuple(joints))
 
 
 def standing_in(chain: SpatialChain, values: Numbers) -> SpatialChain:
@@ -51,19 +56,19 @@ def composed_axes(chain: SpatialChain, values: Numbers) -> dict[str, Array]:
 def errors_between(chain: SpatialChain, other: SpatialChain) -> dict[str, float]:
     """Small errors of a chain that bring its base, joints and measured points to those of another, to first order; the
     shift of the base along its own axes."""
-    found = _named(chain.base, other.base, "base.", "base.r", "")
+    named = _named(chain.base, other.base, "base.", "base.r", "")
     for j, (joint, moved) in enumerate(zip(chain.joints, other.joints, strict=True), start=1):
         errors = _named(joint.origin, moved.origin, "translation_", "rotation_", f":{j}")
         name = "rotation" if joint.type == REVOLUTE else "translation"
         along = [errors[f"{name}_{axis}:{j}"] for axis in AXES]
-        own = max(abs(joint.axis)) >= ALIGNED  # else all six are parameters
-        found |= {**errors, f"joint_offset:{j}": float(joint.axis @ along) if own else 0.0}
+        about_axis = max(abs(joint.axis)) >= ALIGNED  # else all six are parameters
+        named |= {**errors, f"joint_offset:{j}": float(joint.axis @ along) if about_axis else 0.0}
     for name, place in chain.tools.items():
         axes, moved_axes = (each.tool_axes.get(name, np.eye(3)) for each in (chain, other))
         turned = _named(pose(rotation=axes), pose(rotation=moved_axes), "", f"tool[{name}].r", "")
         shift = np.subtract(other.tools[name], place).tolist()
-        found |= turned | {f"tool[{name}].{axis}": float(x) for axis, x in zip(AXES, shift, strict=True)}
-    return found
+        named |= turned | {f"tool[{name}].{axis}": float(x) for axis, x in zip(AXES, shift, strict=True)}
+    return named
 
 
 def _named(frame: Array, other: Array, translation: str, rotation: str, suffix: str) -> dict[str, float]:
@@ -91,16 +96,8 @@ def before_errors(
     if tools:
         chain = replace(chain, tools={name: place - _tool_error(values, name) for name, place in tools.items()})
     if axes:
-        chain = replace(chain, tool_axes={name: found @ _tool_turn(values, name).T for name, found in axes.items()})
+        chain = replace(chain, tool_axes={name: frame @ _tool_turn(values, name).T for name, frame in axes.items()})
     return chain
-
-
-def _corrected_origin(joint: Joint, j: int, values: Numbers) -> Array:
-    """(4, 4) of joint j, counted from 1, with its offset."""
-    shift, turn = _six(values, "translation_", "rotation_", f":{j}")
-    offset = values.get(f"joint_offset:{j}", 0.0)
-    moved = pose(rotation=rotation_about(joint.axis, offset)) if joint.type == REVOLUTE else pose(joint.axis * offset)
-    return np.asarray(joint.origin @ pose(shift, turn) @ moved)
 
 
 def _six(values: Numbers, translation: str, rotation: str, suffix: str) -> tuple[Array, Array]:

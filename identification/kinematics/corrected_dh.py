@@ -79,22 +79,22 @@ def corrected_links(chain: SpatialChain, drawn: Sequence[Link]) -> CorrectedLink
     for joint in chain.joints:
         at = at @ joint.origin
         places.append(at)
-    frame, found = places[0], []
+    frame, links = places[0], []
     for k, link in enumerate(drawn):
-        there = places[k + 1]
-        between = _parallel(frame, there, link) if link.beta is not None else _skew(frame, there, link)
+        next_place = places[k + 1]
+        between = _parallel(frame, next_place, link) if link.beta is not None else _skew(frame, next_place, link)
         if k == 0:  # where the first frame stands on its axis is free: theta and d as drawn
             frame = frame @ pose((0.0, 0.0, between.d - link.d), rotation_about(Z, between.theta - link.theta))
             between = Link(link.theta, link.d, between.a, between.alpha, between.beta)
             first = frame
         frame = frame @ between.matrix
-        found.append(between)
-    return CorrectedLinks(tuple(found), first if found else places[0], np.linalg.inv(frame) @ at @ chain.end)
+        links.append(between)
+    return CorrectedLinks(tuple(links), first if links else places[0], np.linalg.inv(frame) @ at @ chain.end)
 
 
-def _skew(frame: Array, there: Array, drawn: Link) -> Link:
+def _skew(frame: Array, following: Array, drawn: Link) -> Link:
     """By the common normal of two axes, the z axes of both frames (4, 4)."""
-    z, w, between = frame[:3, 2], there[:3, 2], there[:3, 3] - frame[:3, 3]
+    z, w, between = frame[:3, 2], following[:3, 2], following[:3, 3] - frame[:3, 3]
     normal = np.cross(z, w)
     normal = normal / np.linalg.norm(normal)
     wanted = frame[:3, :3] @ rotation_about(Z, drawn.theta) @ X
@@ -104,10 +104,10 @@ def _skew(frame: Array, there: Array, drawn: Link) -> Link:
     return Link(_angle(frame, normal, drawn.theta), d, float(between @ normal), _near(alpha, drawn.alpha))
 
 
-def _parallel(frame: Array, there: Array, drawn: Link) -> Link:
+def _parallel(frame: Array, following: Array, drawn: Link) -> Link:
     """By the point in which the second axis meets the plane of d as drawn."""
-    z, w, start = frame[:3, 2], there[:3, 2], frame[:3, 3] + drawn.d * frame[:3, 2]
-    point = there[:3, 3] + w * float((start - there[:3, 3]) @ z) / float(w @ z)
+    z, w, start = frame[:3, 2], following[:3, 2], frame[:3, 3] + drawn.d * frame[:3, 2]
+    point = following[:3, 3] + w * float((start - following[:3, 3]) @ z) / float(w @ z)
     away = point - start
     wanted = frame[:3, :3] @ rotation_about(Z, drawn.theta) @ X
     normal = away / np.linalg.norm(away)

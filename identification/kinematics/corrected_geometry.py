@@ -65,7 +65,7 @@ class CorrectedGeometry:
     @property
     def common_normals(self) -> list[CommonNormal]:
         """Of successive axes of revolute joints that are not exactly parallel, in the corrected geometry."""
-        found, frame = [], np.eye(4)
+        normals, frame = [], np.eye(4)
         axes: list[tuple[Array, Array] | None] = []
         for joint in self.real.joints:
             frame = frame @ joint.origin
@@ -77,8 +77,8 @@ class CorrectedGeometry:
             if (sine := float(np.linalg.norm(cross))) > PARALLEL:
                 feet = [float(np.cross(between, axis) @ cross) / sine**2 for axis in (other[1], one[1])]
                 angle = float(np.arctan2(sine, abs(one[1] @ other[1])))
-                found.append(CommonNormal(j, angle, max(map(abs, feet))))
-        return found
+                normals.append(CommonNormal(j, angle, max(map(abs, feet))))
+        return normals
 
     @property
     def strict_table(self) -> list[str]:

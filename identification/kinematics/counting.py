@@ -45,8 +45,8 @@ class Counting:
         _require(len(self.coupled_to) == n, f"coupled_to: found {len(self.coupled_to)} values, allowed: {n}")
         _require(len(self.zero) == n, f"zero_deg: found {len(self.zero)} values, allowed: {n}")
         for j, other in enumerate(self.coupled_to, start=1):
-            found = f"coupled_to: found {other} for joint {j}"
-            _require(abs(other) <= n and abs(other) != j, f"{found}, allowed: another joint, 1 to {n}, or 0")
+            coupling = f"coupled_to: found {other} for joint {j}"
+            _require(abs(other) <= n and abs(other) != j, f"{coupling}, allowed: another joint, 1 to {n}, or 0")
         for j in range(1, n + 1):
             passed, at = {j}, j
             while at := abs(self.coupled_to[at - 1]):
@@ -60,11 +60,11 @@ class Counting:
         not say it."""
         signs = np.sign(np.diag(matrix)).astype(int)
         sums, n = signs[:, None] * matrix, len(matrix)
-        own = sums - np.eye(n)
+        others = sums - np.eye(n)
         coupled = []
         for j in range(n):
-            ways = (k * s for k in range(1, n + 1) for s in (1, -1) if np.array_equal(own[j], s * sums[k - 1]))
-            coupled.append(next(ways, None if own[j].any() else 0))
+            ways = (k * s for k in range(1, n + 1) for s in (1, -1) if np.array_equal(others[j], s * sums[k - 1]))
+            coupled.append(next(ways, None if others[j].any() else 0))
         if None in coupled or not np.all(np.diag(sums) == 1):
             return None
         return cls(tuple(signs.tolist()), tuple(int(k or 0) for k in coupled), tuple(map(float, zero)))
@@ -137,9 +137,9 @@ class JointKinds(tuple[str, ...]):
     counting: Counting | None
 
     def __new__(cls, kinds: Iterable[str], counting: Counting | None = None) -> JointKinds:
-        found = super().__new__(cls, tuple(kinds))
-        found.counting = counting
-        return found
+        joint_kinds = super().__new__(cls, tuple(kinds))
+        joint_kinds.counting = counting
+        return joint_kinds
 
 
 def counting_in(kinds: Any) -> Counting | None:
@@ -166,8 +166,8 @@ def check_kinds(counting: Counting, kinds: Sequence[str]) -> None:
     for j, (kind, other, zero) in enumerate(zip(kinds, counting.coupled_to, counting.zero, strict=True), start=1):
         alike = not other or kinds[abs(other) - 1] == kind
         _require(alike, f"coupled_to: found {other} for joint {j}, which is {kind}, allowed: a joint of its kind")
-        found = f"zero_deg: found {np.degrees(zero):g} for joint {j}, which is {kind}"
-        _require(kind != PRISMATIC or zero == 0.0, f"{found}, allowed: 0")
+        held_zero = f"zero_deg: found {np.degrees(zero):g} for joint {j}, which is {kind}"
+        _require(kind != PRISMATIC or zero == 0.0, f"{held_zero}, allowed: 0")
 
 
 def _signs(matrix: Array, directions: Array) -> Array:

@@ -46,16 +46,11 @@ def chain_of(rows: Sequence[DHRow], convention: str = STANDARD) -> SpatialChain:
         link = pose((row.a, 0.0, 0.0), rotation_about(X, row.alpha))  # Tx Rx = Rx Tx
         rise, turn = pose((0.0, 0.0, row.d)), pose(rotation=rotation_about(Z, row.offset))
         before, after = (before @ turn, rise @ link) if convention == STANDARD else (before @ link @ turn, rise)
-        joints.append(Joint(f"joint_{j}", before, Z, row.type, *_limits(row, j)))
+        if row.limits is None and row.type != REVOLUTE:
+            allowed = "lower and upper in [joint_limits_mm]"
+            raise InputError(f"dh[{j}]: a prismatic joint without limits, allowed: {allowed}")
+        joints.append(Joint(f"joint_{j}", before, Z, row.type, *(row.limits or (-np.pi, np.pi))))
         before = after
     if not joints:
         raise InputError("dh: no rows, allowed: one for each joint")
     return SpatialChain(tuple(joints), before)
-
-
-def _limits(row: DHRow, j: int) -> tuple[float, float]:
-    if row.limits is not None:
-        return row.limits
-    if row.type != REVOLUTE:
-        raise InputError(f"dh[{j}]: a prismatic joint without limits, allowed: lower and upper in [joint_limits_mm]")
-    return -np.pi, np.pi

@@ -22,11 +22,11 @@ LOCK = 1e-12  # cosine of the pitch below which roll and yaw turn about one axis
 
 def pose(translation: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
     """(4, 4) from a translation (3,) and a rotation matrix (3, 3)."""
-    found = np.eye(4)
-    found[:3, 3] = translation
+    matrix = np.eye(4)
+    matrix[:3, 3] = translation
     if rotation is not None:
-        found[:3, :3] = rotation
-    return found
+        matrix[:3, :3] = rotation
+    return matrix
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
@@ -64,16 +64,16 @@ def roll_pitch_yaw(rotation: Array, near: ArrayLike | None = None) -> Array:
     yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0])) if level >= LOCK else 0.0
     sine, cosine = np.sin(yaw), np.cos(yaw)  # roll is what this yaw leaves: near the lock each of the two is uncertain
     across = sine * rotation[0, 2] - cosine * rotation[1, 2], cosine * rotation[1, 1] - sine * rotation[0, 1]
-    found = np.array([np.arctan2(*across), pitch, yaw], dtype=float)
+    rpy = np.array([np.arctan2(*across), pitch, yaw], dtype=float)
     if near is None:
-        return found
+        return rpy
     near, turn = np.asarray(near, dtype=float), 2.0 * np.pi
     if level < LOCK:  # any roll and yaw with this roll - side * yaw: both go half of the way
         side = float(np.sign(pitch))
-        way = found[0] - (near[0] - side * near[2])
+        way = rpy[0] - (near[0] - side * near[2])
         way -= turn * round(way / turn)
-        found = np.array([near[0] + 0.5 * way, pitch, near[2] - 0.5 * side * way])
-    equal = found, np.array([found[0] + np.pi, np.pi - pitch, found[2] + np.pi])
+        rpy = np.array([near[0] + 0.5 * way, pitch, near[2] - 0.5 * side * way])
+    equal = rpy, np.array([rpy[0] + np.pi, np.pi - pitch, rpy[2] + np.pi])
     nearest = [angles - turn * np.round((angles - near) / turn) for angles in equal]
     return min(nearest, key=lambda angles: float(np.linalg.norm(angles - near)))
 
@@ -137,8 +137,8 @@ class Frame:
 
     def point(self, place: ca.SX) -> ca.SX:
         """(3,) position in the world of a point (3,) that is given in this frame."""
-        there = self.shift + ca.mtimes(self.rotation, place)
-        return there if self.before is None else self.before.point(there)
+        moved = self.shift + ca.mtimes(self.rotation, place)
+        return moved if self.before is None else self.before.point(moved)
 
     def shifted(self, shift: ca.SX) -> Frame:
         """Shifted by a vector (3,) of this frame."""

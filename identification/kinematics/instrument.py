@@ -118,10 +118,10 @@ def _relative(first: Array, base: Array) -> dict[str, float]:
     return {name: float(x) for name, x in zip((*AXES, *(f"w{axis}" for axis in AXES)), (*shift, *turn), strict=True)}
 
 
-def _tilting(first: Array, found: Mapping[str, float], held: str) -> float:
+def _tilting(first: Array, rotation: Mapping[str, float], held: str) -> float:
     """How far two of the rotations, without that about the axis held, tilt a normal in the direction they tilt it least
     [1]."""
-    turn, steps = np.array([found[f"w{axis}"] for axis in AXES]), STEP * np.eye(3)
+    turn, steps = np.array([rotation[f"w{axis}"] for axis in AXES]), STEP * np.eye(3)
     free = [k for k in range(3) if AXES[k] != held]
     ends = [[first[2, :3] @ from_own_axes(*(turn + sign * steps[k])) for sign in (1.0, -1.0)] for k in free]
     return float(np.linalg.svd([(up - down) / (2.0 * STEP) for up, down in ends], compute_uv=False)[-1])

@@ -18,11 +18,11 @@ def joint_range(postures: Array, joint_types: Sequence[str]) -> dict[str, list[l
     """Smallest and largest position of each joint, [deg] and [mm], of postures (m, n) [rad, mm]; no key without such
     joints."""
     limits = np.stack([np.min(postures, axis=0), np.max(postures, axis=0)], axis=1)
-    found: dict[str, list[list[float]]] = {}
+    ranges: dict[str, list[list[float]]] = {}
     for kind, pair in zip(joint_types, limits, strict=True):
         in_file = pair * FILE_UNITS[JOINT_UNITS[kind]][1]
-        found.setdefault(KEYS[kind], []).append([float(f"{end:.9g}") for end in in_file])
-    return found
+        ranges.setdefault(KEYS[kind], []).append([float(f"{end:.9g}") for end in in_file])
+    return ranges
 
 
 def range_of(provenance: Mapping[str, Any], joint_types: Sequence[str]) -> Array | None:
@@ -34,16 +34,11 @@ def range_of(provenance: Mapping[str, Any], joint_types: Sequence[str]) -> Array
     slides = np.array([kind == PRISMATIC for kind in joint_types], dtype=bool)
     if KEYS[PRISMATIC] not in provenance:
         slides = np.zeros_like(slides)
-    found = np.empty((2, len(slides)))
-    for kind, there in ((REVOLUTE, ~slides), (PRISMATIC, slides)):
-        limits = _pairs(provenance.get(KEYS[kind], []), int(there.sum()))
-        if limits is None:
+    ends = np.empty((2, len(slides)))
+    for kind, of_kind in ((REVOLUTE, ~slides), (PRISMATIC, slides)):
+        count = int(of_kind.sum())
+        limits = np.array(provenance.get(KEYS[kind], []), dtype=float) if count else np.empty((0, 2))
+        if limits.shape != (count, 2):
             return None
-        found[:, there] = limits.T / FILE_UNITS[JOINT_UNITS[kind]][1]
-    return found
-
-
-def _pairs(values: Any, count: int) -> Array | None:
-    """(count, 2), None where there are not so many."""
-    found = np.array(values, dtype=float) if count else np.empty((0, 2))
-    return found if found.shape == (count, 2) else None
+        ends[:, of_kind] = limits.T / FILE_UNITS[JOINT_UNITS[kind]][1]
+    return ends

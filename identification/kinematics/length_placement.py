@@ -149,9 +149,9 @@ class _FreeSphere(_Sphere):
         _settled(held, base is None, tool, hopeless, SOME)
         of_radius = np.arange(len(radii)).reshape(len(RADII), -1)
         best = of_radius[np.arange(len(RADII)), np.argmin(held.squares()[of_radius], axis=1)]
-        found = cls(frames, np.zeros(len(frames)), reach, held.tools[best], base)
-        found.surface = held.surface[best]
-        return found
+        sphere = cls(frames, np.zeros(len(frames)), reach, held.tools[best], base)
+        sphere.surface = held.surface[best]
+        return sphere
 
     def linear(self) -> _Linear:
         return _Linear._make(each - each.mean(axis=1, keepdims=True) for each in super().linear())

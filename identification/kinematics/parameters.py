@@ -187,10 +187,10 @@ def chain_parameters(lengths: Sequence[float] | Array) -> ParameterSet:
 
 def by_joint(values: Mapping[str, float], kind: str) -> Array:
     """(n,) the values of a kind, `kind:1` to `kind:n`, of a mapping from names."""
-    found: list[float] = []
-    while (name := f"{kind}:{len(found) + 1}") in values:
-        found.append(values[name])
-    return readonly(found)
+    of_joints: list[float] = []
+    while (name := f"{kind}:{len(of_joints) + 1}") in values:
+        of_joints.append(values[name])
+    return readonly(of_joints)
 
 
 def of_effects(values: Mapping[str, float]) -> dict[str, float]:

@@ -112,5 +112,5 @@ class _Moments(NamedTuple):
         """(s,) mean squared distances left [mm^2]."""
         crossed = np.einsum("ski,ki->s", rotations, self.points)
         crossed += np.einsum("ski,kij,sj->s", rotations, self.turns, tools)
-        own = 2.0 * tools @ self.along + np.einsum("si,ij,sj->s", tools, self.gram, tools)
-        return np.asarray(self.squared + own - 2.0 * crossed)
+        of_tools = 2.0 * tools @ self.along + np.einsum("si,ij,sj->s", tools, self.gram, tools)
+        return np.asarray(self.squared + of_tools - 2.0 * crossed)

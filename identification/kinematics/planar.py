@@ -34,8 +34,8 @@ class PlanarGeometry(ByValue):
     def parameters(self, best: Mapping[str, float]) -> ParameterSet:
         """(2 n) length errors and joint offsets, scaled by the best known lengths, as far as anything is left."""
         nominal = chain_parameters(self.lengths)
-        found = self.lengths + nominal.vector(best)[: len(self.lengths)]
-        return chain_parameters(np.where(found == 0.0, self.lengths, np.abs(found)))
+        lengths = self.lengths + nominal.vector(best)[: len(self.lengths)]
+        return chain_parameters(np.where(lengths == 0.0, self.lengths, np.abs(lengths)))
 
     def link_lengths(self, values: ca.SX) -> ca.SX:
         """(n,) lengths [mm] at values (2 n) of the parameters."""

@@ -115,8 +115,8 @@ def _pseudo_inverse(columns: Complex, tolerance: float) -> Complex:
     inverse = np.asarray(
         np.linalg.inv(normal + np.finfo(float).eps * normal[:, :1, :1].real * np.eye(normal.shape[-1])), dtype=complex
     )
-    found = inverse @ across
+    pseudo_inverses = inverse @ across
     condition = np.linalg.norm(normal, 1, axis=(-2, -1)) * np.linalg.norm(inverse, 1, axis=(-2, -1))
     ill = np.flatnonzero(~(condition < min(ILL, tolerance**-2)))
-    found[ill] = np.linalg.pinv(columns[ill], rcond=tolerance)
-    return found
+    pseudo_inverses[ill] = np.linalg.pinv(columns[ill], rcond=tolerance)
+    return pseudo_inverses

@@ -135,13 +135,13 @@ class SpatialChain(ByValue):
         or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
         which move all that lies beyond as the base does; nor what no reading of the instrument shows."""
         left_out = {PRISMATIC: TRANSLATION_ERROR, REVOLUTE: ROTATION_ERROR}
-        own = {
+        along_axes = {
             f"{left_out[joint.type].removesuffix('error')}{AXES[k]}:{j}"
             for j, joint in enumerate(self.joints, start=1)
             if abs(joint.axis[k := int(np.argmax(np.abs(joint.axis)))]) >= ALIGNED
         }
         stands = BASE in self.known
-        hidden = own if stands else own | self.instrument.hidden(self.base)
+        hidden = along_axes if stands else along_axes | self.instrument.hidden(self.base)
         return ParameterSet.of(
             p
             for p in self.every_parameter
@@ -153,19 +153,19 @@ class SpatialChain(ByValue):
     def every_parameter(self) -> ParameterSet:
         """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
         and six errors, and last the radius of a sphere that is touched, where nobody knows it."""
-        found = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
+        parameters = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
         for name, place in self.tools.items():
             far = FARTHEST * (self.reach + float(np.linalg.norm(place)))
             of_tool = _six(f"tool[{name}].", f"tool[{name}].r", "", self.angle_scale or 1.0, (TOOL, TOOL), None, far)
-            found += of_tool[: DIMENSION if self.angle_scale is None else 2 * DIMENSION]
+            parameters += of_tool[: DIMENSION if self.angle_scale is None else 2 * DIMENSION]
         kinds = TRANSLATION_ERROR, ROTATION_ERROR
         for j, (joint, lever) in enumerate(zip(self.joints, self.levers.tolist(), strict=True), start=1):
             unit, scale = ("rad", lever) if joint.type == REVOLUTE else ("mm", 1.0)
-            found.append(Parameter(f"joint_offset:{j}", unit, scale=scale, kind=JOINT_OFFSET, joint=j))
-            found += _six("translation_", "rotation_", f":{j}", lever, kinds, j)
+            parameters.append(Parameter(f"joint_offset:{j}", unit, scale=scale, kind=JOINT_OFFSET, joint=j))
+            parameters += _six("translation_", "rotation_", f":{j}", lever, kinds, j)
         if self.instrument.free_radius:
-            found.append(Parameter(RADIUS, "mm", kind=BASE))
-        return ParameterSet.of(found)
+            parameters.append(Parameter(RADIUS, "mm", kind=BASE))
+        return ParameterSet.of(parameters)
 
     def link_lengths(self, values: ca.SX) -> ca.SX:
         """(n,) lengths [mm] of the straight lines from each joint's frame to the next, as nominal."""
@@ -178,15 +178,19 @@ class SpatialChain(ByValue):
         added : what effects add at each place of the chain (identification/effects/places.py)
         """
         frame = self._placed_base(values, added)
-        found = [frame]
+        placed = [frame]
         for j, joint in enumerate(self.joints, start=1):
-            frame = _corrected(frame.placed(joint.origin), values, j)
+            frame = frame.placed(joint.origin)
+            for k, axis in enumerate(AXES):  # after its six local corrections
+                if (name := f"translation_{axis}:{j}") in values:
+                    frame = frame.moved(k, values[name])
+            frame = _turned(frame, values, "rotation_", f":{j}")
             frame = joint.moved(frame, q[j - 1] + values.get(f"joint_offset:{j}", 0.0))
             frame = _displaced(frame, added, j)
-            found.append(frame)
+            placed.append(frame)
             if "extensions" in added and self._steps[j]:
                 frame = frame.along(self.link_vectors[j - 1] / self._steps[j], added["extensions"][j - 1])
-        return [*found, frame.placed(self.end)]
+        return [*placed, frame.placed(self.end)]
 
     @cached_property
     def link_vectors(self) -> list[Array]:
@@ -259,10 +263,10 @@ def _points(chain: SpatialChain, values: tuple[float, ...]) -> Callable[..., tup
     return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
 
 
-def _of_marker(found: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
+def _of_marker(of_markers: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
     """What belongs to the measured point of this number from 0; None: the first."""
-    chosen = found[0]
-    for k, other in enumerate(found[1:] if marker is not None else [], start=1):
+    chosen = of_markers[0]
+    for k, other in enumerate(of_markers[1:] if marker is not None else [], start=1):
         chosen = ca.if_else(marker == k, other, chosen)
     return chosen
 
@@ -277,17 +281,9 @@ def _six(
     farthest: float = np.inf,
 ) -> list[Parameter]:
     moves = (f"{translation}{axis}{suffix}" for axis in AXES)
-    found = [Parameter(name, "mm", -farthest, farthest, kind=kinds[0], joint=joint) for name in moves]
+    translations = [Parameter(name, "mm", -farthest, farthest, kind=kinds[0], joint=joint) for name in moves]
     turns = (f"{rotation}{axis}{suffix}" for axis in AXES)
-    return found + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in turns]
-
-
-def _corrected(frame: Frame, values: Values, joint: int) -> Frame:
-    """The frame of a joint, counted from 1, after its six local corrections."""
-    for k, axis in enumerate(AXES):
-        if (name := f"translation_{axis}:{joint}") in values:
-            frame = frame.moved(k, values[name])
-    return _turned(frame, values, "rotation_", f":{joint}")
+    return translations + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in turns]
 
 
 def _displaced(frame: Frame, added: Mapping[str, ca.SX], joint: int) -> Frame:

@@ -47,7 +47,7 @@ class Model:
             self.all_parameters.index(name)  # raises for an unknown one
 
     def __getstate__(self) -> dict[str, Any]:
-        """What pickles: the CasADi functions do not, and are built anew where they are needed."""
+        """What pickles: the CasADi functions do not, and are rebuilt where they are needed."""
         return {"arm": self.arm, "known": self.known}
 
     # -- parameters ------------------------------------------------------------------------------------------------
@@ -93,8 +93,8 @@ class Model:
 
     @property
     def prior(self) -> dict[str, float]:
-        """Name -> standard deviation before the data [API unit] of what a spatial arm's geometry is off by; empty in
-        the plane, and for a minimal set, which needs none."""
+        """Name -> standard deviation before the data [API unit] of the errors of a spatial arm's geometry; empty in the
+        plane, and for a minimal set, which needs none."""
         if self.arm.chain is None or self.arm.chain.fixed:
             return {}
         sizes = {"mm": self.arm.machining.translation, "rad": self.arm.machining.rotation}

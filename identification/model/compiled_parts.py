@@ -73,8 +73,8 @@ class CompiledEffect:
         function = ca.Function("effect", [at.q, at.c, v, at.state], outputs)
         loads, measures = rows < LOADED.stop, rows >= every.numel() - DIMENSION
         reads = outputs[2][:, LOADED].nnz() + outputs[2][:, -DIMENSION:].nnz() > 0
-        given = ca.vertcat(at.c, v, at.state)
-        varies = ca.depends_on(outputs[1], given) or not ca.substitute(added, v, 0 * v).is_zero()
+        inputs = ca.vertcat(at.c, v, at.state)
+        varies = ca.depends_on(outputs[1], inputs) or not ca.substitute(added, v, 0 * v).is_zero()
         slopes = None if varies else vectorize(ca.Function("slopes", [at.q], [outputs[1]]))
         return cls(rows, bool(loads.any()), bool(measures.any()), reads, vectorize(function), slopes)
 
@@ -111,21 +111,21 @@ class CompiledArm:
             self._effects[key] = CompiledEffect.of(self.at, effect)
         return self._effects[key]
 
-    def geometry(self, known: tuple[float | None, ...], places: tuple[str, ...], derivatives: bool) -> Evaluate:
+    def geometry(self, constants: tuple[float | None, ...], places: tuple[str, ...], derivatives: bool) -> Evaluate:
         """Function of arrays (q, c, g, a) that returns the tip and, if asked for, its derivatives by g and by a.
 
-        known : each value of the geometry, None: it is an element of g
+        constants : each value of the geometry, None: it is an element of g
         places : whose contributions are the elements of a; the others add nothing
         """
-        if (key := (known, places, derivatives)) not in self._geometries:
+        if (key := (constants, places, derivatives)) not in self._geometries:
             self._geometries[key] = self._compiled(*key)
         return self._geometries[key]
 
-    def _compiled(self, known: tuple[float | None, ...], places: tuple[str, ...], derivatives: bool) -> Evaluate:
-        g = ca.SX.sym("g", sum(value is None for value in known))
+    def _compiled(self, constants: tuple[float | None, ...], places: tuple[str, ...], derivatives: bool) -> Evaluate:
+        g = ca.SX.sym("g", sum(value is None for value in constants))
         a = ca.SX.sym("a", sum(self.sizes[place] for place in places))
         free, added, start = iter(ca.vertsplit(g) if g.numel() else ()), ca.SX.zeros(self.count), 0
-        values = ca.vertcat(*(next(free) if value is None else value for value in known))
+        values = ca.vertcat(*(next(free) if value is None else value for value in constants))
         for place in places:
             added[self.places[place]] = a[start : (start := start + self.sizes[place])]
         tip = position_and_state(self.at.chain, (), ca.SX(values), added)[0]

@@ -125,8 +125,8 @@ class Composition:
         if self.tied:
             every = every - c[..., -1:] * np.array(self.tied)
         ends = np.cumsum([len(self._constants), *map(len, self._own)])
-        geometry, *own = np.split(every, ends[:-1], axis=-1)
-        return geometry[..., [value is None for value in self._constants]], own
+        geometry, *of_effects = np.split(every, ends[:-1], axis=-1)
+        return geometry[..., [value is None for value in self._constants]], of_effects
 
     def _at(self, q: Array, c: Array, p: Array, used: tuple[str, ...], derivatives: bool = True) -> At:
         """Evaluate the model, with levers of the places used: loads first, then the geometry, then the instrument."""
@@ -140,8 +140,8 @@ class Composition:
             added = self._added(q, c, values, state)
         total = self._total(added, batch)
         a = np.concatenate([np.zeros((*batch, 0)), *(total[..., shared.places[place]] for place in used)], axis=-1)
-        found = shared.geometry(self._constants, used, derivatives)(q, c, g, a)
-        position = found[0][..., 0]
+        computed = shared.geometry(self._constants, used, derivatives)(q, c, g, a)
+        position = computed[0][..., 0]
         state[..., shared.of_tip] = position[..., POINT]
         if any(part.measures for part in self._parts):
             added = self._added(q, c, values, state)
@@ -150,7 +150,7 @@ class Composition:
         if not derivatives:
             position = position if self.instrument.whole else self.instrument.linearized(position)[0] - radius
             return At(position, np.zeros(0), np.zeros(0), state, added)
-        by_geometry, levers = self._derivatives(found[1], found[2], added, used)
+        by_geometry, levers = self._derivatives(computed[1], computed[2], added, used)
         if not self.instrument.whole:
             position, slopes = self.instrument.linearized(position)
             position, by_geometry, levers = position - radius, slopes @ by_geometry, slopes @ levers

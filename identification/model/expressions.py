@@ -91,10 +91,10 @@ class Expressions:
     @cached_property
     def tied(self) -> dict[str, float]:
         """Parameter name -> the part of its value that was fitted with error curves."""
-        found = dict.fromkeys((name for _, curve in self.curves for name in curve.geometry), 0.0)
+        fitted = dict.fromkeys((name for _, curve in self.curves for name in curve.geometry), 0.0)
         for _, curve in self.curves:
-            found |= {name: found[name] + value for name, value in curve.geometry.items()}
-        return found
+            fitted |= {name: fitted[name] + value for name, value in curve.geometry.items()}
+        return fitted
 
     def chain(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
@@ -126,34 +126,34 @@ class Expressions:
         the marker where there are several, ten of a measured orientation, and n + 1 of error curves."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         shape, past = postures.shape[:-1], postures if self.remembers else None
-        found = [conditions.table(shape, self.arm.links, payload, past)]
+        columns = [conditions.table(shape, self.arm.links, payload, past)]
         if "marker" in self.extra:
-            found.append(np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, shape)[..., None])
+            columns.append(np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, shape)[..., None])
         if "orientation" in self.extra:
-            found.append(self._reference(postures, found, conditions.orientation))
+            columns.append(self._reference(postures, columns, conditions.orientation))
         if "errors" in self.extra:  # tables are looked up here: as formulas they would be thousands of terms
-            found.append(self._curve_errors(postures))
-        return np.concatenate(found, axis=-1)
+            columns.append(self._curve_errors(postures))
+        return np.concatenate(columns, axis=-1)
 
     def _curve_errors(self, postures: Array) -> Array:
         """(..., m, n + 1) errors of the joints [rad] by their curves, and the share of their geometry that is off."""
-        found = np.zeros((*postures.shape[:-1], postures.shape[-1] + 1))
+        errors = np.zeros((*postures.shape[:-1], postures.shape[-1] + 1))
         for joint, curve in self.curves:
-            found[..., joint] = curve.at(postures[..., joint])
+            errors[..., joint] = curve.at(postures[..., joint])
         if self.tied:  # they hold together
             hold = all_hold(self.curves, postures)
-            found *= hold[..., None]
-            found[..., -1] = 1.0 - hold
-        return found
+            errors *= hold[..., None]
+            errors[..., -1] = 1.0 - hold
+        return errors
 
     @property
     def neutral(self) -> Array:
         """(4 + n,) a row of the table where nothing is said."""
-        found = self.table(np.zeros((1, self.arm.links)), Conditions())[0]
+        row = self.table(np.zeros((1, self.arm.links)), Conditions())[0]
         measured = orientation_columns(self.arm.links, self.remembers, self.extra)
-        found[measured.start :] = 0.0
-        found[measured.start : measured.stop][-1:] = 1.0
-        return found
+        row[measured.start :] = 0.0
+        row[measured.start : measured.stop][-1:] = 1.0
+        return row
 
     @cached_property
     def position_function(self) -> ca.Function:
@@ -219,8 +219,8 @@ class Expressions:
     def _at_zero(self, name: str, expressions: list[ca.SX]) -> Evaluate:
         """The expressions where nothing is added."""
         added = self._with_added[0]
-        found = ca.substitute(expressions, [added], [ca.SX.zeros(added.numel())])
-        return vectorize(ca.Function(name, list(self.symbols[:3]), ca.cse(found)))
+        bare = ca.substitute(expressions, [added], [ca.SX.zeros(added.numel())])
+        return vectorize(ca.Function(name, list(self.symbols[:3]), ca.cse(bare)))
 
     def orientations(self, q: Array, c: Array, p: Array) -> Array:
         """(m, 3, 3) orientations of the measured frame for the instrument; raises `InputError` where none is measured.
@@ -239,20 +239,20 @@ class Expressions:
 
         columns : that come before them, the last the marker's where there are several
         """
-        found = np.zeros((*postures.shape[:-1], ORIENTATION))
+        reference = np.zeros((*postures.shape[:-1], ORIENTATION))
         if orientation is not None:
-            found[..., :-1] = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)
+            reference[..., :-1] = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)
         else:
-            found[..., :-1] = self._best_orientation(postures, columns[-1][..., -1:])[0][..., 0]
-        return found
+            reference[..., :-1] = self._best_orientation(postures, columns[-1][..., -1:])[0][..., 0]
+        return reference
 
     @cached_property
     def _best_orientation(self) -> Evaluate:
         """Of arrays (q, marker): the orientation of the arm as best known, (9,) by columns."""
         assert self.arm.chain is not None
         q, marker = ca.SX.sym("q", self.arm.links), ca.SX.sym("marker")
-        found = self.arm.chain.orientation(q, self.best, marker if "marker" in self.extra else None)
-        return vectorize(ca.Function("orientation", [q, marker], [ca.cse(ca.densify(found))]))
+        orientation = self.arm.chain.orientation(q, self.best, marker if "marker" in self.extra else None)
+        return vectorize(ca.Function("orientation", [q, marker], [ca.cse(ca.densify(orientation))]))
 
     def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Evaluate:
         """Of arrays (q, c): an expression of the nominal chain."""

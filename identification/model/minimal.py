@@ -64,23 +64,23 @@ def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT
     placed, chain = placed_model(model, measurements), model.arm.chain
     if chain is None or not chain.instrument.contact:
         return minimal(placed, least)
-    own = measurements.rows(max(measurements.session_rows, key=len))
-    shown = minimal(placed_model(model, own), least, own.postures).arm.chain
+    longest_session = measurements.rows(max(measurements.session_rows, key=len))
+    shown = minimal(placed_model(model, longest_session), least, longest_session.postures).arm.chain
     assert placed.arm.chain is not None
     assert shown is not None
     return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.fixed)))
 
 
-def placed_calibration(arm: Arm, found: Calibration) -> Calibration:
+def placed_calibration(arm: Arm, calibration: Calibration) -> Calibration:
     """What a fit of a `practical` spatial arm found, with the values that it took as they were, and where base and
     measured points are; of a planar arm as it is."""
     if (chain := arm.chain) is None:
-        return found
+        return calibration
     kept = {} if arm.calibration is None else arm.calibration.values
-    values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(found.values)
+    values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(calibration.values)
     geometry = CorrectedGeometry(chain, values)
     tools, axes = MappingProxyType(geometry.tools), MappingProxyType(geometry.tool_axes)
-    return replace(found, values=values, base=geometry.base, tools=tools, tool_axes=axes)
+    return replace(calibration, values=values, base=geometry.base, tools=tools, tool_axes=axes)
 
 
 def independent(columns: Array, least: float = DISTINCT) -> list[int]:

@@ -37,30 +37,24 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if arm is None or arm.chain is None:
         return model
     chain = with_markers(arm.chain, measurements)
-    known = chain.known | held_places(model)
-    if known >= {BASE, TOOL}:
+    settled = chain.known
+    if model.known:  # and those whose parameters are all known to the model
+        settled |= {BASE, TOOL} - {p.kind for p in model.geometry_parameters if p.name not in model.known}
+    if settled >= {BASE, TOOL}:
         return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
     rows = some(measurements, measurements.session_rows[0])
     values: dict[str, float] = {}
     if (calibration := arm.calibration) is not None:
-        values = {name: v for name, v in calibration.values.items() if _place(name) not in {BASE, TOOL} - known}
+        values = {name: v for name, v in calibration.values.items() if _place(name) not in {BASE, TOOL} - settled}
         calibration = replace(calibration, values=values, base=None, tools={}, tool_axes={})
-    there = replace(standing_in(chain, values), known=known)
+    drawn = replace(standing_in(chain, values), known=settled)
     geometry = {name: value for name, value in values.items() if _place(name) not in (BASE, TOOL)}
-    found = standing_chain(there, rows, geometry)
-    if BASE not in known:
-        chain = replace(chain, base=found.base)
-    if TOOL not in known:
-        chain = replace(chain, tools=found.tools, tool_axes=found.tool_axes)
+    standing = standing_chain(drawn, rows, geometry)
+    if BASE not in settled:
+        chain = replace(chain, base=standing.base)
+    if TOOL not in settled:
+        chain = replace(chain, tools=standing.tools, tool_axes=standing.tool_axes)
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
-
-
-def held_places(model: Model) -> frozenset[str]:
-    """Those of base and measured points whose parameters are all known to the model."""
-    if not model.known:
-        return frozenset()
-    free = {p.kind for p in model.geometry_parameters if p.name not in model.known}
-    return frozenset({BASE, TOOL} - free - (frozenset() if model.arm.chain is None else model.arm.chain.known))
 
 
 def _place(name: str) -> str:
@@ -85,11 +79,11 @@ def standing_chain(chain: SpatialChain, measurements: Measurements, values: Mapp
     values : best known errors of the geometry
     """
     markers = markers_of(measurements)
-    found = placed_chain(chain, measurements.postures, measurements.positions[:, :3], markers, values)
+    standing = placed_chain(chain, measurements.postures, measurements.positions[:, :3], markers, values)
     if measurements.orientations is None or TOOL in chain.known:
-        return found
-    axes = tool_axes(found, measurements.postures, measurements.orientations, markers, values)
-    return replace(found, tool_axes=axes)
+        return standing
+    axes = tool_axes(standing, measurements.postures, measurements.orientations, markers, values)
+    return replace(standing, tool_axes=axes)
 
 
 def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, list[Array]]:
@@ -99,30 +93,24 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, l
     every = {} if arm.calibration is None else arm.calibration.values
     values = {name: value for name, value in every.items() if not name.startswith((f"{BASE}.", f"{TOOL}["))}
     parts = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
-    there, bases = standing_in(arm.chain, every), list[Array]()
-    first = seen = np.full(len(there.tools), TOOL in there.known)
+    standing, bases = standing_in(arm.chain, every), list[Array]()
+    first = seen = np.full(len(standing.tools), TOOL in standing.known)
     for name in measurements.session_names:
         if name in parts:
             rows = some(measurements, parts[name])
-            there = _there(there, rows, values, seen) if bases else there
+            if bases:  # where these rows find the base, then the points that were not seen before
+                old = seen[markers_of(rows)]
+                held = frozenset({TOOL}) if old.any() else frozenset()
+                standing = standing_chain(replace(standing, known=held), rows.rows(old) if old.any() else rows, values)
+                if old.any() and not old.all():
+                    standing = standing_chain(replace(standing, known=frozenset({BASE})), rows.rows(~old), values)
             seen = seen | np.isin(np.arange(len(seen)), markers_of(rows))
         first = first if bases else seen
-        bases.append(there.base)
-    later = [name for name, known in zip(there.tools, first.tolist(), strict=True) if not known]
-    tools, axes = ({name: of[name] for name in later if name in of} for of in (there.tools, there.tool_axes))
+        bases.append(standing.base)
+    later = [name for name, is_seen in zip(standing.tools, first.tolist(), strict=True) if not is_seen]
+    tools, axes = ({name: of[name] for name in later if name in of} for of in (standing.tools, standing.tool_axes))
     chain = replace(arm.chain, tools={**arm.chain.tools, **tools}, tool_axes={**arm.chain.tool_axes, **axes})
     return chain, bases
-
-
-def _there(
-    chain: SpatialChain, rows: Measurements, values: Mapping[str, float], seen: NDArray[np.bool_]
-) -> SpatialChain:
-    """The chain where rows of another session find its base, and the points that were not seen before."""
-    old = seen[markers_of(rows)]
-    if not old.any():
-        return standing_chain(replace(chain, known=frozenset()), rows, values)
-    found = standing_chain(replace(chain, known=frozenset({TOOL})), rows.rows(old), values)
-    return found if old.all() else standing_chain(replace(found, known=frozenset({BASE})), rows.rows(~old), values)
 
 
 def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
@@ -136,8 +124,8 @@ def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChai
     names, tools = measurements.marker_names, chain.tools
     if not names:
         if len(tools) > 1:
-            found = "no column marker, and the arm has several measured points"
-            raise InputError(f"measurements: {found}, allowed: one of {', '.join(tools)} in each row")
+            missing = "no column marker, and the arm has several measured points"
+            raise InputError(f"measurements: {missing}, allowed: one of {', '.join(tools)} in each row")
         return chain
     if tuple(tools)[: len(names)] == names:
         return chain
@@ -173,22 +161,24 @@ def placed_chain(
     names, frames, instrument = list(chain.tools), tip_frames(chain, postures, values), chain.instrument
     base, tools = chain.base, {name: np.array(place) for name, place in chain.tools.items()}
     first = int(np.bincount(markers).argmax())
-    own = markers == first
+    of_marker = markers == first
     if not instrument.whole and BASE not in chain.known:
         tool = tools[names[first]] if TOOL in chain.known else None
-        base = placed_by_lengths(instrument, frames[own], positions[own, 0], chain.reach, tool=tool).base
+        base = placed_by_lengths(instrument, frames[of_marker], positions[of_marker, 0], chain.reach, tool=tool).base
     elif BASE not in chain.known and TOOL not in chain.known:
-        found = placed(frames[own], positions[own], chain.reach)
-        base, tools[names[first]] = found.base, found.tool
+        placement = placed(frames[of_marker], positions[of_marker], chain.reach)
+        base, tools[names[first]] = placement.base, placement.tool
     elif BASE not in chain.known:
         places = np.array([tools[name] for name in names])[markers]
         base = registered(frames[:, :3, 3] + np.einsum("mij,mj->mi", frames[:, :3, :3], places), positions)
     for number, name in enumerate(names if TOOL not in chain.known else ()):
-        if (own := markers == number).any():
+        if (of_marker := markers == number).any():
             if instrument.whole:
-                tools[name] = placed_tool(frames[own], positions[own], base)
+                tools[name] = placed_tool(frames[of_marker], positions[of_marker], base)
             else:
-                tools[name] = placed_by_lengths(instrument, frames[own], positions[own, 0], chain.reach, base).tool
+                tools[name] = placed_by_lengths(
+                    instrument, frames[of_marker], positions[of_marker, 0], chain.reach, base
+                ).tool
     return replace(chain, base=base, tools=tools)
 
 
@@ -202,10 +192,10 @@ def tool_axes(
     """Name -> (3, 3) axes of the measured frames in the tip's frame that explain orientations (m, 3, 3) best, where the
     base stands; other arguments as of `placed_chain`."""
     tips = chain.base[:3, :3] @ tip_frames(chain, postures, values)[:, :3, :3]
-    own = np.swapaxes(tips, -1, -2) @ orientations
-    there = {number: markers == number for number in range(len(chain.tools))}
-    found = {name: mean_rotation(own[there[k]]) for k, name in enumerate(chain.tools) if there[k].any()}
-    return {**chain.tool_axes, **found}
+    turned = np.swapaxes(tips, -1, -2) @ orientations
+    rows_of = {number: markers == number for number in range(len(chain.tools))}
+    axes = {name: mean_rotation(turned[rows_of[k]]) for k, name in enumerate(chain.tools) if rows_of[k].any()}
+    return {**chain.tool_axes, **axes}
 
 
 def tip_frames(chain: SpatialChain, postures: Array, values: Mapping[str, float] = MappingProxyType({})) -> Array:

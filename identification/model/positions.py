@@ -27,8 +27,8 @@ def of_positions(model: Model) -> Model:
     arm = replace(model.arm, chain=replace(chain, instrument=WHOLE))
     held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names}
     held |= {p.name for effect in model.effects if DISTANCE in effect.needs for p in effect.parameters}
-    known = {name: value for name, value in (model.known or {}).items() if name != RADIUS}
-    return Model(arm, {**known, **dict.fromkeys(held, 0.0)})
+    held_values = {name: value for name, value in (model.known or {}).items() if name != RADIUS}
+    return Model(arm, {**held_values, **dict.fromkeys(held, 0.0)})
 
 
 def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:
@@ -58,12 +58,12 @@ def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None
 def in_own_frame(arm: Arm) -> Arm:
     """An arm that is measured by lengths as if its positions were measured in the frame of its base; any other as it
     is."""
-    chain, found = arm.chain, arm.calibration
+    chain, calibration = arm.chain, arm.calibration
     if chain is None or chain.instrument.whole:
         return arm
     chain = replace(chain, base=np.eye(4), known=chain.known | {BASE}, instrument=WHOLE)
-    if found is not None:
-        values = {name: value for name, value in found.values.items() if not name.startswith(f"{BASE}.")}
-        found = replace(found, values=values, base=None)
+    if calibration is not None:
+        values = {name: value for name, value in calibration.values.items() if not name.startswith(f"{BASE}.")}
+        calibration = replace(calibration, values=values, base=None)
     effects = [spec for spec in arm.effects if DISTANCE not in library()[spec.name].needs]
-    return replace(arm, chain=chain, calibration=found).with_effects(*effects)
+    return replace(arm, chain=chain, calibration=calibration).with_effects(*effects)

@@ -41,11 +41,11 @@ def _composed(spec: EffectSpec, chain: SpatialChain, values: Mapping[str, float]
     """An effect whose curve says its geometry as errors of the corrected chain."""
     if spec.curve is None or not spec.curve.geometry:
         return spec
-    own = dict(spec.curve.geometry)
-    own |= {name: float(x) for name, x in along(chain.base[:3, :3], own).items()}
-    without = {name: values.get(name, 0.0) - own.get(name, 0.0) for name in {*values, *own}}
+    of_curve = dict(spec.curve.geometry)
+    of_curve |= {name: float(x) for name, x in along(chain.base[:3, :3], of_curve).items()}
+    without = {name: values.get(name, 0.0) - of_curve.get(name, 0.0) for name in {*values, *of_curve}}
     errors = errors_between(corrected(chain, values), corrected(chain, without))
-    geometry = {name: -error for name, error in errors.items()} | of_effects(own)
+    geometry = {name: -error for name, error in errors.items()} | of_effects(of_curve)
     return replace(spec, curve=replace(spec.curve, geometry=geometry))
 
 
@@ -57,15 +57,15 @@ def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
 
 
 def check_names(chain: SpatialChain, measurements: Measurements) -> None:
-    """Raise `InputError` for measured points that a chain does not have, where they are not to be found anew."""
+    """Raise `InputError` for measured points that a chain does not have, where they are not to be estimated."""
     if len(chain.tools) == 1 == len(measurements.marker_names):
         return  # one point is the one that is measured, whatever the data call it
-    found = "no column marker, and the arm has several measured points" if not measurements.marker_names else ""
+    fault = "no column marker, and the arm has several measured points" if not measurements.marker_names else ""
     fresh = [repr(name) for name in measurements.marker_names if name not in chain.tools]
-    found = f"unknown name {', '.join(fresh)}" if fresh else found if len(chain.tools) > 1 else ""
-    if found:
+    fault = f"unknown name {', '.join(fresh)}" if fresh else fault if len(chain.tools) > 1 else ""
+    if fault:
         allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
-        raise InputError(f"measurements.marker: {found}, {allowed}")
+        raise InputError(f"measurements.marker: {fault}, {allowed}")
 
 
 def fresh_points(chain: SpatialChain, measurements: Measurements) -> list[str]:
@@ -90,9 +90,9 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
     if refit == "none":
         return Model(arm), np.zeros(0)
     offsets = [f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)] if refit == "offsets" else []
-    known = Model(arm).best_known
-    model = Model(with_base_offset(arm), {k: value for k, value in known.items() if k not in (*PLANAR_BASE, *offsets)})
-    start = model.parameters.vector(known)
+    values = Model(arm).best_known
+    model = Model(with_base_offset(arm), {k: value for k, value in values.items() if k not in (*PLANAR_BASE, *offsets)})
+    start = model.parameters.vector(values)
     computed = model.position(measurements.postures, start, conditions)
     return model, start_at_bases(start, model, computed, measurements.positions)
 
@@ -141,10 +141,10 @@ def placed_values(chain: SpatialChain, values: Mapping[str, float]) -> dict[str,
     values : corrections of base and points
     """
     base: Array = composed_base(chain, values)
-    found = dict(zip([f"base.{axis}" for axis in "xyz"], base[:3, 3].tolist(), strict=True))
-    found |= dict(zip([f"base.r{axis}" for axis in "xyz"], own_axes_angles(base[:3, :3]).tolist(), strict=True))
+    placed = dict(zip([f"base.{axis}" for axis in "xyz"], base[:3, 3].tolist(), strict=True))
+    placed |= dict(zip([f"base.r{axis}" for axis in "xyz"], own_axes_angles(base[:3, :3]).tolist(), strict=True))
     for name, place in composed_tools(chain, values).items():
-        found |= {f"{TOOL}[{name}].{axis}": float(x) for axis, x in zip("xyz", np.asarray(place), strict=True)}
+        placed |= {f"{TOOL}[{name}].{axis}": float(x) for axis, x in zip("xyz", np.asarray(place), strict=True)}
     for name, axes in composed_axes(chain, values).items():
-        found |= {f"{TOOL}[{name}].r{axis}": float(x) for axis, x in zip("xyz", own_axes_angles(axes), strict=True)}
-    return {name: found.get(name, value) for name, value in values.items()}
+        placed |= {f"{TOOL}[{name}].r{axis}": float(x) for axis, x in zip("xyz", own_axes_angles(axes), strict=True)}
+    return {name: placed.get(name, value) for name, value in values.items()}

@@ -31,13 +31,13 @@ def extrapolation(arm: Arm, postures: Array) -> str | None:
     """How many postures (m, n) of rows are outside the angles of the identification, in a clause; None: none, or not
     known."""
     out = outside(arm, postures)
-    found = extrapolated(out, "rows")
+    clause = extrapolated(out, "rows")
     beyond = [s.curve for s in arm.effects if s.curve and out is not None and out[:, (s.joint or 1) - 1].any()]
-    if found is None or not beyond:
-        return found
+    if clause is None or not beyond:
+        return clause
     if any(curve.geometry for curve in beyond):
-        return f"{found}; without its error curves, by the geometry that was fitted alone"
-    return f"{found}; its error curves are zero there, and the geometry of armcal identify alone may be better"
+        return f"{clause}; without its error curves, by the geometry that was fitted alone"
+    return f"{clause}; its error curves are zero there, and the geometry of armcal identify alone may be better"
 
 
 def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
@@ -45,8 +45,8 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
     if out is None or not out.any():
         return None
     joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))
-    found = f"{int(out.any(axis=1).sum())} of {len(out)} {what} are outside the angles that the model was identified on"
-    return f"{found} ({joints}): there it extrapolates"
+    count = f"{int(out.any(axis=1).sum())} of {len(out)} {what} are outside the angles that the model was identified on"
+    return f"{count} ({joints}): there it extrapolates"
 
 
 def seen_in_words(arm: Arm, postures: Array, model: Array, drawing: Array) -> str | None:
@@ -58,12 +58,12 @@ def seen_in_words(arm: Arm, postures: Array, model: Array, drawing: Array) -> st
     out = outside(arm, postures)
     if out is None or not FEWEST <= np.count_nonzero(beyond := out.any(axis=1)) <= len(out) - FEWEST:
         return None
-    there, elsewhere = (
+    familiar, elsewhere = (
         f"{np.sqrt(np.mean(model[rows] ** 2)):.3g} mm (drawing {np.sqrt(np.mean(drawing[rows] ** 2)):.3g} mm)"
         for rows in (~beyond, beyond)
     )
     share = f"{100.0 * np.mean(~beyond):.2g} % of these rows lie at joint angles that the calibration has seen"
-    return f"{share}: RMS there {there}, elsewhere {elsewhere}"
+    return f"{share}: RMS there {familiar}, elsewhere {elsewhere}"
 
 
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
@@ -87,7 +87,7 @@ def mostly_outside(arm: Arm, postures: Array) -> bool:
 
 def diagnosed(arm: Arm) -> bool:
     """Whether an arm's calibration is that of a diagnosis, or has values of effects beside the place of the base, as a
-    diagnosed model has that was identified anew."""
+    diagnosed model has that was identified again."""
     if arm.calibration is None:
         return False
     effects = {p.name for effect in Model(arm).effects if effect.name != "base_offset" for p in effect.parameters}
@@ -96,8 +96,8 @@ def diagnosed(arm: Arm) -> bool:
 
 def data_hashes(provenance: Mapping[str, Any]) -> list[str]:
     """SHA-256 of the files that measurements come from: of one, or of several that were sessions; empty: not known."""
-    found = provenance.get("sha256", [])
-    return [found] if isinstance(found, str) else list(found)
+    hashes = provenance.get("sha256", [])
+    return [hashes] if isinstance(hashes, str) else list(hashes)
 
 
 def identified_range(arm: Arm) -> Array | None:
@@ -108,11 +108,11 @@ def identified_range(arm: Arm) -> Array | None:
 def familiar_range(arm: Arm) -> tuple[Array, Array]:
     """(n,) least and largest angles of the identification but for `ROOM`, moved by whole turns into the limits; the
     limits themselves where these are not known."""
-    if (known := identified_range(arm)) is None:
+    if (ends := identified_range(arm)) is None:
         return arm.lower, arm.upper
-    middle = known.mean(axis=0)
-    known = middle + (1.0 - 2.0 * ROOM) * (known - middle)
-    moved = known + turned_into(middle[None], arm.lower, arm.upper, arm.joint_types)[0] - middle
+    middle = ends.mean(axis=0)
+    ends = middle + (1.0 - 2.0 * ROOM) * (ends - middle)
+    moved = ends + turned_into(middle[None], arm.lower, arm.upper, arm.joint_types)[0] - middle
     lower, upper = np.clip(moved, arm.lower, arm.upper)
     return lower, upper
 
@@ -128,18 +128,18 @@ def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str,
         for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
             yield "time", f"quarter {k}", rows
     # of lengths the places computed, in the frame of the base
-    known = measurements.dimension > 1
-    places = (measurements.positions if known else Model(arm).points(measurements.postures)[:, -1])[:, :2]
+    measures_places = measurements.dimension > 1
+    places = (measurements.positions if measures_places else Model(arm).points(measurements.postures)[:, -1])[:, :2]
     x, y = np.median(places, axis=0)
     right, above = (places > [x, y]).T
-    for name, there in (
+    for name, inside in (
         (f"x > {x:.0f}, y > {y:.0f}", right & above),
         (f"x < {x:.0f}, y > {y:.0f}", ~right & above),
         (f"x < {x:.0f}, y < {y:.0f}", ~right & ~above),
         (f"x > {x:.0f}, y < {y:.0f}", right & ~above),
     ):
-        if there.any():
-            yield "workspace", name, np.flatnonzero(there)
+        if inside.any():
+            yield "workspace", name, np.flatnonzero(inside)
     out = outside(arm, measurements.postures)
     if out is not None and 0 < int(out.any(axis=1).sum()) < m:
         yield "range", "inside", np.flatnonzero(~out.any(axis=1))

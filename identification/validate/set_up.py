@@ -1,4 +1,4 @@
-"""A set-up that is another than the fit takes it for: a measured point mounted anew between two sessions."""
+"""A set-up other than the fit assumes: a measured point that was mounted elsewhere between two sessions."""
 
 from __future__ import annotations
 
@@ -28,46 +28,46 @@ def renamed_by_session(measurements: Measurements, names: tuple[str, ...]) -> tu
     names : of the arm's points, of which the first is measured where the data have no column marker
     """
     marker = measurements.marker
-    own = np.full(len(measurements), names[0]) if marker is None else np.asarray(marker)
-    found, old, seen = own.astype(object), dict[str, str](), set[str]()
+    names_read = np.full(len(measurements), names[0]) if marker is None else np.asarray(marker)
+    renamed, old, seen = names_read.astype(object), dict[str, str](), set[str]()
     for session, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
-        for name in (here := sorted({*own[rows].tolist()} & seen)):
+        for name in (here := sorted({*names_read[rows].tolist()} & seen)):
             old[f"{name} of {session}"] = name
-            found[rows[own[rows] == name]] = f"{name} of {session}"
-        seen |= {*own[rows].tolist()} - {*here}
-    return replace(measurements, marker=found.astype(str), marker_names=()), old
+            renamed[rows[names_read[rows] == name]] = f"{name} of {session}"
+        seen |= {*names_read[rows].tolist()} - {*here}
+    return replace(measurements, marker=renamed.astype(str), marker_names=()), old
 
 
-def with_mounting_doubted(
-    found: Identification, measurements: Measurements, fit: Callable[[Measurements], Identification]
+def with_mounting_doubt(
+    together: Identification, measurements: Measurements, fit: Callable[[Measurements], Identification]
 ) -> Identification:
     """A fit to several sessions, with a doubt where measured points that the sessions share are mounted elsewhere in
     some of them: squares fall significantly, and by more than `GAIN`, where each session has points of its own.
 
     fit : the same for other measurements
     """
-    chain = found.model.arm.chain if hasattr(found.model, "arm") else None
+    chain = together.model.arm.chain if hasattr(together.model, "arm") else None
     if chain is None or len(measurements.sessions) < 2:
-        return found
+        return together
     renamed, old = renamed_by_session(measurements, tuple(chain.tools))
     if not old:
-        return found
+        return together
     try:
         apart = fit(renamed)
     except InputError:  # the points are given, or too few rows
-        return found
-    held, free = (float(np.sum(each.residuals_after**2)) for each in (found, apart))
-    more = len(apart.names) - len(found.names)
-    if more <= 0 or apart.dof < SPARE or not held > GAIN * free:
-        return found
-    if fdtrc(more, apart.dof, (held - free) / more / max(free / apart.dof, np.finfo(float).tiny)) > LEVEL:
-        return found
+        return together
+    held, free = (float(np.sum(each.residuals_after**2)) for each in (together, apart))
+    freed = len(apart.names) - len(together.names)
+    if freed <= 0 or apart.dof < SPARE or not held > GAIN * free:
+        return together
+    if fdtrc(freed, apart.dof, (held - free) / freed / max(free / apart.dof, np.finfo(float).tiny)) > LEVEL:
+        return together
     if not (moved := _moved(apart, old)):
-        return found
+        return together
     which = "; ".join(f"{new.replace(' of ', ' in session ', 1)}: {size} mm away" for new, size in moved.items())
-    fall = f"the RMS falls from {found.rms_after:.4g} to {apart.rms_after:.4g} mm where each has a name of its own"
-    said = f"reflectors are mounted elsewhere than in the session before ({which}): {fall}"
-    return replace(found, doubts=(f"{said}; name them otherwise there, in the column marker", *found.doubts))
+    fall = f"the RMS falls from {together.rms_after:.4g} to {apart.rms_after:.4g} mm where each has a name of its own"
+    doubt = f"reflectors are mounted elsewhere than in the session before ({which}): {fall}"
+    return replace(together, doubts=(f"{doubt}; name them otherwise there, in the column marker", *together.doubts))
 
 
 def _moved(apart: Identification, old: dict[str, str]) -> dict[str, str]:
@@ -77,7 +77,7 @@ def _moved(apart: Identification, old: dict[str, str]) -> dict[str, str]:
     assert chain is not None
     places: dict[str, Array] = composed_tools(chain, apart.model.parameters.mapping(apart.parameters))
     index = {name: k for k, name in enumerate(apart.names)}
-    found: dict[str, str] = {}
+    distances: dict[str, str] = {}
     for new, name in old.items():
         names = [f"{TOOL}[{each}].{axis}" for each in (new, name) for axis in "xyz"]
         if not {*names} <= {*index}:  # of a minimal set of parameters
@@ -91,5 +91,5 @@ def _moved(apart: Identification, old: dict[str, str]) -> dict[str, str]:
         told = fdtrc(1, apart.dof, statistics) <= LEVEL / (3 * len(old))
         if told.any():
             told |= variances < HARDLY**2 * np.sum(along[told] ** 2)
-            found[new] = f"{'' if told.all() else 'at least '}{np.linalg.norm(along[told]):.3g}"
-    return found
+            distances[new] = f"{'' if told.all() else 'at least '}{np.linalg.norm(along[told]):.3g}"
+    return distances

@@ -83,7 +83,7 @@ class RowBlock:
 class Validation:
     """What a calibrated model leaves of other measurements, beside the drawing.
 
-    refit : what was refitted, `base`, `offsets` or `none`, in each session anew
+    refit : what was refitted, `base`, `offsets` or `none`, in each session separately
     refitted : for each session the refitted parameters, name -> value [API unit]
     residuals, nominal_residuals : (m, d) measured less computed [mm], by the model and by the drawing
     """
@@ -177,7 +177,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     arm : with a calibration, or with known effect values; all of it stays as it is but for
     refit : `base`, position and rotation of the base (three numbers, the arm may not have had a base offset before; of
         a spatial arm six, and the measured points); `offsets`, that and every joint offset; `none`, nothing. In each
-        session anew
+        session separately
 
     Raises `InputError` for an arm without calibration, another `refit`, data of another arm, too few rows.
     """
@@ -193,14 +193,14 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
         refitted.append(values)
         free += len(values) - determined
     nominal = _drawing_refitted(arm, measurements, refit)
-    found = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
-    angles = found.rms_angles
-    said = _hardly_better(found)
-    said += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
+    validation = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
+    angles = validation.rms_angles
+    notes = _hardly_better(validation)
+    notes += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
     left = (distances(each) for each in (residuals, nominal))
-    said += [seen] if (seen := seen_in_words(arm, measurements.postures, *left)) else []
-    said += [] if arm.chain is None or refit == "none" else fresh_points(arm.chain, measurements)
-    return replace(found, notes=(*said, *_notes(arm, measurements, free, refit)))
+    notes += [seen] if (seen := seen_in_words(arm, measurements.postures, *left)) else []
+    notes += [] if arm.chain is None or refit == "none" else fresh_points(arm.chain, measurements)
+    return replace(validation, notes=(*notes, *_notes(arm, measurements, free, refit)))
 
 
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
@@ -228,12 +228,12 @@ def _drawing_refitted(arm: Arm, measurements: Measurements, refit: str) -> Array
 
 def check_validation(model: Model, measurements: Measurements) -> None:
     """Raises `InputError` for measurements of another arm, and for effects without gravity."""
-    for what, found, needed in (
+    for what, counted, needed in (
         ("joints", measurements.links, model.joints),
         ("coordinates", measurements.dimension, model.dimension),
     ):
-        if found != needed and (what == "joints" or found not in model.dimensions):
-            raise InputError(f"measurements: found {found} {what}, allowed: {needed}, as the arm has")
+        if counted != needed and (what == "joints" or counted not in model.dimensions):
+            raise InputError(f"measurements: found {counted} {what}, allowed: {needed}, as the arm has")
     if "gravity" in model.needs and model.arm.gravity is None:
         raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
 
@@ -256,16 +256,16 @@ def _refitted(
     problem = Problem(model, measurements.postures, conditions, measurements.positions[None], weights)
     values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
     residuals, jacobian = problem.residuals(values)[0], problem.jacobian(values)
-    found = model.parameters.mapping(values)
-    found = found if model.arm.chain is None else placed_values(model.arm.chain, found)
-    return found, residuals, spectrum(jacobian, model.scales).rank
+    refitted = model.parameters.mapping(values)
+    refitted = refitted if model.arm.chain is None else placed_values(model.arm.chain, refitted)
+    return refitted, residuals, spectrum(jacobian, model.scales).rank
 
 
 def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Conditions:
     """Conditions with the temperature counted from the mean of the data of the identification, where it is known.
 
-    Where the arm was set up anew (`refit`), what happened once in the session of the identification is over: a drift or
-    a step has come to its end.
+    Where the arm was set up again (`refit`), what happened once in the session of the identification is over: a drift
+    or a step has come to its end.
     """
     conditions, mean = measurements.conditions, identified(arm).get("mean_temperature_C")
     if refit != "none" and any(effect.once for effect in Model(arm).effects):
@@ -275,23 +275,22 @@ def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Condition
     return replace(conditions, temperature=measurements.temperature - float(mean))
 
 
-def _hardly_better(found: Validation) -> list[str]:
+def _hardly_better(validation: Validation) -> list[str]:
     """Where the squares saved are no more than groups of rows, by time or by region of posture, scatter by."""
-    after, before = (distances(residuals) for residuals in (found.residuals, found.nominal_residuals))
-    gained = gained_squares(before, after, found.measurements)
+    after, before = (distances(residuals) for residuals in (validation.residuals, validation.nominal_residuals))
+    gained = gained_squares(before, after, validation.measurements)
     if gained.value <= 0.0 or gained.p_above() <= LEVEL / 2.0:
         return []
-    share = (
-        f"{100.0 * found.model.rms / found.nominal.rms:.0f} % of the RMS error of the drawing, refitted in the same way"
-    )
-    return [f"the model leaves {share}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"]
+    share = 100.0 * validation.model.rms / validation.nominal.rms
+    of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
+    return [f"the model leaves {of_drawing}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"]
 
 
 def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) -> Iterator[str]:
     """What to know before these figures are believed."""
-    own = identified(arm)
-    known = {sha for one in (own, *own.get("held_from", {}).values()) for sha in data_hashes(one)}
-    if not known.isdisjoint(data_hashes(measurements.provenance)):
+    provenance = identified(arm)
+    hashes = {sha for one in (provenance, *provenance.get("held_from", {}).values()) for sha in data_hashes(one)}
+    if not hashes.isdisjoint(data_hashes(measurements.provenance)):
         yield "these are the measurements that the model was identified from: this says nothing about others"
     if far := extrapolation(arm, measurements.postures):
         yield far
@@ -313,19 +312,21 @@ def validation_sections(data: Mapping[str, Any], points: str = "") -> list[Secti
     """Drawing and model over all rows, and block by block;  points : what is refitted of a spatial arm beside"""
     keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
     what = {"base": "position and rotation of the base", "offsets": "joint offsets, position of the base"}
-    said = f"{data['rows']} rows, nothing refitted"
+    summary = f"{data['rows']} rows, nothing refitted"
     if data["refit"] != "none":
         sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
-        said = f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
+        summary = (
+            f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
+        )
     figures = ("RMS", "mean", "95 %\nbelow", "largest")
-    both = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
-    both.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])
+    rows = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
+    rows.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])
     blocks = [
         [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[f"{key}_mm"]) for key in keys)]
         for b in data["blocks"]
     ]
     headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
-    shown = [Section("Validation, distances in mm", [Sheet(("", *figures), both), said])]
+    shown = [Section("Validation, distances in mm", [Sheet(("", *figures), rows), summary])]
     return shown + ([Section("Validation, block by block, in mm", [Sheet(headings, blocks)])] if blocks else [])
 
 

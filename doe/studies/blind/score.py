@@ -253,12 +253,12 @@ def _error_judged(row: Said) -> Judged:
     return judged | {name: float(np.mean(held)) for name, held in shares.items() if held}
 
 
-def contradictions(said: Said) -> list[str]:
+def contradictions(diagnosis: Said) -> list[str]:
     """Where verdict, effects and probabilities of a diagnosis (`Diagnosis.to_json`) contradict each other."""
-    chance = dict(said["probabilities"])
-    none, unknown, verdict = chance.pop("none"), chance.pop("unknown"), said["verdict"]
-    others = {" + ".join(one["effects"]): one["probability"] for one in said["other_sets"]}
-    named = " + ".join(said["effects"])
+    chance = dict(diagnosis["probabilities"])
+    none, unknown, verdict = chance.pop("none"), chance.pop("unknown"), diagnosis["verdict"]
+    others = {" + ".join(one["effects"]): one["probability"] for one in diagnosis["other_sets"]}
+    named = " + ".join(diagnosis["effects"])
     stated = chance.get(named, 0.0)
     rest = chance.pop("other sets", 0.0)
     of_library = sum(chance.values()) + rest

@@ -81,7 +81,12 @@ def blind_study(
     if set(names) & set(COMPARED) and not has_processes():
         lacking = "scikit-learn is not installed: no Gaussian process in the comparison"
         warnings.warn(f"{lacking}, pip install 'armcal[studies]'", UserWarning, stacklevel=2)
-    keys = [key for cell in names for key in _keys(cell, count or _usual_count(cell), seed)]
+    totals = [(cell, count or _usual_count(cell)) for cell in names]
+    keys = [
+        {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
+        for cell, total in totals
+        for first in range(0, total, BATCH)
+    ]
     options: dict[str, Any] = {"resume": resume, "force": force, "progress": progress}  # the seed is in the keys
     with Job.open(folder, (PLANS, TRUTH, DIAGNOSES), workers, **options) as job:
         made = job.run(plan, [key for key in keys if CELLS[key["cell"]].designed], PLANS)
@@ -102,11 +107,6 @@ def blind_study(
 def reported_cells(space: bool) -> list[str]:
     """Names of the cells of the full study, in the plane or in space."""
     return [name for name, spec in CELLS.items() if spec.reported and spec.space == space]
-
-
-def _keys(cell: str, total: int, seed: int) -> Iterator[Key]:
-    for first in range(0, total, BATCH):
-        yield {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
 
 
 def _usual_count(cell: str) -> int:

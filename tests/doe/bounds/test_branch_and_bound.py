@@ -39,7 +39,7 @@ def test_upper_bound_holds_and_is_tight(seed: int, n: int, terms: int) -> None:
     polynomial = random_polynomial(generator, n, terms, 2)
     lower = generator.uniform(-3.0, 0.0, n)
     upper = lower + generator.uniform(0.1, 4.0, n)
-    found = maximum(polynomial, lower, upper, known=((lower + upper) / 2)[None], tolerance=1e-6)
+    found = maximum(polynomial, lower, upper, tried=((lower + upper) / 2)[None], tolerance=1e-6)
     samples = plainly(polynomial, dense(lower, upper, {1: 2001, 2: 101, 3: 31}[n]))
     assert found.proven
     assert samples.max() <= found.upper
@@ -56,7 +56,7 @@ def test_known_maximum() -> None:
     """
     polynomial = TrigonometricPolynomial(0.0, np.array([[1, 0], [1, 1], [0, 1]]), np.array([2.0, 1.0, -1.0]) + 0j)
     box = np.array([-np.pi, -np.pi]), np.array([np.pi, np.pi])
-    found = maximum(polynomial, *box, known=np.zeros((1, 2)), tolerance=1e-9)
+    found = maximum(polynomial, *box, tried=np.zeros((1, 2)), tolerance=1e-9)
     assert found.proven
     assert found.value == pytest.approx(2.25, abs=1e-9)
     assert 2.25 <= found.upper <= 2.25 + 2e-9
@@ -69,7 +69,7 @@ def test_waves_of_separate_joints_need_one_box() -> None:
     lower, upper = np.full(5, -1.0), np.full(5, 0.6)
     # cos q at 0; -2 sin q at -1; -cos(q)/2 at -1; nothing; sqrt(2) cos(q - pi/4) at 0.6, which is below pi/4
     top = 1.0 + 1.0 + 2.0 * np.sin(1.0) - 0.5 * np.cos(1.0) + 0.0 + np.sqrt(2.0) * np.cos(0.6 - np.pi / 4.0)
-    found = maximum(polynomial, lower, upper, known=np.array([[0.0, -1.0, -1.0, 0.2, 0.6]]), tolerance=1e-9)
+    found = maximum(polynomial, lower, upper, tried=np.array([[0.0, -1.0, -1.0, 0.2, 0.6]]), tolerance=1e-9)
     assert found.proven
     assert found.boxes == 1
     assert found.value == pytest.approx(top, abs=1e-13)
@@ -80,7 +80,7 @@ def test_out_of_boxes_is_not_a_proof_but_still_a_bound() -> None:
     generator = np.random.default_rng(1)
     polynomial = random_polynomial(generator, 4, 40, 3)
     lower, upper = np.full(4, -np.pi), np.full(4, np.pi)
-    found = maximum(polynomial, lower, upper, known=np.zeros((1, 4)), tolerance=1e-9, most_boxes=3000)
+    found = maximum(polynomial, lower, upper, tried=np.zeros((1, 4)), tolerance=1e-9, most_boxes=3000)
     assert not found.proven
     assert found.upper >= plainly(polynomial, generator.uniform(-np.pi, np.pi, (200_000, 4))).max()
 

@@ -63,7 +63,7 @@ def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
     for rows in combinations(range(10), RUNS):
         if problem.objective(choices[list(rows)]) >= best - problem.parameters * -np.log1p(-LOSS):
             plan = stacked(of_choices[:, list(rows)])
-            every[rows] = brute_force(plan, cloud, library.bases, library.weights, library.own)
+            every[rows] = brute_force(plan, cloud, library.bases, library.weights, library.base)
     assert found.relative_efficiency >= 1.0 - LOSS
     assert len(every) > 1
     assert found.wrong == pytest.approx(min(1.0, *every.values()), rel=1e-3)

@@ -83,7 +83,7 @@ def test_data_that_agree_are_rarely_accused(factor: float) -> None:
         problem = replace(Problem.of(MODEL, data, noise.weights), prior=Prior({}, earlier))
         residual, jacobian = replace(problem, prior=None).linearize_at(TRUTH)
         linear = Linear(problem, TRUTH, residual, jacobian)
-        accused += bool(contradicted(lambda _, it=linear: (it, *it.noise(known=True, given=False))))
+        accused += bool(contradicted(lambda _, it=linear: (it, *it.noise(has_sigma=True, sigma_holds=False))))
     assert accused <= 4
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from identification.arm import EffectSpec
 from identification.errors import InputError
-from identification.estimation.methods import gauss_newton
+from identification.estimation.methods import damped_gauss_newton
 from identification.estimation.prior import Prior, effective_count
 from identification.estimation.problem import Problem
 from identification.information import covariance
@@ -47,13 +47,13 @@ def test_problem_with_a_prior_is_ridge_regression() -> None:
     measurements, beyond = _measured(columns)
     problem = Problem.of(model, measurements, np.full(M, SIGMA**-2))
     plain, problem = problem, Problem(**{**vars(problem), "prior": Prior(DEVIATIONS)})
-    found = gauss_newton(problem).parameters[0]
+    found = damped_gauss_newton(problem).parameters[0]
     mean, posterior = _ridge(columns, beyond, SIGMA)
     np.testing.assert_allclose(found, mean, rtol=1e-9, atol=1e-12)
     _, jacobian = problem.linearize_at(found)
     assert jacobian.shape == (2 * M + 3, 6)
     np.testing.assert_allclose(covariance(jacobian, model.scales), posterior, rtol=1e-9, atol=1e-15)
-    assert np.max(np.abs(gauss_newton(plain).parameters[0] - mean)) > 0.01  # it does something
+    assert np.max(np.abs(damped_gauss_newton(plain).parameters[0] - mean)) > 0.01  # it does something
 
 
 def test_effective_count_without_data_of_a_parameter() -> None:

@@ -213,7 +213,7 @@ def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing(
     def width(times: float, copies: int) -> float:
         target, columns = (np.concatenate([a] * copies) for a in (misfit + jacobian @ (times * sizes), jacobian))
         linear = LinearizedProblem.of(problem, zero, target, columns)._replace(equations=3000 * copies)
-        return likeliest(linear, weighting(SPATIAL, data, None, None), given=False)[1][0]
+        return likeliest(linear, weighting(SPATIAL, data, None, None), sigma_holds=False)[1][0]
 
     once = [width(times, 1) for times in (0.5, 1.0, 1.2, 1.4, 1.6, 2.0, 4.0)]
     assert once[0] == 1.0 < once[-1]
@@ -243,7 +243,7 @@ def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[
     noise = weighting(SPATIAL, data, 0.05, None)
     expected = min(product(WIDTHS, ZERO_WIDTHS), key=minus_log)
     assert (expected[0] > 1.0, expected[1] > 1.0) == (factors[0] > 1.0, factors[1] > 1.0)
-    assert likeliest(linear, noise, given=True) == (1.0, Widths(*expected))
+    assert likeliest(linear, noise, sigma_holds=True) == (1.0, Widths(*expected))
 
 
 @pytest.mark.parametrize("degrees", [20.0, 110.0])

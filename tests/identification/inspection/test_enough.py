@@ -46,7 +46,7 @@ def test_with_few_rows_the_noise_is_the_one_given_or_that_of_repeats() -> None:
     given = sufficiency(known, measured, NoiseFloor())
     assert (given.numbers, given.parameters, given.spare, given.few) == (6, 4, 2, True)
     assert given.count == "6 numbers for 4 parameters: 2 left to judge the fit"
-    assert given.found == ("length of links 1 and 2", "zero of joints 1 and 2")
+    assert given.identifiable == ("length of links 1 and 2", "zero of joints 1 and 2")
     assert (given.open, given.source) == ((), "sigma")
     assert given.tip == pytest.approx(expected(measured, NOISE), rel=0.03)  # by 1000 poses instead of 20000
     repeats = sufficiency(unknown, measured, NoiseFloor(repeats=0.2 * np.sqrt(2.0)))
@@ -70,7 +70,7 @@ def test_what_is_not_determined_is_listed() -> None:
     measured = rows(6)
     still = replace(measured, postures=measured.postures * [1.0, 0.0])
     found = sufficiency(estimate(Model(replace(ARM, sigma=NOISE)), still), still, NoiseFloor())
-    assert found.found == ()
+    assert found.identifiable == ()
     assert len(found.open) == 2
     assert found.tip is None
     assert found.accuracy == "not known: something is not determined"
@@ -88,7 +88,7 @@ def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
     found = estimate(Model(Arm.of_chain(chain, sigma=NOISE)), measured)
     seen = sufficiency(found, measured, NoiseFloor())
     assert [name for name, *_ in seen.weak] == ["base.z", "tool[1].z"]
-    assert seen.found[:2] == ("base (x, y, rx, ry, rz)", "tool[1] (x, y)")
+    assert seen.identifiable[:2] == ("base (x, y, rx, ry, rz)", "tool[1] (x, y)")
     rows = seen.to_json()["weakly_determined"]
     heights = [found.names.index(row["name"]) for row in rows]
     assert [(row["std"], row["unit"]) for row in rows] == [(pytest.approx(found.std[k]), "mm") for k in heights]
@@ -108,4 +108,4 @@ def test_what_the_machining_holds_is_no_unknown() -> None:
     assert f"({held} held by [machining])" in found.count
     assert not found.few
     assert found.weak == ()
-    assert found.found[:2] == ("base", "tool[1]")
+    assert found.identifiable[:2] == ("base", "tool[1]")

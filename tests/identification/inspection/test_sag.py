@@ -33,7 +33,7 @@ def test_equal_masses_show_what_the_real_ones_show(compliant: bool) -> None:
     truth = small_arm(rng, *OTHERS, compliance=COMPLIANCE * compliant)
     data = measured(truth, random_postures(70, rng), rng)
     equal, real = looked_at(arm, data), looked_at(arm, data, MASSES)
-    assert (equal.given, real.given) == (False, True)
+    assert (equal.from_urdf, real.from_urdf) == (False, True)
     assert equal.recommended is real.recommended is compliant
     if compliant:
         assert real.rms_after < 0.5 * real.rms_before

@@ -16,7 +16,7 @@ from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status
-from identification.validate.reuse import earlier, only, with_held, with_place_doubted, words_of
+from identification.validate.reuse import earlier, only, with_base_doubt, with_held, words_of
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 LENGTHS, SIGMA = np.array([260.0, 180.0, 120.0]), 0.1
@@ -94,7 +94,7 @@ def test_marginal_and_conditional_distributions() -> None:
     some = found.about({"d", "b"})
     assert some.names == ("b", "d")
     np.testing.assert_array_equal(some.covariance, covariance[np.ix_([1, 3], [1, 3])])
-    given = found.given({"a": 2.0, "c": 0.0})
+    given = found.conditioned_on({"a": 2.0, "c": 0.0})
     precision = np.linalg.inv(covariance)
     free, held = np.ix_([1, 3], [1, 3]), np.ix_([1, 3], [0, 2])
     np.testing.assert_allclose(given.covariance, np.linalg.inv(precision[free]))
@@ -176,7 +176,7 @@ def test_a_held_base_that_stands_elsewhere_is_said() -> None:
     for base, moved in ((0.0, False), (500.0, True)):
         after, _ = in_space(shift=0.005, base=base)
         found = estimate(only(calibrated, ["joint_offset:3"], after), after)
-        said = with_place_doubted(found, calibrated, ["joint_offset:3"], after).doubts
+        said = with_base_doubt(found, calibrated, ["joint_offset:3"], after).doubts
         assert (
             any(one.startswith("the arm does not stand where the arm file says: the RMS falls") for one in said)
             is moved
@@ -184,12 +184,12 @@ def test_a_held_base_that_stands_elsewhere_is_said() -> None:
         assert any("--only base,joint_offset:3" in one for one in said) is moved
     words = ["base", "joint_offset:3"]
     free = estimate(only(calibrated, words, after), after)
-    assert with_place_doubted(free, calibrated, words, after) is free
+    assert with_base_doubt(free, calibrated, words, after) is free
     drawn = replace(ARM, effects=())
     for shift, expected in (((0.0, 0.0), 0), ((10.0, -5.0), 1)):
         data, _ = session(11, 20, shift)
         found = estimate(only(drawn, ["lengths"]), data)
-        doubts = with_place_doubted(found, drawn, ["lengths"], data).doubts
+        doubts = with_base_doubt(found, drawn, ["lengths"], data).doubts
         assert len(doubts) == expected  # once: not also as another frame
         assert all("--only base,lengths" in one for one in doubts)
 

@@ -20,7 +20,7 @@ from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
 from identification.status import Status
 from identification.validate import drawing_residuals, validate
-from identification.validate.set_up import with_mounting_doubted
+from identification.validate.set_up import with_mounting_doubt
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
@@ -64,7 +64,7 @@ def fit(data: Measurements) -> Identification:
 def test_a_reflector_mounted_anew_is_named(marked: bool) -> None:
     data = cell(2, {(1, "A"): MOVED}, seed=1, marked=marked)
     found = fit(data)
-    doubted = with_mounting_doubted(found, data, fit)
+    doubted = with_mounting_doubt(found, data, fit)
     (said,) = set(doubted.doubts) - set(found.doubts)
     name = "A" if marked else "1"
     size = float(np.linalg.norm(MOVED))
@@ -80,7 +80,7 @@ def test_a_reflector_mounted_anew_is_named(marked: bool) -> None:
 def test_nothing_is_said_where_reflectors_stay(seed: int) -> None:
     data = cell(2, {}, seed)
     found = fit(data)
-    assert with_mounting_doubted(found, data, fit) is found
+    assert with_mounting_doubt(found, data, fit) is found
 
 
 def test_the_drawing_is_placed_as_the_fit_is() -> None:
@@ -97,7 +97,7 @@ def test_three_sessions_converge(moved: dict[tuple[int, str], np.ndarray]) -> No
     data = cell(3, moved, seed=3)
     found = fit(data)
     assert found.status is Status.converged
-    doubted = with_mounting_doubted(found, data, fit)
+    doubted = with_mounting_doubt(found, data, fit)
     said = [doubt for doubt in doubted.doubts if doubt not in found.doubts]
     assert bool(said) == bool(moved)
     if moved:
@@ -118,7 +118,7 @@ def test_a_point_that_nothing_holds_stays_near_the_arm(seed: int) -> None:
 
     found = fit(data)
     assert found.status is Status.converged
-    away_from, _, size = with_mounting_doubted(found, data, fit).doubts[0].partition(" at least ")
+    away_from, _, size = with_mounting_doubt(found, data, fit).doubts[0].partition(" at least ")
     assert away_from == "reflectors are mounted elsewhere than in the session before (1 in session day 2:"
     assert float(size.split()[0]) == pytest.approx(np.linalg.norm(away[:2]), rel=0.1)
 
