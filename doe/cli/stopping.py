@@ -22,6 +22,7 @@ def stoppable() -> Iterator[None]:
 
     def stop(number: int, _: object) -> NoReturn:
         came.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
+        threading.excepthook = _nothing  # of threads whose processes are killed next
         raise came[0]
 
     with ExitStack() as stack:
@@ -31,7 +32,8 @@ def stoppable() -> Iterator[None]:
                     stack.callback(signal.signal, number, before)
                     signal.signal(number, stop)
             stack.callback(setattr, sys, "unraisablehook", sys.unraisablehook)
-            sys.unraisablehook = partial(_lost_no_signal, sys.unraisablehook)
+            stack.callback(setattr, threading, "excepthook", threading.excepthook)
+            sys.unraisablehook = partial(_lost_no_signal, sys.unraisablehook, came)
         try:
             yield
         except ArmcalError:
@@ -42,15 +44,22 @@ def stoppable() -> Iterator[None]:
             raise
 
 
-def _lost_no_signal(otherwise: Callable[[Any], object], unraisable: Any) -> None:
-    """A signal that met the end of an object, where nothing can be raised, comes again a little later."""
+def _nothing(_: object) -> None:
+    """Report nothing."""
+
+
+def _lost_no_signal(otherwise: Callable[[Any], object], came: list[KeyboardInterrupt], unraisable: Any) -> None:
+    """A signal that met the end of an object, where nothing can be raised, comes again a little later.
+
+    came : signals, after which nothing else that objects say at their end is reported
+    """
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         number = signal.Signals[next(iter(unraisable.exc_value.args), "SIGINT")]
         send: Callable[[int], None] = signal.raise_signal
         if hasattr(signal, "pthread_kill"):  # to the main thread, where it ends a wait too; in the timer's it would not
             send = partial(signal.pthread_kill, threading.main_thread().ident or 0)
         threading.Timer(AGAIN, send, (number,)).start()
-    else:
+    elif not came:
         otherwise(unraisable)
 
 

@@ -13,7 +13,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import BY_ORDER
 from identification.gap.detectability import Detectability, detectability
-from identification.gap.hypotheses.hypotheses import Hypothesis, hypotheses
+from identification.gap.hypotheses import Hypothesis, hypotheses
 from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
 from identification.model import Model
 

@@ -30,8 +30,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.files.measurement_columns import posture_columns
-from identification.gap.candidate import Candidate
-from identification.gap.result import Diagnosis
+from identification.gap.result import Candidate, Diagnosis
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status

@@ -16,9 +16,11 @@ import numpy as np
 
 from identification.arm import EffectSpec
 from identification.arrays import Array
-from identification.gap.blocks import WAVES, Block, Linearized, Where
+from identification.gap.blocks import Linearized
+from identification.gap.columns import WAVES, Where
 from identification.gap.curve import Curve
 from identification.gap.evidence import Index
+from identification.gap.hypotheses import Block
 from identification.gap.posterior import WRITTEN, Posterior
 from identification.kinematics.base_axes import along, planar_axes
 from identification.kinematics.parameters import JOINT_OFFSET
@@ -184,7 +186,7 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
     spread /= max(_mean_trace(jacobian, spread), 1e-300)
     # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
     # measured as much more as the curves are uncertain, and what a file cannot have is there
-    where = Where.of(held.at.model, held.at.values, held.rows.postures, held.rows.conditions)
+    where = Where(held.at.model, held.at.values, held.rows.postures, held.rows.conditions)
     tables = [
         (b.columns(where), at) for b, at in mixed.places.values() if b.basis is not None and b.columns is not None
     ]

@@ -14,137 +14,26 @@ from itertools import pairwise, product
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.sparse import csr_array
 
 from identification.arrays import Array
 from identification.effects.places import OF_FRAME, widths
-from identification.error_curve import ErrorCurve, local_splines
+from identification.gap.columns import Basis, Where, times
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
-from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, untested_joints
+from identification.gap.hypotheses import Block, HypothesisSet, untested_joints
+from identification.information import column_space_of
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.spatial import SpatialChain
-from identification.measurements import Conditions
-from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 ALIKE = 0.3  # relative scatter of one family's parameters over the joints
 RANK = 1e-6  # of a square: less left of columns beside the base model, or beside each other, cannot be seen
 FAINT = 0.03  # expected square of a combination of columns at the block's largest size, below which it is left out
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect
-WAVES = 30  # half periods of an error curve over the angles of its joint
 TIMES = 12  # half periods in a session of the fastest smooth function of time
 SLOW = 3  # half periods, of orders of functions of several variables
 REST = "library"  # label of the rest of the library
 REST_SIZES = 2  # of `SIZES` that it may have: what is larger shows one effect at a time
-
-
-@dataclass(frozen=True, eq=False)
-class Where:
-    """Postures (m, n) [rad] and conditions at which the columns of blocks are wanted, at a model's parameters (p,)."""
-
-    model: Model
-    values: Array
-    postures: Array
-    conditions: Conditions
-    position: Array
-    levers: Array
-
-    @classmethod
-    def of(cls, model: Model, values: Array, postures: Array, conditions: Conditions) -> Where:
-        """With (m, d) computed positions [mm] and (m, d, n) levers of the joints [mm/rad]."""
-        at = (postures, values, conditions)
-        return cls(model, values, postures, conditions, model.position(*at), model.joint_levers(*at))
-
-    @cached_property
-    def moments(self) -> Array:
-        """(m, n) of gravity about the joints, their mean square 1."""
-        found = self.model.on_chain(lambda chain: chain.torques)(self.postures, self.conditions)
-        return np.asarray(found / max(float(np.sqrt(np.mean(np.square(found)))), 1e-300))
-
-    def turned(self, joint: int, functions: Array) -> Array:
-        """(m, d, w) columns of functions (m, w) that are added to the angle of a joint (from 0)."""
-        return self.levers[:, :, joint, None] * functions[:, None, :]
-
-    def moved(self, functions: Array) -> Array:
-        """(m, d, w') columns of functions (m, w) that move all points, or turn them in the plane."""
-        m, d = self.position.shape
-        moves = np.broadcast_to(np.eye(d), (m, d, d))
-        if d == 2:
-            turn = np.stack([-self.position[:, 1], self.position[:, 0]], axis=1) / self.model.reach
-            moves = np.concatenate([moves, turn[:, :, None]], axis=2)
-        return (moves[:, :, :, None] * functions[:, None, None, :]).reshape(m, d, -1)
-
-    def varied(self, functions: Array) -> Array:
-        """(m, d, p w) columns of functions (m, w) that are added to each of the p parameters of the geometry, in its
-        scale."""
-        of_effects = {p.name for effect in self.model.effects for p in effect.parameters}
-        own = [k for k, name in enumerate(self.model.names) if name not in of_effects]
-        jacobian = (self.model.jacobian(self.postures, self.values, self.conditions) * self.model.scales)[:, :, own]
-        return (jacobian[:, :, :, None] * functions[:, None, None, :]).reshape(*self.position.shape, -1)
-
-
-@dataclass(frozen=True)
-class Basis:
-    """Cosine transform of a cubic spline basis of one joint (from 0) between two angles [rad], scaled to the prior of a
-    random walk."""
-
-    joint: int
-    start: float
-    stop: float
-
-    def at(self, angles: Array) -> Array:
-        """(m, K) values at angles (m,) [rad]."""
-        count, k = WAVES + 1, np.arange(1, WAVES + 1)
-        cosines = np.cos(np.pi / count * np.outer(np.arange(count) + 0.5, k))
-        place, parts = local_splines(angles, self.start, self.stop, count)
-        splines = np.zeros((len(place), count + 6))
-        np.put_along_axis(splines, place + 3, parts, axis=1)
-        return np.asarray(splines[:, 3:-3] @ (cosines / np.sin(0.5 * np.pi * k / count)))
-
-    @property
-    def nodes(self) -> Array:
-        """(K + 1,) angles of the nodes [rad]."""
-        return np.linspace(self.start, self.stop, WAVES + 1)
-
-    def table(self, values: Array) -> ErrorCurve:
-        """The function with these values (K + 1,) at the nodes."""
-        return ErrorCurve(self.start, self.stop, values)
-
-
-@dataclass(frozen=True)
-class Block:
-    """One thing that may be missing.
-
-    key : `name:joint` of an effect, without settings; else its place;  label : unique
-    place : `joint:j`, `time`, `temperature`, `workspace`, `row:i` (from 0)
-    member : of an effect its hypothesis;  basis : of an error curve
-    parts : effects that the rest of the library has in it: many small ones, that cannot be told apart
-    columns : outside the library, its (m, d, p) columns at other postures
-    """
-
-    key: str
-    label: str
-    place: str
-    weight: float
-    member: Hypothesis | None = None
-    basis: Basis | None = None
-    parts: tuple[Block, ...] = ()
-    columns: Callable[[Where], Array] | None = None
-
-    @property
-    def named(self) -> bool:
-        """Whether it is an effect of the library."""
-        return self.member is not None
-
-    @property
-    def row(self) -> bool:
-        """Whether it is the shift of a single row."""
-        return self.place.startswith("row:")
-
-    @property
-    def written(self) -> bool:
-        """Whether an arm file can have it."""
-        return self.member is not None or self.basis is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,183 +80,152 @@ class Linearized:
     @property
     def apart(self) -> frozenset[tuple[int, int]]:
         """Pairs of blocks of which one contains the other: a family, and the same effect at one joint."""
-        families = {
-            b.member.effect.name: k for k, b in enumerate(self.blocks) if b.member is not None and b.member.family
-        }
+        named = [(k, b.member) for k, b in enumerate(self.blocks) if b.member is not None]
+        families = {h.spec.name: k for k, h in named if h.family}
         return frozenset(
-            (families[b.member.effect.name], k)
-            for k, b in enumerate(self.blocks)
-            if b.member is not None and b.member.effect.name in families and families[b.member.effect.name] != k
+            (families[h.spec.name], k) for k, h in named if h.spec.name in families and families[h.spec.name] != k
         )
 
     def needy_and_givers(self, library: HypothesisSet) -> tuple[frozenset[int], frozenset[int]]:
         """Blocks that show only through others in the set (`Effect.through`), and these others."""
-        needy = {k for k, b in enumerate(self.blocks) if b.member is not None and not library.acts(b.member)}
-        kinds = {self.blocks[k].member.effect.through for k in needy}  # type: ignore[union-attr]
-        gives = (
-            k
-            for k, b in enumerate(self.blocks)
-            if b.member is not None and b.member.effect.needs & kinds and k not in needy
-        )
-        return frozenset(needy), frozenset(gives)
+        named = {k: b.member for k, b in enumerate(self.blocks) if b.member is not None}
+        needy = frozenset(k for k, h in named.items() if not library.acts(h))
+        kinds = {named[k].effect.through for k in needy}
+        return needy, frozenset(k for k, h in named.items() if h.effect.needs & kinds) - needy
 
 
 def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
     """Blocks outside the library, with constants that suit these rows."""
-    n, d = rows.postures.shape[1], rows.dimension
+    n, d, arm, conditions = rows.postures.shape[1], rows.dimension, at.model.arm, rows.conditions
+    low, span = rows.postures.min(axis=0), np.maximum(np.ptp(rows.postures, axis=0), 1e-9)
+    corner, size = at.position.min(axis=0), np.maximum(np.ptp(at.position, axis=0), 1e-9)
     unseen = untested_joints(at.model, rows)
     turning = [j for j in range(n) if np.ptp(rows.postures[:, j]) > 0.0]
-    taken = {spec.joint for spec in at.model.arm.effects if spec.curve is not None}
-    low, span = rows.postures.min(axis=0), np.maximum(np.ptp(rows.postures, axis=0), 1e-9)
-    few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
+    curved = {spec.joint for spec in arm.effects if spec.curve is not None}
+    bases = {f"curve:{j + 1}": Basis(j, float(low[j]), float(low[j] + span[j])) for j in turning}
+    timed, warmed = (v is not None and bool(np.ptp(v) > 0.0) for v in (conditions.time, conditions.temperature))
+    unit = float(np.std(conditions.temperature)) if conditions.temperature is not None else 1.0
 
-    def waves(x: Array, count: int) -> Array:
-        return np.cos(np.pi * x[:, None] * np.arange(1, count + 1)) / np.arange(1, count + 1)
+    def warm(w: Where) -> Array:
+        assert w.conditions.temperature is not None
+        return w.conditions.temperature[:, None] / unit
 
-    def with_other(w: Where, j: int, other: int) -> Array:
-        x, y = ((w.postures[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))
-        return np.stack([np.cos(a * x) * np.cos(b * y) / (a * a + b * b) for a, b in few], axis=1)
-
+    # whether these rows can show it, label, prior weight, columns
+    table: list[tuple[bool, str, float, Callable[[Where], Array]]] = []
     for j in turning:
         if j + 1 in unseen:
             continue
-        place, weight = f"joint:{j + 1}", OUTSIDE / np.sqrt(n)
-        if j + 1 not in taken:
-            basis = Basis(j, float(low[j]), float(low[j] + span[j]))
-            columns = _at_joint(j, partial(_curve, basis=basis))
-            yield Block(place, f"curve:{j + 1}", place, weight, basis=basis, columns=columns)
+        weight, revolute = OUTSIDE / np.sqrt(n), arm.chain is not None and arm.chain.joints[j].type == REVOLUTE
+        table.append((j + 1 not in curved, f"curve:{j + 1}", weight, partial(_curve, basis=bases[f"curve:{j + 1}"])))
         for other in turning:
-            if other != j:
-                columns = _at_joint(j, partial(with_other, j=j, other=other))
-                yield Block(place, f"shared:{j + 1},{other + 1}", place, 0.3 * weight / (n - 1), columns=columns)
-        if rows.conditions.directions is not None:
-            columns = _at_joint(j, partial(_one_sided, j=j))
-            yield Block(place, f"history:{j + 1}", place, 0.3 * weight, columns=columns)
-        if at.model.arm.gravity is not None:
-            columns = _at_joint(j, partial(_loaded, j=j))
-            yield Block(place, f"load:{j + 1}", place, 0.3 * weight, columns=columns)
-        chain = at.model.arm.chain
-        if chain is not None and chain.joints[j].type == REVOLUTE:
-            columns = partial(_wobble, chain=chain, j=j)
-            yield Block(place, f"wobble:{j + 1}", place, 0.3 * weight, columns=columns)
-    if rows.conditions.time is not None and np.ptp(rows.conditions.time) > 0.0:
-        yield Block("time", "time", "time", OUTSIDE, columns=lambda w: w.moved(waves(_time(w), TIMES)))
-        yield Block(
-            "time", "time[parameters]", "time", 0.3 * OUTSIDE, columns=lambda w: w.varied(waves(_time(w), SLOW))
-        )
-        if at.model.arm.gravity is not None:
-            yield Block(
-                "time", "time[load]", "time", 0.3 * OUTSIDE, columns=lambda w: _sagging(w, waves(_time(w), SLOW))
-            )
-    temperature = rows.conditions.temperature
-    if temperature is not None and np.ptp(temperature) > 0.0:
-        unit = float(np.std(temperature))
-
-        def warm(w: Where) -> Array:
-            assert w.conditions.temperature is not None
-            return w.conditions.temperature[:, None] / unit
-
-        yield Block("temperature", "temperature", "temperature", OUTSIDE, columns=lambda w: w.moved(warm(w)))
-        yield Block(
-            "temperature",
-            "temperature[parameters]",
-            "temperature",
-            0.3 * OUTSIDE,
-            columns=lambda w: w.varied(warm(w)),
-        )
-    if d > 1:
-        corner, size = at.position.min(axis=0), np.maximum(np.ptp(at.position, axis=0), 1e-9)
-        orders = [k for k in product(range(SLOW + 1), repeat=d) if 1 <= sum(k) <= SLOW]
-
-        def smooth(w: Where) -> Array:
-            unit = np.pi * (w.position - corner) / size
-            return np.stack(
-                [np.prod(np.cos(np.array(k) * unit), axis=1) / (1.0 + np.dot(k, k)) for k in orders], axis=1
-            )
-
-        def along_axes(w: Where) -> Array:
-            unit, fast = np.pi * (w.position - corner) / size, np.arange(1, TIMES + 1)
-            along = np.cos(unit[:, :, None] * fast) / np.sqrt(fast)  # (m, d, K) of each coordinate by itself
-            return (np.eye(d)[None, :, :, None] * along.reshape(len(unit), 1, 1, -1)).reshape(*unit.shape, -1)
-
-        def outward(w: Where) -> Array:
-            radius, fast = np.linalg.norm(w.position, axis=1), np.arange(1, TIMES + 1)
-            rings = np.cos(np.pi * radius[:, None] / w.model.reach * fast) / np.sqrt(fast)
-            return (w.position / np.maximum(radius, 1e-9 * w.model.reach)[:, None])[:, :, None] * rings[:, None]
-
-        for label, columns in (
-            ("workspace", lambda w: w.moved(smooth(w))),
-            ("workspace[squares]", _bent),
-            ("workspace[axes]", along_axes),
-            ("workspace[radius]", outward),
-        ):
-            yield Block("workspace", label, "workspace", OUTSIDE / 4.0, columns=columns)
-
-
-def _at_joint(j: int, functions: Callable[[Where], Array]) -> Callable[[Where], Array]:
-    """Columns of functions (m, w) that are added to the angle of a joint."""
-    return lambda w: w.turned(j, functions(w))
+            functions = partial(_shared, joints=[j, other], low=low, span=span)
+            table.append((other != j, f"shared:{j + 1},{other + 1}", 0.3 * weight / max(n - 1, 1), functions))
+        table += [
+            (conditions.directions is not None, f"history:{j + 1}", 0.3 * weight, partial(_one_sided, j=j)),
+            (arm.gravity is not None, f"load:{j + 1}", 0.3 * weight, partial(_loaded, j=j)),
+            (revolute, f"wobble:{j + 1}", 0.3 * weight, partial(_wobble, j=j)),
+        ]
+    table += [
+        (timed, "time", OUTSIDE, lambda w: w.moved(_in_time(w, TIMES))),
+        (timed, "time[parameters]", 0.3 * OUTSIDE, lambda w: w.varied(_in_time(w, SLOW))),
+        (timed and arm.gravity is not None, "time[load]", 0.3 * OUTSIDE, _sagging),
+        (warmed, "temperature", OUTSIDE, lambda w: w.moved(warm(w))),
+        (warmed, "temperature[parameters]", 0.3 * OUTSIDE, lambda w: w.varied(warm(w))),
+        (d > 1, "workspace", OUTSIDE / 4.0, partial(_smooth, corner=corner, size=size)),
+        (d > 1, "workspace[squares]", OUTSIDE / 4.0, _bent),
+        (d > 1, "workspace[axes]", OUTSIDE / 4.0, partial(_along_axes, corner=corner, size=size)),
+        (d > 1, "workspace[radius]", OUTSIDE / 4.0, _outward),
+    ]
+    for possible, label, weight, columns in table:
+        if possible:
+            kind, _, joints = label.partition(":")
+            place = f"joint:{joints.partition(',')[0]}" if joints else kind.partition("[")[0]
+            yield Block(label, place, weight, basis=bases.get(label), columns=columns)
 
 
 def _curve(w: Where, basis: Basis) -> Array:
-    return basis.at(w.postures[:, basis.joint])
+    return w.turned(basis.joint, basis.at(w.postures[:, basis.joint]))
 
 
-def _time(w: Where) -> Array:
-    """(m,) from 0 to 1 over the session."""
-    assert w.conditions.time is not None
-    return w.conditions.time + 0.5
+def _shared(w: Where, joints: Sequence[int], low: Array, span: Array) -> Array:
+    """Columns of smooth functions of two joints' angles that are added to the angle of the first."""
+    x, y = ((w.postures[:, k] - low[k]) * (np.pi / span[k]) for k in joints)
+    few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
+    functions = [np.cos(a * x) * np.cos(b * y) / (a * a + b * b) for a, b in few]
+    return w.turned(joints[0], np.stack(functions, axis=1))
 
 
 def _one_sided(w: Where, j: int) -> Array:
-    """(m, 4) functions of a joint's angle and of its last move that change sign with the direction of approach."""
+    """Columns of functions of a joint's angle and of its last move that change sign with the direction of approach."""
     assert w.conditions.directions is not None
     q = w.postures[:, j]
     moved = np.zeros(len(q)) if w.conditions.past is None else np.abs(q - np.asarray(w.conditions.past)[:, j, -1])
-    return w.conditions.directions[:, j, None] * np.stack(
-        [np.ones(len(q)), np.cos(q), np.sin(q), np.exp(-moved)], axis=1
-    )
+    functions = np.stack([np.ones(len(q)), np.cos(q), np.sin(q), np.exp(-moved)], axis=1)
+    return w.turned(j, w.conditions.directions[:, j, None] * functions)
 
 
 def _loaded(w: Where, j: int) -> Array:
-    """(m, 4) functions of the moment of gravity about a joint."""
+    """Columns of functions of the moment of gravity about a joint."""
     t = w.moments[:, j]
-    return np.stack([t, np.abs(t), t * np.abs(t), np.sign(t)], axis=1)
+    return w.turned(j, np.stack([t, np.abs(t), t * np.abs(t), np.sign(t)], axis=1))
 
 
-def _sagging(w: Where, functions: Array) -> Array:
-    """(m, d, n w) columns of joints that yield to gravity by their moment times functions (m, w)."""
-    sag = w.levers * w.moments[:, None, :]
-    return (sag[:, :, :, None] * functions[:, None, None, :]).reshape(*w.position.shape, -1)
-
-
-def _bent(w: Where) -> Array:
-    """(m, d, w) columns of squares and products of the coordinates, in each direction."""
-    d = w.position.shape[1]
-    x = w.position / w.model.reach
-    squares = np.stack([x[:, a] * x[:, b] for a in range(d) for b in range(a, d)], axis=1)
-    return (np.eye(d)[None, :, :, None] * squares[:, None, None, :]).reshape(len(x), d, -1)
-
-
-def _wobble(w: Where, chain: SpatialChain, j: int) -> Array:
-    """(m, d, 8 SLOW) columns of an axis that tilts and shifts as its joint turns."""
-    levers = w.model.place_levers(w.postures, w.values, w.conditions)[0]
-    turns = np.stack([f(k * w.postures[:, j]) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)], axis=1)
-    return (_across(chain, j, levers)[:, :, :, None] * turns[:, None, None, :]).reshape(*w.position.shape, -1)
-
-
-def _across(chain: SpatialChain, j: int, levers: Array) -> Array:
-    """(m, d, 4) derivatives by tilts and by shifts of what a revolute joint (from 0) moves, along two directions across
-    its axis, in units in which both move the point alike;  levers : (m, d, P) by what is added at each place"""
-    sizes, n = widths(len(chain), chain.dimension), len(chain)
+def _wobble(w: Where, j: int) -> Array:
+    """(m, d, 8 SLOW) columns of a revolute joint's axis (from 0) that tilts and shifts as the joint turns: along two
+    directions across it, in units in which tilts and shifts move the point alike."""
+    chain, levers = w.model.arm.chain, w.model.place_levers(w.postures, w.values, w.conditions)[0]
+    assert chain is not None
+    n, sizes = len(chain), widths(len(chain), chain.dimension)
     ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
     plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T
+    turns = np.stack([f(k * w.postures[:, j]) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)], axis=1)
     parts = []
     for kind in OF_FRAME:
         first = ends[kind] - 3 * n + 3 * j
         part = levers[:, :, first : first + 3] @ plane
         parts.append(part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300))
-    return np.concatenate(parts, axis=2)
+    return times(np.concatenate(parts, axis=2), turns)
+
+
+def _in_time(w: Where, count: int) -> Array:
+    """(m, count) waves over the session, the slow ones larger."""
+    assert w.conditions.time is not None
+    orders = np.arange(1, count + 1)
+    return np.cos(np.pi * (w.conditions.time + 0.5)[:, None] * orders) / orders
+
+
+def _sagging(w: Where) -> Array:
+    """(m, d, n SLOW) columns of joints that yield to gravity by their moment times functions of time."""
+    return times(w.levers * w.moments[:, None, :], _in_time(w, SLOW))
+
+
+def _smooth(w: Where, corner: Array, size: Array) -> Array:
+    """Columns of smooth functions of all coordinates together that move the point."""
+    x, few = np.pi * (w.position - corner) / size, product(range(SLOW + 1), repeat=w.position.shape[1])
+    orders = [np.array(k) for k in few if 1 <= sum(k) <= SLOW]
+    return w.moved(np.stack([np.prod(np.cos(k * x), axis=1) / (1.0 + k @ k) for k in orders], axis=1))
+
+
+def _bent(w: Where) -> Array:
+    """(m, d, w) columns of squares and products of the coordinates, in each direction."""
+    m, d = w.position.shape
+    x = w.position / w.model.reach
+    squares = np.stack([x[:, a] * x[:, b] for a in range(d) for b in range(a, d)], axis=1)
+    return times(np.broadcast_to(np.eye(d), (m, d, d)), squares)
+
+
+def _along_axes(w: Where, corner: Array, size: Array) -> Array:
+    """(m, d, w) columns of waves of each coordinate by itself, in each direction."""
+    (m, d), fast = w.position.shape, np.arange(1, TIMES + 1)
+    along = np.cos((np.pi * (w.position - corner) / size)[:, :, None] * fast) / np.sqrt(fast)
+    return times(np.broadcast_to(np.eye(d), (m, d, d)), along.reshape(m, -1))
+
+
+def _outward(w: Where) -> Array:
+    """(m, d, TIMES) columns of waves of the distance from the base, along it."""
+    radius, fast = np.linalg.norm(w.position, axis=1), np.arange(1, TIMES + 1)
+    rings = np.cos(np.pi * radius[:, None] / w.model.reach * fast) / np.sqrt(fast)
+    return (w.position / np.maximum(radius, 1e-9 * w.model.reach)[:, None])[:, :, None] * rings[:, None]
 
 
 def linearized(
@@ -382,37 +240,28 @@ def linearized(
     wrong : rows that may be outlying
     outside : labels of blocks outside the library, None: all
     """
-    model = at.model
-    position, jacobian = model.linearize(rows.postures, at.values, rows.conditions)
-    base = library.own_places(model)
-    added = np.setdiff1d(np.arange(len(at.values)), base)
-    # the data as the base model sees them: what the fit has beyond it is given back
-    y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
+    model, (y, jacobian, base) = at.model, library.as_base(at, rows)
     # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
     fitted = {
         e.label: [model.names.index(p.name) for p in e.parameters if p.name in model.names] for e in model.effects
     }
-    neutral = library.columns(rows, at.by_name, None, model)
+    neutral = library.columns(rows, at.by_name, model)
     of_library = [
         jacobian[:, :, fitted[h.label]] if h.label in fitted else c
         for h, c in zip(library.members, neutral, strict=True)
     ]
-    blocks = [Block(h.key, h.label, acting_at(h), h.weight, member=h) for h in library.members]
-    where = Where.of(model, at.values, rows.postures, rows.conditions)
+    where = Where(model, at.values, rows.postures, rows.conditions)
     further = [one for one in outside_blocks(rows, where) if outside is None or one.label in outside]
     columns = [*of_library, *(one.columns(where) for one in further if one.columns is not None)]
-    blocks += further
+    blocks: list[Block] = [*library.members, *further]
     for k in wrong:
         shift = np.zeros((len(rows), rows.dimension, rows.dimension))
         shift[k] = np.eye(rows.dimension)
         columns.append(shift)
-        blocks.append(Block(f"row:{k}", f"row:{k}", f"row:{k}", 0.0))
+        blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
     starts = np.concatenate([[0], np.cumsum([c.shape[2] for c in columns])])
     white, target = rows.whiten(np.concatenate(columns, axis=2)), rows.whiten(y)
-    scales = model.scales[base]
-    u, s, vt = np.linalg.svd(rows.whiten(jacobian[:, :, base]) / scales, full_matrices=False)
-    clear = s > 1e-9 * s.max(initial=0.0)
-    u, back = u[:, clear], (vt[clear].T / s[clear]) / scales[:, None]  # (g, r): from u^T y to the parameters
+    u, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
     inside, before = u.T @ white, np.einsum("np,np->p", white, white)
     white -= u @ inside
     left = target - u @ (u.T @ target)
@@ -421,11 +270,7 @@ def linearized(
     every = [_root(gram[p, p], float(np.sum(before[p])), b) for p, b in zip(parts, blocks, strict=True)]
     shown = [k for k, root in enumerate(every) if root.shape[1]]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]
-    to_columns = np.zeros((len(gram), sum(root.shape[1] for root in roots)))
-    end = 0
-    for k, root in zip(shown, roots, strict=True):
-        to_columns[parts[k], end : end + root.shape[1]] = root
-        end += root.shape[1]
+    to_columns = np.asarray(block_diag(*every)) if every else np.zeros((0, 0))
     many = [k for k, b in enumerate(blocks) if _common(b, library)]
     if len(many) > 1 and (outside is None or REST in outside):
         # the rest of the library as one block: each of its effects, and each error curve, with the same expected square
@@ -438,17 +283,18 @@ def linearized(
         to_columns = np.concatenate([to_columns, together], axis=1)
         roots.append(root)
         columns.append(np.concatenate([columns[k] for k in many], axis=2))
-        blocks.append(Block(REST, REST, REST, 1.0, parts=tuple(blocks[k] for k in many)))
+        blocks.append(Block(REST, REST, 1.0, parts=tuple(blocks[k] for k in many)))
+    sparse = csr_array(to_columns)
     products = Products(
-        to_columns.T @ gram @ to_columns,
-        right @ to_columns,
+        np.asarray((sparse.T @ gram) @ sparse),
+        right @ sparse,
         float(left @ left),
-        len(target) - int(clear.sum()),
+        len(target) - u.shape[1],
         np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])]),
         np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
         np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64),
     )
-    response, place = -back @ (inside @ to_columns), at.values[base] + back @ (u.T @ target)
+    response, place = -back @ (inside @ sparse), at.values[base] + back @ (u.T @ target)
     return Linearized(tuple(blocks), products, tuple(roots), response, place, back @ back.T, tuple(columns))
 
 
@@ -481,11 +327,3 @@ def _root(gram: Array, before: float, block: Block) -> Array:
     seen = values > RANK * values[-1]
     root = vectors[:, seen] / np.sqrt(values[seen] * seen.sum()) / lengths[:, None]
     return np.asarray(np.abs(root) if len(gram) == 1 else root)
-
-
-PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
-
-
-def acting_at(h: Hypothesis) -> str:
-    """Place at which an effect acts."""
-    return f"joint:{h.spec.joint}" if h.spec.joint is not None else PLACES.get(h.effect.name, h.effect.name)

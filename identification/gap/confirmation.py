@@ -26,6 +26,7 @@ from scipy.special import ndtri, softmax, stdtr, stdtrit
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.average import PredictingModel
+from identification.gap.detectability import LEVEL, POWER
 from identification.gap.evidence import Products
 from identification.gap.fit import Fit
 from identification.gap.noise import NoiseFloor
@@ -37,8 +38,6 @@ from identification.measurements import POINT, Conditions, Measurements, distanc
 
 # reasons: identification/README.md, "Constants"
 GROUPS = 8  # of rows that count as independent, and parts of the rows in cross-validation
-LEVEL = 0.05  # convention: of each question, both sides together
-POWER = 0.9  # convention: with which a gap of twice the predicted square must be seen
 
 Groups = NDArray[np.int64]
 
@@ -487,10 +486,7 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
     """
     number = found.best.noise
     problem, rows, model = found.problems[number], found.noises[number].rows.pick(kept), found.at.model
-    position, jacobian = model.linearize(rows.postures, found.at.values, rows.conditions)
-    base = found.library.own_places(model)
-    added = np.setdiff1d(np.arange(len(found.at.values)), base)
-    y = rows.positions - position + jacobian[:, :, added] @ found.at.values[added]
+    y, jacobian, base = found.library.as_base(found.at, rows)
     own = jacobian[:, :, base] / model.scales[base]
     sets = [one for one in found.explanations if one.noise == number][:MOST]
     blocks = sorted({b for one in sets for b in one.weighed.blocks if not problem.blocks[b].row})

@@ -21,7 +21,7 @@ from identification.errors import InputError
 from identification.gap.blocks import RANK, Linearized, linearized
 from identification.gap.evidence import SIZES, Index
 from identification.gap.fit import Fit, Rows, fit
-from identification.gap.hypotheses.hypotheses import HypothesisSet, hypotheses
+from identification.gap.hypotheses import HypothesisSet, hypotheses
 from identification.gap.noise import SPARE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -301,10 +301,10 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
     harmonics = {"encoder_eccentricity": 1.0, "encoder_second_harmonic": 2.0}
     orders = {e: e.chosen.get("k", harmonics.get(e.name)) for e in model.effects if e.label in labels and e.joint}
     waves = [(e, k) for e, order in orders.items() if order is not None for k in (order, order - 1.0, order + 1.0)]
-    turns = [rows.postures[:, e.joint_index, None] * k for e, k in waves]
-    moved = [
-        levers[:, :, e.joint_index, None] * _wave(turn)[:, None] for (e, _), turn in zip(waves, turns, strict=True)
-    ]
+    moved = []
+    for effect, order in waves:
+        turns = rows.postures[:, effect.joint_index] * order
+        moved.append(levers[:, :, effect.joint_index, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)[:, None])
     columns = np.concatenate([fitted.jacobian / model.scales, *(rows.whiten(each) for each in moved)], axis=1)
     gram, p = columns.T @ columns, len(model.names)
     for number, (effect, order) in enumerate(waves):
@@ -325,8 +325,3 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
             whole = max(1, int(np.ceil(order - apart))), int(np.floor(order + apart))
             ranges.append(OrderRange(effect.label, effect.joint_index + 1, span, whole))
     return tuple(ranges)
-
-
-def _wave(turns: Array) -> Array:
-    """(m, 2) cosine and sine of (m, 1) angles."""
-    return np.concatenate([np.cos(turns), np.sin(turns)], axis=1)

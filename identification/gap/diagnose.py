@@ -16,7 +16,6 @@ from identification.estimation.plausibility import another_frame, copied_rows, f
 from identification.gap import words
 from identification.gap.average import PredictingModel, averaged
 from identification.gap.blocks import REST
-from identification.gap.candidate import Candidate, as_calibration, candidate_of, trials
 from identification.gap.confirmation import (
     Gap,
     check_holdout,
@@ -28,11 +27,11 @@ from identification.gap.confirmation import (
 from identification.gap.curve import Curve
 from identification.gap.detectability import Beside, assess, look_alikes, order_ranges, require_spare
 from identification.gap.fit import Fit, Rows, fit
-from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import misfit, noise_floor, repeat_finding
 from identification.gap.posterior import Explanation, Posterior, posterior
 from identification.gap.replication import curve_columns, replications
-from identification.gap.result import Diagnosis, Residuals
+from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, candidate_of, trials
 from identification.gap.scatter import Finding
 from identification.gap.verdict import Probabilities, likeliest_with, probabilities
 from identification.measurements import Measurements, rms_distance

@@ -11,13 +11,12 @@ from scipy.special import logsumexp
 
 from identification.arrays import Array
 from identification.estimation.outlying import together
-from identification.gap.blocks import Block, Linearized, linearized
+from identification.gap.blocks import Linearized, linearized
 from identification.gap.evidence import State
 from identification.gap.fit import Fit, Rows, fit
-from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet
+from identification.gap.hypotheses import Block, Hypothesis, HypothesisSet, with_further_orders
 from identification.gap.scatter import NoiseModel, log_likelihood, noises
 from identification.gap.search import ROUNDING, Moments, Search, Walked, Weighed
-from identification.gap.waves import with_further_orders
 from identification.progress import Tell, say_nothing
 
 # reasons: identification/README.md, "Constants"

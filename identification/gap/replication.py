@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from identification.arrays import Array
-from identification.gap.blocks import Where
+from identification.gap.columns import Where
 from identification.gap.curve import Curve
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
@@ -35,7 +35,6 @@ from identification.kinematics.parameters import Parameter
 
 # reason: identification/README.md, "Constants"
 SAME = 0.1  # relative difference of values that are the same
-HERE, ELSEWHERE, BOTH = range(3)  # blocks
 
 
 class CurveColumns(NamedTuple):
@@ -44,21 +43,6 @@ class CurveColumns(NamedTuple):
     joint: int
     columns: Array
     size: int
-
-
-class Question(NamedTuple):
-    """An effect in one session: whitened columns with a row for each of the `coordinates`, or any tables with the same
-    products.
-
-    target : (N,) to be explained;  rest : (N, g) of everything else that is fitted
-    columns : (N, w) of the effect, in all sessions;  here : (N, w) in this one alone
-    """
-
-    coordinates: int
-    target: Array
-    rest: Array
-    columns: Array
-    here: Array
 
 
 @dataclass(frozen=True)
@@ -130,7 +114,7 @@ def replication_clauses(found: tuple[Replication, ...]) -> Iterator[str]:
 
 def curve_columns(found: Posterior, one: Explanation, fitted: Fit, curves: Sequence[Curve]) -> dict[str, CurveColumns]:
     """Key of each of these curves -> its columns in the rows of a fit;  one : the explanation that has them"""
-    where = Where.of(fitted.model, fitted.values, fitted.rows.postures, fitted.rows.conditions)
+    where = Where(fitted.model, fitted.values, fitted.rows.postures, fitted.rows.conditions)
     keys, listed = {curve.joint: curve.key for curve in curves}, {}
     for block, number, size in zip(one.blocks, one.weighed.blocks, one.weighed.sizes, strict=True):
         if block.basis is not None and block.columns is not None and (joint := block.basis.joint + 1) in keys:
@@ -166,16 +150,16 @@ def replications(
         for effect, own, at in zip(effects, parameters, places, strict=True):
             units = np.array([p.to_file for p in own]) / model.scales[at]
             response, rest = left[:, 0] + every[:, at] @ scaled[at], np.hstack([np.delete(every, at, axis=1), beside])
-            asked = Question(count, response, rest, every[:, at], alone[:, at])
-            there[effect.label].append(_in_session(names[number], asked, units))
+            asked = _in_session(names[number], count, response, rest, every[:, at], alone[:, at], units)
+            there[effect.label].append(asked)
         for key, curve in curves.items():
             common = _common(rows.postures[:, curve.joint - 1], here)
             tables = [target * common, jacobian * common, curve.columns * common, curve.columns * (common & here)]
             others = [other._replace(columns=other.columns * common) for other in curves.values() if other is not curve]
             count, (left, every, columns, alone, beside) = _white(rows, tables, others)
             count -= rows.dimension * int(np.sum(~common))
-            asked = Question(count, left[:, 0], np.hstack([every, beside]), columns, alone)
-            there[key].append(_in_session(names[number], asked))
+            rest = np.hstack([every, beside])
+            there[key].append(_in_session(names[number], count, left[:, 0], rest, columns, alone))
     found = [Replication(e.label, own, tuple(there[e.label])) for e, own in zip(effects, parameters, strict=True)]
     return (*found, *(Replication(key, (), tuple(there[key])) for key in curves))
 
@@ -199,34 +183,42 @@ def _common(angles: Array, here: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(common[:, None, None])
 
 
-def _in_session(name: str, asked: Question, units: Array | None = None) -> InSession:
-    """An effect in one session;  units : (w,) from its parameters to those of files, None: an error curve"""
-    basis = column_space(asked.rest, np.ones(asked.rest.shape[1]))
-    freedom = max(asked.coordinates - basis.shape[1], 1)
-    if not asked.columns.any():  # of a curve, without common angles
+def _in_session(
+    name: str, coordinates: int, target: Array, rest: Array, every: Array, alone: Array, units: Array | None = None
+) -> InSession:
+    """An effect in one session, from whitened tables with a row for each of the coordinates, or any with the same
+    products.
+
+    target : (N,) to be explained;  rest : (N, g) of everything else that is fitted
+    every : (N, w) of the effect, in all sessions;  alone : (N, w) in this one
+    units : (w,) from its parameters to those of files, None: an error curve
+    """
+    basis = column_space(rest, np.ones(rest.shape[1]))
+    freedom = max(coordinates - basis.shape[1], 1)
+    if not every.any():  # of a curve, without common angles
         return InSession(name, (), (), 0.25, None)
 
     def apart(columns: Array) -> Array:
         return np.asarray(columns - basis @ (basis.T @ columns))
 
-    columns, root = apart(asked.columns), np.eye(asked.columns.shape[1])
+    columns, root = apart(every), np.eye(every.shape[1])
     if units is not None:  # the prior covariance of an effect is the inverse of its information
         root = column_space_of(columns, np.ones(len(root)))[1]
         root = root / np.sqrt(max(root.shape[1], 1))
-    both, here = columns @ root, apart(asked.here) @ root
+    both, here = columns @ root, apart(alone) @ root
     blocks, width = np.hstack([here, both - here, both, SAME * here]), root.shape[1]
     starts, signs, limits = np.array([0, 1, 2, 4]) * width, np.zeros(3, dtype=bool), np.full(3, len(SIZES))
-    products = Products.of(blocks, apart(asked.target), freedom, starts, signs, limits)
-    single = products.added(products.nothing)  # (blocks, sizes)
-    second = [products.added(products.state([(ELSEWHERE, size)]))[HERE] for size in range(len(SIZES))]
-    double = single[ELSEWHERE, :, None] + np.array(second)
-    tables = single[BOTH], double, single[ELSEWHERE], single[HERE]
+    products = Products.of(blocks, apart(target), freedom, starts, signs, limits)
+    in_here, in_others, in_both = products.added(products.nothing)  # each (sizes,)
+    second = [products.added(products.state([(1, size)]))[0] for size in range(len(SIZES))]
+    double = in_others[:, None] + np.array(second)
+    tables = in_both, double, in_others, in_here
     same, own, absent, _ = softmax([logsumexp(table) - np.log(table.size) for table in tables]).tolist()
     answer = True if same >= CREDIBLE else False if own + absent >= CREDIBLE else None
     if units is None:
         return InSession(name, (), (), same, answer)
-    elsewhere, alone = np.unravel_index(np.argmax(double), double.shape)
-    apiece = products.state([(HERE, int(alone)), (ELSEWHERE, int(elsewhere))])
+    elsewhere, inside = np.unravel_index(np.argmax(double), double.shape)
+    apiece = products.state([(0, int(inside)), (1, int(elsewhere))])
     mean, covariance = apiece.mean, apiece.covariance * apiece.squares / freedom
     turn = root * units[:, None]
     deviations = np.sqrt(np.diag(turn @ covariance[:width, :width] @ turn.T))

@@ -131,12 +131,3 @@ def likeliest_with(found: Posterior, names: Names, outside: bool = False) -> Exp
     if outside:
         return next((one for one in found.explanations if one.outside), found.best)
     return next(one for one in found.explanations if not one.outside and keys_of(one) == names)
-
-
-def block_probabilities(found: Posterior) -> dict[str, float]:
-    """Key of each effect -> probability that it is missing."""
-    shares: dict[str, float] = {}
-    for one in found.explanations:
-        for key in {h.key for h in one.effects}:
-            shares[key] = shares.get(key, 0.0) + one.probability
-    return shares

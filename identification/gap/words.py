@@ -18,11 +18,10 @@ from identification.numbers_in_text import number, to_significant_digits
 from identification.status import Status
 
 if TYPE_CHECKING:
-    from identification.gap.candidate import Candidate
     from identification.gap.detectability import OrderRange
     from identification.gap.fit import Fit
     from identification.gap.posterior import Posterior
-    from identification.gap.result import Diagnosis
+    from identification.gap.result import Candidate, Diagnosis
 
 # reason: identification/README.md, "Constants"
 SHORT = 60  # characters of names that a verdict spells out; the tables have all of them

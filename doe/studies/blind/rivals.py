@@ -14,7 +14,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.estimation.intervals import freedom_of, quantile_95
 from identification.gap.fit import Rows, fit
-from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.hypotheses import hypotheses
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical

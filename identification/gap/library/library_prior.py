@@ -29,8 +29,7 @@ from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, library, unknown_effect
 from identification.errors import InputError
 from identification.estimation.prior import Prior
-from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, hypotheses
-from identification.gap.waves import EFFECT, ORDER
+from identification.gap.hypotheses import EFFECT, ORDER, Hypothesis, HypothesisSet, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 

@@ -20,7 +20,7 @@ from doe.report.gap import (
 )
 from identification.arm import Calibration, EffectSpec
 from identification.document import Sheet
-from identification.gap.candidate import Candidate, Estimate
+from identification.gap.result import Candidate, Estimate
 
 GAP = {"rms_before_mm": 0.5, "rms_after_mm": 0.125}
 TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}

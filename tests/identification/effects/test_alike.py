@@ -14,7 +14,7 @@ from identification.errors import InputError
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm, with_calibration, with_effects
-from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.hypotheses import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 

@@ -12,7 +12,7 @@ from identification.arrays import Array
 from identification.gap.average import _to_parameters, averaged
 from identification.gap.evidence import SIZES
 from identification.gap.fit import Rows
-from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.hypotheses import hypotheses
 from identification.gap.posterior import Explanation, Posterior, posterior
 from identification.gap.search import Moments, Weighed
 from identification.measurements import Measurements

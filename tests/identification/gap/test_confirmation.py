@@ -24,7 +24,7 @@ from identification.gap.confirmation import (
     split,
 )
 from identification.gap.fit import Rows, fit
-from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.hypotheses import hypotheses
 from identification.gap.posterior import posterior
 from identification.measurements import Measurements
 from identification.model import Model

@@ -16,10 +16,9 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
 from identification.errors import InputError
 from identification.estimation import estimate as identify
-from identification.gap.candidate import candidate_of
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows, fit
-from identification.gap.result import Diagnosis
+from identification.gap.result import Diagnosis, candidate_of
 from identification.measurements import Measurements
 from identification.model import Model
 

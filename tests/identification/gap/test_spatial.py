@@ -13,7 +13,7 @@ from identification.arm import Arm
 from identification.effects import Effect
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows
-from identification.gap.hypotheses.hypotheses import hypotheses, untested_joints
+from identification.gap.hypotheses import hypotheses, untested_joints
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from tests.identification.exponentials import Exponentials, drawing

@@ -9,8 +9,7 @@ import pytest
 
 from doe.studies.blind.score import contradictions
 from identification.arm import EffectSpec
-from identification.gap.candidate import Candidate
-from identification.gap.result import Diagnosis
+from identification.gap.result import Candidate, Diagnosis
 from identification.gap.verdict import CREDIBLE, MOST, RIVAL, Probabilities
 from identification.gap.words import SHORT
 from tests.identification.gap.test_diagnose import diagnosed

@@ -18,10 +18,10 @@ from identification.effects.places import widths
 from identification.errors import InputError
 from identification.files.arm import load_arm
 from identification.files.arm_text import with_effects
+from identification.gap.columns import bundles
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows
-from identification.gap.hypotheses.columns import bundles
-from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.hypotheses import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 

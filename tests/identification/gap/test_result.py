@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec
-from identification.gap.candidate import Trial
 from identification.gap.diagnose import diagnose
+from identification.gap.result import Trial
 from identification.measurements import Measurements
 from identification.model import Model
 
