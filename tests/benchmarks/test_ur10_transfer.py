@@ -200,7 +200,7 @@ def test_space_with_the_library_as_a_prior(series: str, other: str) -> None:
     parts = halves(data)
     half, whole = library_fit(arm, parts[0]), library_fit(arm, data)
     assert whole.prior is not None
-    print(f"\nspace, {series}, library as a prior, {whole.prior.together:g} waves at once", end="")
+    print(f"\nspace, {series}, library as a prior", end="")
     print(f": held out {rms(half.model, half.parameters, parts[1]):.3f} mm", end="")
     found = validate(whole.calibrated_arm(), there)
     print(f"; {series} -> {other}: {found.model.rms:.3f}, drawing {found.nominal.rms:.3f} mm")
