@@ -14,7 +14,6 @@ from itertools import pairwise, product
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.sparse import csr_array
 
 from identification.arrays import Array
 from identification.effects.places import OF_FRAME, widths
@@ -265,36 +264,34 @@ def linearized(
     inside, before = u.T @ white, np.einsum("np,np->p", white, white)
     white -= u @ inside
     left = target - u @ (u.T @ target)
-    gram, right = white.T @ white, left @ white
     parts = [slice(low, high) for low, high in pairwise(starts)]
-    every = [_root(gram[p, p], float(np.sum(before[p])), b) for p, b in zip(parts, blocks, strict=True)]
+    squares = [float(np.sum(before[p])) for p in parts]
+    every = [_root(white[:, p].T @ white[:, p], s, b) for p, s, b in zip(parts, squares, blocks, strict=True)]
     shown = [k for k, root in enumerate(every) if root.shape[1]]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]
-    to_columns = np.asarray(block_diag(*every)) if every else np.zeros((0, 0))
+    z = [white[:, parts[k]] @ every[k] for k in shown]
+    turned = [inside[:, parts[k]] @ every[k] for k in shown]
     many = [k for k, b in enumerate(blocks) if _common(b, library)]
     if len(many) > 1 and (outside is None or REST in outside):
         # the rest of the library as one block: each of its effects, and each error curve, with the same expected square
-        root = np.asarray(block_diag(*(roots[k] for k in many))) / np.sqrt(len(many))
-        raw = np.concatenate([np.arange(*starts[shown[k] : shown[k] + 2]) for k in many])
-        values, vectors = np.linalg.eigh(root.T @ gram[np.ix_(raw, raw)] @ root)
-        root = root @ vectors[:, values * SIZES[REST_SIZES - 1] ** 2 > FAINT]
-        together = np.zeros((len(gram), root.shape[1]))
-        together[raw] = root
-        to_columns = np.concatenate([to_columns, together], axis=1)
-        roots.append(root)
+        together = np.concatenate([z[k] for k in many], axis=1) / np.sqrt(len(many))
+        values, vectors = np.linalg.eigh(together.T @ together)
+        vectors = vectors[:, values * SIZES[REST_SIZES - 1] ** 2 > FAINT] / np.sqrt(len(many))
+        z.append(np.concatenate([z[k] for k in many], axis=1) @ vectors)
+        turned.append(np.concatenate([turned[k] for k in many], axis=1) @ vectors)
+        roots.append(np.asarray(block_diag(*(roots[k] for k in many))) @ vectors)
         columns.append(np.concatenate([columns[k] for k in many], axis=2))
         blocks.append(Block(REST, REST, 1.0, parts=tuple(blocks[k] for k in many)))
-    sparse = csr_array(to_columns)
-    products = Products(
-        np.asarray((sparse.T @ gram) @ sparse),
-        right @ sparse,
-        float(left @ left),
+    products = Products.of(
+        np.concatenate([np.zeros((len(left), 0)), *z], axis=1),
+        left,
         len(target) - u.shape[1],
         np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])]),
         np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
         np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64),
     )
-    response, place = -back @ (inside @ sparse), at.values[base] + back @ (u.T @ target)
+    moved = np.concatenate([np.zeros((u.shape[1], 0)), *turned], axis=1)
+    response, place = -back @ moved, at.values[base] + back @ (u.T @ target)
     return Linearized(tuple(blocks), products, tuple(roots), response, place, back @ back.T, tuple(columns))
 
 
