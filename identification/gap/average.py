@@ -30,6 +30,7 @@ from identification.sessions import SESSIONS
 
 # reasons: identification/README.md, "Constants"
 LIKELY = 0.5  # of the rest of the library, below which the average is over the sets without it
+VARIES = 1e-8  # least eigenvalue of correlations that is not rounding
 TIDY = 7  # decimals of a value in degrees, in files
 
 
@@ -98,6 +99,7 @@ def mixture_of(found: Posterior) -> Mixture:
                 given = problem.response[:, problem.products.places([b])] @ np.linalg.pinv(problem.roots[b])
                 response[:, places[block.label][1]] = given
     covariance = second - np.outer(mean, mean)
+    covariance = (covariance + covariance.T) / 2.0
     mean[:g] += base
     best = found.problems[found.best.noise].normal
     return Mixture(places, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
@@ -191,13 +193,26 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
         (b.columns(where), at) for b, at in mixed.places.values() if b.basis is not None and b.columns is not None
     ]
     of_curves = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in tables)])
-    across, inner = mixed.covariance[np.ix_(index, of_curves)], mixed.covariance[np.ix_(of_curves, of_curves)]
-    covariance = mixed.covariance[np.ix_(index, index)] - across @ np.linalg.pinv(inner, hermitian=True) @ across.T
+    covariance = beside_known(mixed.covariance, index, of_curves)
     written = PredictingModel(model, values, covariance, every, curves, mixed.sigma, freedom, spread)
     whole, both = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
     more = _mean_trace(whole, mixed.covariance[np.ix_(both, both)]) - _mean_trace(jacobian, covariance)
     lacking = held.noise_variance - found.noise_variance
     return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
+
+
+def beside_known(covariance: Array, kept: Index, known: Index) -> Array:
+    """Covariance of the parameters `kept` once those `known` have their values.
+
+    Combinations of the known ones that hardly vary are taken as not known: what is there of them is rounding, which
+    their inverse would amplify.
+    """
+    sizes = np.sqrt(np.diag(covariance)[known].clip(min=0.0))
+    scale = np.where(sizes > 0.0, sizes, np.inf)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(scale, scale))
+    seen = values > VARIES
+    across = covariance[np.ix_(kept, known)] / scale @ (vectors[:, seen] / np.sqrt(values[seen]))
+    return covariance[np.ix_(kept, kept)] - across @ across.T
 
 
 def _mean_trace(columns: Array, covariance: Array) -> float:

@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.gap.average import _to_parameters, averaged
+from identification.gap.average import _to_parameters, averaged, beside_known
 from identification.gap.evidence import SIZES
 from identification.gap.fit import Rows
 from identification.gap.hypotheses import hypotheses
@@ -95,3 +95,17 @@ def test_a_part_of_the_rest_that_is_not_written_leaves_the_others_in_their_place
     turn = _to_parameters(problem, {last.label: (last, np.arange(g, g + width))}, g, g + width)
     np.testing.assert_array_equal(turn[g:, own], problem.roots[b][-width:])
     np.testing.assert_array_equal(turn[:g, own], problem.response[:, own])
+
+
+def test_rounding_in_what_hardly_varies_is_not_amplified() -> None:
+    rng, kept = np.random.default_rng(0), np.arange(3)
+    root = rng.normal(size=(40, 12))  # 37 known ones that vary in 12 ways
+    sizes = 10.0 ** rng.uniform(-6.0, 0.0, 40)
+    covariance = (root @ root.T + 1e-12 * rng.normal(size=(40, 40))) * np.outer(sizes, sizes)
+    scale = np.outer(sizes[kept], sizes[kept])
+    beside = beside_known(covariance, kept, np.arange(3, 40)) / scale
+    np.testing.assert_allclose(beside, 0.0, atol=1e-9)  # all are known then
+    few, known = (root @ root.T)[:9, :9], np.arange(3, 9)
+    expected = few[:3, :3] - few[:3, 3:] @ np.linalg.inv(few[3:, 3:]) @ few[3:, :3]
+    np.testing.assert_allclose(beside_known(covariance, kept, known) / scale, expected, rtol=1e-6)
+    np.testing.assert_array_equal(beside_known(covariance, kept, known[:0]), covariance[:3, :3])
