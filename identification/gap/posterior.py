@@ -21,7 +21,7 @@ from identification.progress import Tell, say_nothing
 
 # reasons: identification/README.md, "Constants"
 MOST_ROWS = 1250  # that are searched for any effect
-PASSES = 4  # effort: linearizations
+PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
 UNLIKELY = 3.0  # log odds below the best, of a noise model that is not searched
 STRIKING = 3.0  # robust standard deviations of a row that may be outlying
