@@ -339,7 +339,7 @@ def is_better(data: Mapping[str, Any]) -> bool:
 def validation_verdict(data: Mapping[str, Any], model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
     """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
     better;  model, rows : names of files;  seen : it was fitted to these rows"""
-    rows = rows or ("the model's own measurements" if FITTED in data["notes"] else "other measurements")
+    rows = rows or ("the model's own measurements" if FITTED in data.get("notes", ()) else "other measurements")
     which = ", which it was fitted to" if seen else ""
     figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
     most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
