@@ -35,6 +35,7 @@ DRAWN = {
     "none": "as it stands",
 }
 REFITS = (*DRAWN,)
+FITTED = "these are the measurements that the model was identified from: this says nothing about others"
 HARDLY = "hardly better"  # said of a gain within what the rows scatter by
 END = 0.5  # time at the end of a session, -0.5 to 0.5
 
@@ -291,7 +292,7 @@ def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) 
     provenance = identified(arm)
     hashes = {sha for one in (provenance, *provenance.get("held_from", {}).values()) for sha in data_hashes(one)}
     if not hashes.isdisjoint(data_hashes(measurements.provenance)):
-        yield "these are the measurements that the model was identified from: this says nothing about others"
+        yield FITTED
     if far := extrapolation(arm, measurements.postures):
         yield far
     model = Model(arm)
@@ -335,11 +336,10 @@ def is_better(data: Mapping[str, Any]) -> bool:
     return data["rms_mm"] < data["rms_nominal_mm"] and not any(HARDLY in note for note in data["notes"])
 
 
-def validation_verdict(
-    data: Mapping[str, Any], model: str = "the model", rows: str = "other measurements", *, seen: bool = False
-) -> str:
+def validation_verdict(data: Mapping[str, Any], model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
     """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
     better;  model, rows : names of files;  seen : it was fitted to these rows"""
+    rows = rows or ("the model's own measurements" if FITTED in data.get("notes", ()) else "other measurements")
     which = ", which it was fitted to" if seen else ""
     figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
     most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"

@@ -32,6 +32,7 @@ def test_the_data_of_the_identification_are_a_warning(folder: Folder) -> None:
     folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
     done = folder.armcal("validate", "calibrated.toml", "data.csv")
     assert done.code == 0
+    assert done.out.startswith("On 12 rows of the model's own measurements, ")
     said = "these are the measurements that the model was identified from"
     assert (said in " ".join(done.out.split()), said in done.err) == (True, False)  # once
     assert f"warning: data.csv: {said}" in folder.armcal("validate", "calibrated.toml", "data.csv", "--json").err
