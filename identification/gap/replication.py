@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from identification.arrays import Array
+from identification.gap.blocks import RANK
 from identification.gap.columns import Where
 from identification.gap.curve import Curve
 from identification.gap.evidence import SIZES, Products
@@ -81,7 +82,7 @@ class Replication:
 
     def figures(self, there: InSession) -> str:
         """Its values in a session, as text."""
-        figures = zip(self.parameters, there.values, there.deviations, strict=True)
+        figures = zip(self.parameters, there.values, there.deviations, strict=False)  # none where not shown
         listed = [f"{p.name.rpartition('.')[2]} = {v:.3g} +- {d:.1g} {p.file_unit}" for p, v, d in figures]
         return ", ".join(listed) if 0 < len(listed) <= 3 else f"the same with probability {there.probability:.2f}"
 
@@ -97,7 +98,7 @@ class Replication:
                     "probability": s.probability,
                     "parameters": [
                         {"name": p.name, "unit": p.file_unit, "value": v, "std": d}
-                        for p, v, d in zip(self.parameters, s.values, s.deviations, strict=True)
+                        for p, v, d in zip(self.parameters, s.values, s.deviations, strict=False)
                     ],
                 }
                 for s in self.sessions
@@ -202,6 +203,8 @@ def _in_session(
         return np.asarray(columns - basis @ (basis.T @ columns))
 
     columns, root = apart(every), np.eye(every.shape[1])
+    if np.linalg.norm(columns) <= RANK * np.linalg.norm(every):  # nothing that the rest does not have
+        return InSession(name, (), (), 0.25, None)
     if units is not None:  # the prior covariance of an effect is the inverse of its information
         root = column_space_of(columns, np.ones(len(root)))[1]
         root = root / np.sqrt(max(root.shape[1], 1))

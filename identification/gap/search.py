@@ -161,7 +161,10 @@ class Search:
                     best = None if nothing else self._likeliest(table, block)
                     if best != (block, dict(state.order)[block]):
                         state = fewer if best is None else self.products.with_block(fewer, *best)
-                while np.max(logsumexp(table := self._each(state, barred), axis=1)) > ROUNDING:
+                while len(state.order) < self.products.freedom:  # rows that are fitted exactly would take all blocks
+                    table = self._each(state, barred)
+                    if np.max(logsumexp(table, axis=1)) <= ROUNDING:
+                        break
                     state = self._put(state, table)
             if state.key == before:
                 break

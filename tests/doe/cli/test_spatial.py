@@ -234,7 +234,7 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     assert same.code == 0, same.err
     assert same.data["rms_mm"] < 0.05
     shown = spatial.armcal("validate", "calibrated.toml", "data.csv").out
-    assert shown.startswith("On 80 rows of other measurements, the model takes the RMS error from ")
+    assert shown.startswith("On 80 rows of the model's own measurements, the model takes the RMS error from ")
     assert "80 rows, refitted: position and rotation of the base, measured points; everything else" in shown
 
 
