@@ -82,7 +82,8 @@ class Replication:
 
     def figures(self, there: InSession) -> str:
         """Its values in a session, as text."""
-        figures = zip(self.parameters, there.values, there.deviations, strict=False)  # none where not shown
+        shown = self.parameters if there.values else ()
+        figures = zip(shown, there.values, there.deviations, strict=True)
         listed = [f"{p.name.rpartition('.')[2]} = {v:.3g} +- {d:.1g} {p.file_unit}" for p, v, d in figures]
         return ", ".join(listed) if 0 < len(listed) <= 3 else f"the same with probability {there.probability:.2f}"
 
@@ -98,7 +99,7 @@ class Replication:
                     "probability": s.probability,
                     "parameters": [
                         {"name": p.name, "unit": p.file_unit, "value": v, "std": d}
-                        for p, v, d in zip(self.parameters, s.values, s.deviations, strict=False)
+                        for p, v, d in zip(self.parameters if s.values else (), s.values, s.deviations, strict=True)
                     ],
                 }
                 for s in self.sessions

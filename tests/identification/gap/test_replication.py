@@ -13,7 +13,14 @@ from identification.arm import Arm, EffectSpec
 from identification.gap.diagnose import diagnose
 from identification.gap.evidence import SIZES
 from identification.gap.fit import Rows, fit
-from identification.gap.replication import SAME, CurveColumns, Replication, replication_clauses, replications
+from identification.gap.replication import (
+    SAME,
+    CurveColumns,
+    Replication,
+    _in_session,
+    replication_clauses,
+    replications,
+)
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
@@ -181,3 +188,11 @@ def test_a_curve_is_open_without_common_angles(sides: tuple[float, float]) -> No
         "joint_error_curve:2 is open across sessions "
         "(one: the same with probability 0.25; two: the same with probability 0.25)"
     )
+
+
+def test_an_effect_that_the_rest_has_in_it_is_open_and_lists_no_values() -> None:
+    rest = np.random.default_rng(8).normal(size=(40, 5))
+    alone = rest[:, :2] * (np.arange(40) < 20)[:, None]
+    asked = _in_session("one", 40, rest @ np.ones(5), rest, rest[:, :2], alone, np.ones(2))
+    assert asked.replicates is None
+    assert asked.values == ()
