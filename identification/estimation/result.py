@@ -14,7 +14,9 @@ from scipy.special import chdtrc
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_rows
-from identification.estimation import contradictions, shown
+from identification.document import Document
+from identification.documents import identification as shown
+from identification.estimation import contradictions
 from identification.estimation.contradictions import Contradiction
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.expected_tip import hardly_determined, tip_of
@@ -297,13 +299,17 @@ class Identification:
         closed = self.method == "linear" and self.status is Status.converged
         return "Closed form, the exact global minimum." if closed else self.status.value
 
+    def document(self) -> Document:
+        """The parameters with their intervals, and how well the model fits."""
+        return shown.parameters_document(self)
+
     def __str__(self) -> str:
-        return str(shown.document(self))
+        return str(self.document())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return shown.document(self)._repr_html_()
+        return self.document()._repr_html_()
 
 
 _OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")
