@@ -18,8 +18,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
-from identification.estimation.intervals import freedom_kept, limits_95
-from identification.estimation.uncertainty import FittedRows, uncertainty
+from identification.estimation.uncertainty import FittedRows, freedom_kept, limits_95, uncertainty
 from identification.gap import words
 from identification.gap.confirmation import Confirmation, Gap, Offered
 from identification.gap.curve import Curve
