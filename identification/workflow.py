@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from identification.errors import InputError
-from identification.estimation.corrected_values import CorrectedValue
-from identification.estimation.dh_values import Calibrated, dh_places, dh_values
+from identification.estimation.corrected_values import Calibrated, CorrectedValue, dh_places, dh_values
 from identification.files.arm_chain import dh_rows
 from identification.kinematics.frames import point_table, pose_table
 from identification.kinematics.instrument import RADIUS

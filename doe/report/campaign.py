@@ -28,8 +28,7 @@ from identification.documents.identification import (
 from identification.documents.pictures import Compared, workspace_arrows
 from identification.documents.use import command_rows, rows_listed, validation_sections, validation_verdict
 from identification.errors import InputError
-from identification.estimation.corrected_values import CorrectedValue, corrected_values
-from identification.estimation.dh_values import Calibrated
+from identification.estimation.corrected_values import Calibrated, CorrectedValue, corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import Table as CsvTable
 from identification.files.csv import read_table

@@ -26,7 +26,7 @@ from identification.conditions import Conditions
 from identification.document import Pictures
 from identification.effects import Effect
 from identification.error_curve import all_hold
-from identification.estimation.intervals import quantile_95
+from identification.estimation.uncertainty import quantile_95
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
 from identification.measurements import POINT, distances, rms_distance
 from identification.model import Model

@@ -16,13 +16,11 @@ from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_rows
 from identification.document import Document
 from identification.documents import identification as shown
-from identification.estimation import contradictions
-from identification.estimation.contradictions import Contradiction
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.estimation.doubts import Contradiction, contradiction_warnings
 from identification.estimation.expected_tip import hardly_determined, tip_of
-from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.prior import Prior
-from identification.estimation.uncertainty import LEVEL, Uncertainty
+from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, limits_95
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
 from identification.kinematics.planar import orientation_transform
@@ -140,7 +138,7 @@ class Identification:
         """Warnings to be read before the results."""
         prior = () if self.prior is None else self.prior.names
         without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
-        misfit = (*contradictions.warning(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
+        misfit = (*contradiction_warnings(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
         doubts = (*self.doubts, *hardly_determined(self))
         if self.status is Status.iteration_limit:
             return (shown.UNFINISHED, *misfit, *doubts)

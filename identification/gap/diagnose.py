@@ -12,9 +12,9 @@ from identification.arm import Arm
 from identification.arrays import rows_in_words
 from identification.documents.diagnosis import untested
 from identification.errors import InputError
-from identification.estimation.checks import check_measurements
+from identification.estimation.doubts import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.estimation.outlying import outlying, together
-from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
+from identification.estimation.problem import check_measurements
 from identification.gap.average import PredictingModel, averaged
 from identification.gap.blocks import REST
 from identification.gap.confirmation import (

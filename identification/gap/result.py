@@ -21,8 +21,7 @@ from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
 from identification.document import Document
 from identification.documents import diagnosis as words
-from identification.estimation.intervals import freedom_kept, limits_95
-from identification.estimation.uncertainty import FittedRows, uncertainty
+from identification.estimation.uncertainty import FittedRows, freedom_kept, limits_95, uncertainty
 from identification.gap.confirmation import Confirmation, Gap, Offered
 from identification.gap.curve import Curve
 from identification.gap.detectability import Beside, Detectability, OrderRange, Size

@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.document import of_joints
 from identification.estimation import Identification, estimate
-from identification.estimation.with_prior import UNUSUAL
+from identification.estimation.estimate import UNUSUAL
 from identification.gap.noise import NoiseFloor
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, Parameter
 from identification.measurements import POINT, Measurements

@@ -1,11 +1,13 @@
 """Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands.
 
 Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with.
+
+Judge a model before it is offered for use: does it predict what it has not seen better than the geometry alone?
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,15 +20,17 @@ from identification.document import Document
 from identification.documents.identification import DRAWN
 from identification.documents.use import FITTED, HARDLY, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
-from identification.estimation import estimate
+from identification.estimation import Identification, estimate
+from identification.estimation.expected_tip import left_out_residuals
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
-from identification.gap.confirmation import LEVEL, gained_squares
+from identification.gap.confirmation import LEVEL, Offered, gained_squares
+from identification.gap.result import Diagnosis
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.sessions import placing, with_sessions
-from identification.validate.refit import fresh_points, placed_values, refit_model, refit_parameters
+from identification.sessions import placing, with_sessions, without_sessions
+from identification.validate.reuse import fresh_points, placed_values, refit_model, refit_parameters
 from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
 
 REFITS = (*DRAWN,)
@@ -299,3 +303,42 @@ def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) 
                 yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
     if undetermined:
         yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
+
+
+def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:
+    """The diagnosis with what its extended model is worth beside the geometry (`Diagnosis.offered`).
+
+    Where nothing is missing nothing is offered. On a hold-out both are placed as `validate` places them, so that the
+    figures are those that it gives of the files of `diagnose --out` and of `identify --out`; without one, the
+    cross-validation over postures says it.
+
+    arm : as it was diagnosed;  measurements, holdout : as for `diagnose`
+    """
+    if diagnosis.verdict == "none" or not diagnosis.predicting.specs:
+        return diagnosis
+    if holdout is None:
+        tests = [test for test in diagnosis.cross_validation if test.transfer == "other postures"]
+        return replace(diagnosis, offered=Offered.of_test(tests[0])) if tests else diagnosis
+    kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
+    geometry = identified_geometry(arm, kept)
+    try:
+        alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
+    except InputError:  # too few rows to place the arm
+        return diagnosis
+    return replace(diagnosis, offered=Offered.of("holdout", alone, extended, holdout))
+
+
+def identified_geometry(arm: Arm, measurements: Measurements) -> Arm:
+    """The arm as `identify` calibrates it, where it stands in the first session."""
+    fit = estimate(Model(with_sessions(arm, measurements)), measurements)
+    return replace(arm, calibration=without_sessions(fit.calibration()))
+
+
+def prior_judged(
+    geometry: Callable[[], Identification], fit: Identification, measurements: Measurements
+) -> Offered | None:
+    """What a fit with a prior of further effects is worth beside the geometry, each posture predicted from the others;
+    None where the rows determine the one or the other not."""
+    model = left_out_residuals(fit, measurements)
+    alone = None if model is None else left_out_residuals(geometry(), measurements)
+    return None if model is None or alone is None else Offered.of("cross-validation", alone, model, measurements)
