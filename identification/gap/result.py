@@ -232,7 +232,7 @@ class Diagnosis:
     shapes : named waves whose order the range of their joint does not determine
     replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
-    offered : the extended model beside the geometry alone, None where it was not judged (`validate.judgement.judged`)
+    offered : the extended model beside the geometry alone, None where it was not judged (`validate.validation.judged`)
     data : `file` and `sha256` of the rows, if known
     """
 
