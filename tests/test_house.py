@@ -46,6 +46,7 @@ LAYERS = {
     "identification.files.arm": 2,  # knows the effects an arm file names
     "identification.files.arm_text": 2,
     "identification.files.measurement": 2,
+    "identification.files.plan": 2,
     "identification.files.measurement_columns": 2,
     "identification.files.target": 2,
     "identification.vectorize": 0,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from doe.advise import Advice
 from doe.problem.problem import DesignProblem
 from doe.problem.spatial_constraints import circle_across
-from doe.report.page import check_picture
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.files.io import write_whole
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
@@ -27,19 +23,6 @@ BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
 MANY = 500  # more stick figures only cover each other; more points are drawn smaller, as pixels in vector formats
 SIDES = ((22.0, -60.0), (22.0, 30.0))  # [deg] elevation and azimuth of the two views of a spatial arm
 RING = np.linspace(0.0, 2.0 * np.pi, 49)
-
-
-def save(figure: Figure, path: Path, force: bool = False) -> None:
-    """Write a figure whole or not at all; the ending says the format (.png, .svg, .pdf). Raises `InputError`."""
-    write_whole(path, picture_bytes(figure, path), force=force)
-
-
-def picture_bytes(figure: Figure, path: Path) -> bytes:
-    """The content of a picture file. Raises `InputError` for an ending that is no format."""
-    check_picture(path)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix.lower().removeprefix("."), dpi=150)
-    return buffer.getvalue()
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
