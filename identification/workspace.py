@@ -79,3 +79,19 @@ class PostureCondition(Protocol):
     def margin(self, postures: Array) -> Array:
         """(m, k) margins [mm] of postures (m, n), satisfied where >= 0."""
         ...
+
+
+def distance_to_segment(point: Array, start: Array, end: Array) -> Array:
+    """(...) distance of points (..., d) from segments."""
+    along = end - start
+    square = np.maximum(np.sum(along**2, axis=-1), 1e-300)
+    fraction = np.clip(np.sum((point - start) * along, axis=-1) / square, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(start + fraction[..., None] * along - point, axis=-1))
+
+
+def circle_across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) perpendicular to an axis and to each other."""
+    unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    one = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
+    one /= np.linalg.norm(one)
+    return one, np.cross(unit, one)
