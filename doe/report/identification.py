@@ -19,7 +19,6 @@ from identification.estimation.shown import facts
 from identification.files.arm_chain import dh_rows
 from identification.inspection.inspection import Inspection
 from identification.kinematics.frames import point_table, pose_table
-from identification.kinematics.instrument import RADIUS
 from identification.kinematics.parameters import REVOLUTE
 from identification.numbers_in_text import estimate_text, in_a_sentence, number, unit_or_dash
 from identification.sessions import placing
@@ -228,8 +227,9 @@ def dh_table(
     for name, at in places:
         figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
         lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
-    radius = [f"{one.name} [mm]: {one.corrected:z.3f} +- {one.std:.3f}" for one in values if one.parameter == RADIUS]
-    return rows, [*lines, *radius]
+    own = {p.name for p in calibrated.geometry.chain.instrument.parameters}
+    touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
+    return rows, [*lines, *touched]
 
 
 def dh_sections(rows: Sequence[CorrectedValue], lines: Sequence[str], name: str = "") -> list[Section]:

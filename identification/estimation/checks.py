@@ -59,7 +59,7 @@ def _check_needs(model: Model, measurements: Measurements) -> None:
         if "gravity" in effect.needs and model.arm.gravity is None:
             allowed = "an arm file with a [gravity] table"
             raise InputError(f"effects: {effect.key} needs gravity torques, allowed: {allowed}")
-        if "distance" in effect.needs and not model.arm.measures_distances:
+        if "distance" in effect.needs - model.arm.offers:
             allowed = "an arm file with an [instrument] of kind distance"
             raise InputError(f"effects: {effect.key} needs measured distances, allowed: {allowed}")
 
