@@ -52,7 +52,7 @@ class Guide(NamedTuple):
 
 @dataclass(frozen=True)
 class Instrument:
-    """An instrument that reads a function of where the measured point is. A new one is one class (`register_instrument`).
+    """An instrument that reads a function of where the measured point is; a new one is one class.
 
     Each coordinate of a reading has the same standard deviation, `sigma` of the arm. Subclasses are frozen dataclasses,
     whose fields, numbers or tuples of them, are what is known of the instrument.
