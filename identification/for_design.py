@@ -28,7 +28,6 @@ from identification.arrays import Array
 from identification.conditions import BY_ORDER, Conditions
 from identification.errors import InputError
 from identification.kinematics.frames import pose
-from identification.kinematics.instrument import PLANE, RADIUS, SPHERE
 from identification.kinematics.parameters import ParameterSet
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import directions_from_order, past_from_order, session_time
@@ -36,7 +35,7 @@ from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.positions import of_positions, tip_jacobian
 from identification.validate.row_groups import diagnosed
-from identification.workspace import WorkspaceConstraint, circle_across, distance_to_segment
+from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
 
 if TYPE_CHECKING:
     from identification.gap.detectability import Detectability
@@ -176,9 +175,10 @@ class ArmModel:
         """
         chain = self._spatial
         assert chain is not None
-        if chain.instrument.free_radius and self.model.best_known.get(RADIUS, 0.0) <= 0.0:
-            reason = "radius_mm is not known: where the sphere is touched depends on it"
-            raise InputError(f"instrument: {reason}, allowed for plans: with radius_mm, or a calibrated arm")
+        if unknown := [p for p in chain.instrument.parameters if self.model.best_known.get(p.name, 0.0) <= 0.0]:
+            key = unknown[0].toml_key
+            reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
+            raise InputError(f"instrument: {reason}, allowed for plans: with {key}, or a calibrated arm")
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         for _ in range(BATCHES):
             q = self._led_to_surface(generator.uniform(lower, upper, (BATCH, len(chain))), units)
@@ -197,17 +197,17 @@ class ArmModel:
     def heights(self, postures: Array) -> Array:
         """(m,) how far the measured point is above the surface [mm] at postures (m, n)."""
         assert self._spatial is not None
-        return np.asarray(self.model.position(postures)[:, 0] - (self._spatial.instrument.radius or 0.0))
+        return np.asarray(self.model.position(postures)[:, 0] - self._spatial.instrument.touched)
 
     def _led_to_surface(self, postures: Array, units: Array) -> Array:
         """Postures (m, n) led to the surface by the shortest steps, most of them; limits apart."""
         assert self._spatial is not None
-        q, radius, model = np.array(postures), self._spatial.instrument.radius or 0.0, self.model
+        q, touched, model = np.array(postures), self._spatial.instrument.touched, self.model
         for _ in range(STEPS):
             conditions = model.condition_table(q, Conditions())
             distance, slopes = model.expressions.posture_jacobian(q, conditions, model.values[None])
             slope = slopes[:, 0] * units
-            gap = (distance[:, 0, 0] - radius) / np.maximum(np.sum(slope**2, axis=1), 1e-300)
+            gap = (distance[:, 0, 0] - touched) / np.maximum(np.sum(slope**2, axis=1), 1e-300)
             steps = -slope * gap[:, None]
             q = q + steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / LONGEST, 1.0) * units
         return q
@@ -218,11 +218,11 @@ class ArmModel:
         chain = self._spatial
         assert chain is not None
         points = self.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3]
-        if chain.instrument.kind == SPHERE:
-            near = distance_to_segment(np.zeros(3), points[:, :-1], points[:, 1:])
-            radius = chain.instrument.radius or self.model.best_known[RADIUS]
-            return np.asarray(np.all(near > radius - 2.0 * TOUCHES, axis=1))
-        return np.asarray(np.all(points[:, :, 2] > -2.0 * TOUCHES, axis=1))
+        # of a segment the nearest point to a sphere is that to its center, to a plane an end
+        points = np.concatenate([points, nearest_on_segment(np.zeros(3), points[:, :-1], points[:, 1:])], axis=1)
+        own = np.array([self.model.best_known[p.name] for p in chain.instrument.parameters])
+        above = chain.instrument.linearized(points, own, np.zeros(1))[0][..., 0] - chain.instrument.touched
+        return np.asarray(np.all(above > -2.0 * TOUCHES, axis=1))
 
     # -- what accuracy is about ------------------------------------------------------------------------------------
     @property
@@ -241,7 +241,7 @@ class ArmModel:
     def tip_jacobian(self, postures: ArrayLike) -> Array:
         """(k, P, c, p) derivative of the P measured points' positions at postures (k, n), whatever is read of them: x
         and y, or x, y, z and of a measured frame its orientation [mm]."""
-        if of_positions(self.model) is not self.model:  # lengths are read
+        if of_positions(self.model) is not self.model:  # something else is read
             return tip_jacobian(self.model, postures)[:, None]
         jacobian = self.jacobian(postures)
         return jacobian.reshape(len(jacobian), self.points_read, self.model.dimension, -1)
@@ -371,14 +371,14 @@ def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
     contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
     has no place.
     """
-    if chain.instrument.whole:
+    if chain.instrument.reads_positions:
         return chain
     stands = BASE in chain.known or not np.array_equal(chain.base, np.eye(4))
     if not contacts:
         refuse_contacts(chain)
     if chain.instrument.contact and not stands:
         reason = f"kind {chain.instrument.kind} without center_mm: where it is touched is not known"
-        how = "center_mm and normal" if chain.instrument.kind == PLANE else "center_mm"
+        how = " and ".join(sorted(chain.instrument.keys & {"center_mm", "normal"}))
         raise InputError(f"instrument: found {reason}, allowed for plans: with {how}, or a calibrated arm")
     if stands:
         return chain

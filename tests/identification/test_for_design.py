@@ -16,9 +16,10 @@ from identification.arm import Arm, Calibration
 from identification.conditions import Conditions
 from identification.errors import InputError
 from identification.for_design import ArmModel
+from identification.instruments import Plane, Sphere
+from identification.instruments.sphere import RADIUS
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose, rotation_to_z
-from identification.kinematics.instrument import RADIUS, Instrument
 from identification.kinematics.spatial import BASE, TOOL
 from identification.model import Model
 from tests.doe.six_axis import CHAIN, REFLECTOR
@@ -34,7 +35,7 @@ def arm_of(kind: str, **changes: object) -> Arm:
     """Its limits are 2 rad; the surface where `center_mm` and `normal` say."""
     axes = rotation_to_z(NORMAL).T if kind == "plane" else np.eye(3)
     base = pose(-axes @ (LOW if kind == "plane" else CENTER), axes)
-    instrument = Instrument(kind, BALL if kind == "sphere" else None)
+    instrument = Sphere(BALL) if kind == "sphere" else Plane()
     known = frozenset({TOOL})
     chain = replace(CHAIN, instrument=instrument, base=base, tools={"1": REFLECTOR}, known=known)
     joints = tuple(replace(joint, lower=-2.0, upper=2.0) for joint in chain.joints)
@@ -104,7 +105,7 @@ def test_what_no_plan_can_be_made_for() -> None:
     far = replace(arm.chain, base=pose(-20.0 * CENTER), known=frozenset({BASE, TOOL}))
     with pytest.raises(InputError, match="sphere is touched within limits and constraints at 0 of 40000 random"):
         DesignProblem.of(Model(replace(arm, chain=far)))
-    unknown = replace(arm, chain=replace(arm.chain, instrument=Instrument("sphere")))
+    unknown = replace(arm, chain=replace(arm.chain, instrument=Sphere()))
     with pytest.raises(InputError, match="radius_mm is not known"):
         DesignProblem.of(Model(unknown))
 
@@ -113,7 +114,7 @@ def test_what_no_plan_can_be_made_for() -> None:
 def test_a_calibration_says_the_radius() -> None:
     arm = arm_of("sphere")
     assert arm.chain is not None
-    chain = replace(arm.chain, instrument=Instrument("sphere"))
+    chain = replace(arm.chain, instrument=Sphere())
     found = Model(replace(arm, chain=chain, calibration=Calibration({RADIUS: BALL})))
     problem = DesignProblem.of(found)
     expected = DesignProblem.of(Model(arm)).choices
