@@ -326,12 +326,11 @@ def _fitted(
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
     """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
-    from identification.kinematics.instrument import SPHERE
     from identification.model.minimal import PRACTICAL, minimal_of
 
-    if model.arm.chain is not None and not model.arm.chain.instrument.shows_size:
-        surface = "spheres of unknown radius" if model.arm.chain.instrument.kind == SPHERE else "planes"
-        reduced = f"minimal for contacts with {surface}, which leave the size of the arm open"
+    readings, _ = ("", "") if model.arm.chain is None else model.arm.chain.instrument.size_is_open
+    if readings:
+        reduced = f"minimal for {readings}, which leave the size of the arm open"
         raise InputError(f"--parameters: found {reduced}, allowed: all, with the prior of [machining]")
     kept = minimal_of(model, measurements, PRACTICAL)
     if hardly := [name for name in minimal_of(model, measurements).names if name not in kept.names]:
@@ -373,7 +372,6 @@ def dh_table(
     from identification.estimation.corrected_values import dh_places, dh_values
     from identification.files.arm_chain import dh_rows
     from identification.kinematics.frames import point_table, pose_table
-    from identification.kinematics.instrument import RADIUS
 
     if (table := dh_rows(arm)) is None:
         return (), []
@@ -385,8 +383,9 @@ def dh_table(
     for name, at in places:
         figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
         lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
-    radius = [f"{one.name} [mm]: {one.corrected:z.3f} +- {one.std:.3f}" for one in values if one.parameter == RADIUS]
-    return rows, [*lines, *radius]
+    own = {p.name for p in calibrated.geometry.chain.instrument.parameters}
+    touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
+    return rows, [*lines, *touched]
 
 
 def _asked_in_words(asked: Mapping[str, Any], data: Path) -> str:
