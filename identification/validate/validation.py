@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from identification.estimation.expected_tip import left_out_residuals
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.gap.confirmation import LEVEL, Offered, gained_squares
-from identification.gap.result import Diagnosis
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
@@ -31,6 +30,9 @@ from identification.numbers_in_text import in_a_sentence, number
 from identification.sessions import placing, with_sessions, without_sessions
 from identification.validate.reuse import fresh_points, placed_values, refit_model, refit_parameters
 from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
+
+if TYPE_CHECKING:
+    from identification.gap.result import Diagnosis
 
 # of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
 DRAWN = {
