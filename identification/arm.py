@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
+from identification.document import html_lines, html_table
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
-from identification.html_tables import html_lines, html_table
 from identification.kinematics.counting import Counting, JointKinds, check_kinds
 from identification.kinematics.parameters import (
     JOINT_OFFSET,

@@ -45,15 +45,15 @@ def command(
     out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
     force : Overwrite an existing file.
     """
-    from doe.report.gap import diagnosis_document
     from doe.report.page import page
+    from identification.documents.diagnosis import diagnosis_document
     from identification.files.arm import load_arm
     from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
     from identification.servo import with_servo_errors
     from identification.validate import drawing_residuals
-    from identification.validate.judgement import judged
+    from identification.validate.validation import judged
 
     loaded = load_arm(arm)
     if models := [path for path in data if path.suffix.lower() == ".toml"]:

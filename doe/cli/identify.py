@@ -77,17 +77,16 @@ def command(
     out : Write a calibrated arm file (TOML).
     force : Overwrite an existing file.
     """
-    from doe.report.identification import hardly_better, identification_actions, identification_document
+    from identification.documents.identification import hardly_better, identification_actions, identification_document
     from identification.estimation import estimate
     from identification.estimation import without_outliers as without
     from identification.files.arm import load_arm
     from identification.model import Model
     from identification.servo import following_errors, with_servo_errors
     from identification.sessions import with_sessions
-    from identification.validate.judgement import prior_judged
-    from identification.validate.reuse import at_reference, with_base_doubt, words_of
+    from identification.validate.reuse import at_reference, with_base_doubt, with_mounting_doubt, words_of
     from identification.validate.row_groups import diagnosed
-    from identification.validate.set_up import with_mounting_doubt
+    from identification.validate.validation import prior_judged
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -197,11 +196,11 @@ def in_words(data: dict[str, Any]) -> list[str]:
 
 def fit_data(fit: Identification, path: Path, arm: Arm, data: Measurements, words: list[str]) -> dict[str, Any]:
     """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
-    from doe.report.identification import dh_table
-    from identification.estimation.dh_values import Calibrated
-    from identification.estimation.left_out import left_out_rms
+    from identification.estimation.corrected_values import Calibrated
+    from identification.estimation.expected_tip import left_out_rms
     from identification.measurements import rms_distance
     from identification.validate import drawing_residuals
+    from identification.workflow import dh_table
 
     try:
         drawing = rms_distance(drawing_residuals(arm, data))

@@ -14,13 +14,13 @@ from scipy.special import chdtrc
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_rows
-from identification.estimation import contradictions, shown
-from identification.estimation.contradictions import Contradiction
+from identification.document import Document
+from identification.documents import identification as shown
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.estimation.doubts import Contradiction, contradiction_warnings
 from identification.estimation.expected_tip import hardly_determined, tip_of
-from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.prior import Prior
-from identification.estimation.uncertainty import LEVEL, Uncertainty
+from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, limits_95
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
 from identification.kinematics.planar import orientation_transform
@@ -138,7 +138,7 @@ class Identification:
         """Warnings to be read before the results."""
         prior = () if self.prior is None else self.prior.names
         without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
-        misfit = (*contradictions.warning(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
+        misfit = (*contradiction_warnings(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
         doubts = (*self.doubts, *hardly_determined(self))
         if self.status is Status.iteration_limit:
             return (shown.UNFINISHED, *misfit, *doubts)
@@ -297,13 +297,17 @@ class Identification:
         closed = self.method == "linear" and self.status is Status.converged
         return "Closed form, the exact global minimum." if closed else self.status.value
 
+    def document(self) -> Document:
+        """The parameters with their intervals, and how well the model fits."""
+        return shown.parameters_document(self)
+
     def __str__(self) -> str:
-        return str(shown.document(self))
+        return str(self.document())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return shown.document(self)._repr_html_()
+        return self.document()._repr_html_()
 
 
 _OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")
