@@ -39,7 +39,8 @@ def spoilt(tables: Tables, free: tuple[str, ...] = ()) -> Iterator[tuple[str, st
         if isinstance(value, float):
             changes |= {"not finite": math.nan}
         if isinstance(value, list) and value and not isinstance(value[0], dict):
-            changes |= {} if isinstance(value[0], str) else {"too long": value * 30, "of texts": ["text"] * len(value)}
+            changes |= {"too long": value * 30} if isinstance(value[0], float) else {}
+            changes |= {} if isinstance(value[0], str) else {"of texts": ["text"] * len(value)}
         inside = any(part in free for part in path[:-1])
         for what, wrong in changes.items() if not inside else ():
             yield what, str(name), with_key(tables, path, str(name), wrong)

@@ -298,6 +298,7 @@ y_mm = 2.0
 """
 
 
+@pytest.mark.filterwarnings("ignore:measurement.sigma_deg")
 @pytest.mark.parametrize("text", [BY_URDF, BY_TABLE + CALIBRATED], ids=["urdf", "dh"])
 def test_a_key_that_is_spoilt_is_named(tmp_path: Path, text: str) -> None:
     check(load_arm, saved(tmp_path, text), free=("values", "tool", "tools"))

@@ -17,6 +17,7 @@ from doe.cli.study import command
 from doe.jobs.row_table import frame_of
 from doe.jobs.workers import processes
 from doe.plan.plan import Plan
+from doe.report.studies import cell_table
 from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled_rows, run_study
 from doe.studies.monte_carlo.replications import Cell
 from identification.arm import Arm, EffectSpec
@@ -397,3 +398,9 @@ def test_unknown_study_has_the_nearest_name() -> None:
     done = CliRunner().invoke(command, ["papr"])
     assert done.exit_code == 2
     assert "did you mean 'paper'" in done.output
+
+
+def test_a_cell_without_a_fit_has_no_figures() -> None:
+    row = dict.fromkeys(("mean_error", "std", "expected_std", "coverage", "rms_mm"))
+    row |= {"fits": 0, "failed": 3, "parameter": "length_error:1", "unit": "mm"}
+    assert cell_table("arm, plan", [row]).title.endswith("0 fits, 3 failed, RMS - mm")
