@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from doe.cli.common import Answer, with_collisions
-from doe.problem.spatial import COLLISIONS
+from doe.problem.constraints import COLLISIONS
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
