@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
+from identification.document import html_lines, html_table
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
-from identification.html_tables import html_lines, html_table
 from identification.kinematics.counting import Counting, JointKinds, check_kinds
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
@@ -241,9 +241,9 @@ class Arm(ByValue):
         return limits[0], limits[1]
 
     @property
-    def measures_distances(self) -> bool:
-        """Whether distances from a center are measured, and no positions."""
-        return self.chain is not None and self.chain.instrument.distances
+    def offers(self) -> frozenset[str]:
+        """What its instrument has that effects may need (`Instrument.offers`)."""
+        return frozenset() if self.chain is None else self.chain.instrument.offers
 
     @property
     def reach(self) -> float:

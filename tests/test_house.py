@@ -22,12 +22,19 @@ LAYERS = {
     "identification.status": 0,
     "identification.progress": 0,
     "identification.data_frames": 1,
-    "identification.html_tables": 0,
     "identification.document": 0,
-    "identification.numbers_in_text": 0,
+    "identification.documents.identification": 5,
+    "identification.documents.diagnosis": 6,
+    "identification.documents.inspection": 7,
+    "identification.documents": 2,
+    "identification.documents.pictures": 6,
+    "identification.documents.use": 6,
     "identification.threads": 0,
     "identification.files": 1,
     "identification.kinematics": 1,
+    "identification.kinematics.frames": 1,
+    "identification.kinematics.parameters": 1,
+    "identification.instruments": 1,
     "identification.arm": 1,
     "identification.workspace": 1,
     "identification.error_curve": 1,
@@ -59,9 +66,11 @@ LAYERS = {
     "identification.inspection.data_checks": 5,
     "identification.validate.row_groups": 5,
     "identification.compensate": 6,
+    "identification.workflow": 8,
     "identification.sessions": 5,
     "identification.validate": 6,
     "identification.gap": 6,
+    "identification.for_design": 7,
     "identification.inspection": 5,
     "identification.inspection.readings": 5,
     "identification.inspection.set_up": 6,
@@ -217,7 +226,6 @@ def test_every_layer_has_a_module() -> None:
 # names of several modules that mean the same in each
 SAME = {
     "command": "a verb of the command line",
-    "html": "a result as it is shown",
 }
 
 

@@ -77,7 +77,7 @@ def command(
     out : Write a calibrated arm file (TOML).
     force : Overwrite an existing file.
     """
-    from doe.report.identification import hardly_better, identification_actions, identification_document
+    from identification.documents.identification import hardly_better, identification_actions, identification_document
     from identification.estimation import estimate
     from identification.estimation import without_outliers as without
     from identification.files.arm import load_arm
@@ -196,11 +196,11 @@ def in_words(data: dict[str, Any]) -> list[str]:
 
 def fit_data(fit: Identification, path: Path, arm: Arm, data: Measurements, words: list[str]) -> dict[str, Any]:
     """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
-    from doe.report.identification import dh_table
     from identification.estimation.corrected_values import Calibrated
     from identification.estimation.expected_tip import left_out_rms
     from identification.measurements import rms_distance
     from identification.validate import drawing_residuals
+    from identification.workflow import dh_table
 
     try:
         drawing = rms_distance(drawing_residuals(arm, data))
@@ -274,12 +274,11 @@ class Wanted:
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
     """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
-    from identification.kinematics.instrument import SPHERE
     from identification.model.minimal import PRACTICAL, minimal_of
 
-    if model.arm.chain is not None and not model.arm.chain.instrument.shows_size:
-        surface = "spheres of unknown radius" if model.arm.chain.instrument.kind == SPHERE else "planes"
-        reduced = f"minimal for contacts with {surface}, which leave the size of the arm open"
+    readings, _ = ("", "") if model.arm.chain is None else model.arm.chain.instrument.size_is_open
+    if readings:
+        reduced = f"minimal for {readings}, which leave the size of the arm open"
         raise InputError(f"--parameters: found {reduced}, allowed: all, with the prior of [machining]")
     kept = minimal_of(model, measurements, PRACTICAL)
     if hardly := [name for name in minimal_of(model, measurements).names if name not in kept.names]:

@@ -14,22 +14,19 @@ import numpy as np
 from doe.plan.file import load_plan
 from doe.plan.plan import Plan
 from doe.report.design import design_verdict, plan_actions, plan_section
-from doe.report.figures import workspace_arrows
-from doe.report.gap import diagnosis_actions, diagnosis_sections, diagnosis_verdict, gap_in_words
-from doe.report.identification import (
+from identification.arm import Arm
+from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number
+from identification.documents.diagnosis import diagnosis_actions, diagnosis_sections, diagnosis_verdict, gap_in_words
+from identification.documents.identification import (
     calibrated_actions,
-    command_rows,
     corrected_section,
     dh_sections,
-    dh_table,
     expected_elsewhere,
     identification_verdict,
     identify_command,
-    rows_listed,
 )
-from doe.report.signed_residuals import Compared
-from identification.arm import Arm
-from identification.document import Action, Document, Pictures, Section, Sheet
+from identification.documents.pictures import Compared, workspace_arrows
+from identification.documents.use import command_rows, rows_listed, validation_sections, validation_verdict
 from identification.errors import InputError
 from identification.estimation.corrected_values import Calibrated, CorrectedValue, corrected_values
 from identification.files.arm import load_arm
@@ -37,13 +34,15 @@ from identification.files.csv import Table as CsvTable
 from identification.files.csv import read_table
 from identification.files.io import read_text
 from identification.files.measurement import load_measurements
+from identification.files.measurement_columns import UNITS
+from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances
 from identification.model import Model
-from identification.numbers_in_text import as_sentence, number
-from identification.validate import Validation, validate, validation_sections, validation_verdict
+from identification.validate import Validation, validate
 from identification.validate.reuse import same_drawing
 from identification.validate.row_groups import data_hashes, diagnosed, outside
+from identification.workflow import dh_table
 
 # a command -> keys that its JSON object alone has
 KEYS = {
@@ -116,8 +115,10 @@ class Campaign:
         if all(column in table for column in ("error_mm", "reachable")):
             self.commands[name] = table
             return "joint commands"
-        contact = arm.chain is not None and arm.chain.instrument.contact  # its plans no command writes
-        if contact or any(f"{column}_{unit}" in table for column in ("x", "distance") for unit in ("mm", "m")):
+        instrument = TRACKER if arm.chain is None else arm.chain.instrument
+        read = ((c.name, c.quantity) for c in (*TRACKER.coordinates[:1], *instrument.coordinates[:1]))
+        columns = [f"{axis}_{unit}" for axis, quantity in read for unit in UNITS[quantity]]
+        if instrument.contact or any(column in table for column in columns):  # plans of contacts no command writes
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
         self.plans[name] = load_plan(path, arm.joint_types), table

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array, ByValue
-from identification.kinematics.instrument import WHOLE
+from identification.instruments import TRACKER
 from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE, ParameterSet, chain_parameters
 
 DIMENSION = 2  # coordinates of a point
@@ -24,7 +24,7 @@ class PlanarGeometry(ByValue):
 
     lengths: Array
     dimension = DIMENSION
-    instrument = WHOLE  # planar arms are measured by positions
+    instrument = TRACKER  # planar arms are measured by positions
 
     @property
     def joint_types(self) -> tuple[str, ...]:

@@ -112,7 +112,7 @@ def test_what_simulates_loads_nothing_of_the_model_that_is_judged() -> None:
     assert "doe.studies.blind.simulator" in loaded
     assert "casadi" not in loaded  # no CasADi, no model
     plain = {"identification", "identification.arm", "identification.conditions", "identification.measurements"}
-    plain |= {"identification.measurement_values", "identification.html_tables", "identification.row_digests"}
+    plain |= {"identification.measurement_values", "identification.document", "identification.row_digests"}
     plain |= {"identification.arrays", "identification.errors", "identification.error_curve", "identification.spelling"}
     plain |= {"identification.kinematics", "identification.kinematics.parameters"}  # names and units
     plain |= {"identification.workspace", "identification.kinematics.counting"}  # limits, and columns of a controller
