@@ -23,7 +23,7 @@ from identification.estimation.expected_tip import flange_turns
 from identification.estimation.levenberg_marquardt import ITERATIONS, Index, Solution, levenberg_marquardt
 from identification.estimation.outlying import limit_of, outlying, robust_squares, together
 from identification.estimation.prior import Prior, contradicted, likeliest
-from identification.estimation.problem import METHODS, Linearized, Problem, check_measurements, starts
+from identification.estimation.problem import METHODS, LinearProblem, Problem, check_measurements, starts
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, identifiability_of, spectrum
@@ -180,9 +180,9 @@ def _with_likeliest_noise(
     zeros : parameters to start from elsewhere than at the best known values
     """
     model, holds = problem.model, problem.reliance == "given"
-    made: dict[bytes, Linearized] = {}
+    made: dict[bytes, LinearProblem] = {}
 
-    def about(x: Array) -> Linearized:
+    def about(x: Array) -> LinearProblem:
         """Each made once: fits of other noise pass through the same points."""
         if (key := x.tobytes()) not in made:
             made[key] = problem.linearized(x)

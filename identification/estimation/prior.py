@@ -29,7 +29,7 @@ from identification.information import PRODUCT_TOLERANCE, effective_count, produ
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 
 if TYPE_CHECKING:
-    from identification.estimation.problem import Linearized, Problem
+    from identification.estimation.problem import LinearProblem, Problem
 
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
 ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
@@ -201,7 +201,7 @@ def likeliest_noise(minus_log: Callable[[Array], Array], least: float, largest: 
     return float(minus_log(noise)), float(noise)
 
 
-def likeliest(linearized: Linearized) -> tuple[float, tuple[float, float]]:
+def likeliest(linearized: LinearProblem) -> tuple[float, tuple[float, float]]:
     """Noise, no less than a sigma that is given (where intervals rely on that: it), and the widths of the prior of the
     largest likelihood: a factor on the sizes of the machining, and a further one on those of joint zeros."""
     problem, x, residual, jacobian = linearized
@@ -263,7 +263,7 @@ def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]]
         x = levenberg_marquardt(freed, x[None]).parameters[0]
 
 
-def _noise_without_earlier(about: Linearized) -> tuple[float, float]:
+def _noise_without_earlier(about: LinearProblem) -> tuple[float, float]:
     """Noise of the measurements without the earlier calibration, and its degrees of freedom: infinite where it is the
     one given, 0 where nothing is left to tell."""
     problem, model = about.problem, about.problem.model
@@ -280,7 +280,7 @@ def _noise_without_earlier(about: Linearized) -> tuple[float, float]:
 
 
 def worst_contradicted(
-    about: Linearized, noise: float, freedom: float, explained: Collection[str]
+    about: LinearProblem, noise: float, freedom: float, explained: Collection[str]
 ) -> dict[str, tuple[str, ...]] | None:
     """The parameter whose prior is contradicted most, of those that are not explained yet, with those that would
     explain it as well; None where none is."""

@@ -1,6 +1,6 @@
 """The least-squares problem of a fit: what must hold of data and model, their weighted residuals, and the methods.
 
-A problem is posed (`Problem.of`) and solved, by one of `METHODS` or about values of its parameters (`Linearized`); what
+A problem is posed (`Problem.of`) and solved, by one of `METHODS` or about values of its parameters (`LinearProblem`); what
 follows from its solution is an `Identification` or a `BatchFit`.
 """
 
@@ -230,11 +230,11 @@ class Problem:
         prior_rows = np.broadcast_to(rows, (k, *rows.shape))
         return np.concatenate([residuals, left], axis=1), np.concatenate([jacobian, prior_rows], axis=1)
 
-    def linearized(self, parameters: Array) -> Linearized:
+    def linearized(self, parameters: Array) -> LinearProblem:
         """The problem of the first data set about parameters (p,)."""
         whole = self if self.prior is None else replace(self, prior=None)
         residuals, jacobians = whole.least_squares.linearize(parameters[None], np.arange(1))
-        return Linearized(self, parameters, residuals[0], jacobians[0])
+        return LinearProblem(self, parameters, residuals[0], jacobians[0])
 
     def jacobian(self, parameters: Array) -> Array:
         """(m d, p) weighted Jacobian of the plan that the data sets share, at parameters (p,), without the prior."""
@@ -242,7 +242,7 @@ class Problem:
         return jacobian.reshape(-1, jacobian.shape[-1])
 
 
-class Linearized(NamedTuple):
+class LinearProblem(NamedTuple):
     """A problem about values x of its parameters, without its prior, in as few rows as say the same.
 
     residual : (N,) and jacobian : (N, p), both weighted

@@ -11,7 +11,7 @@ import pytest
 from identification.arm import Arm
 from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.estimation.prior import Earlier, Prior, contradicted, worst_contradicted
-from identification.estimation.problem import Linearized, Problem
+from identification.estimation.problem import LinearProblem, Problem
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -46,7 +46,7 @@ def test_the_drop_is_the_squared_distance_in_combined_deviations() -> None:
     x = TRUTH
     jacobian = MODEL.jacobian(data.postures, x).reshape(-1, 6) / SIGMA
     residual = (data.positions - MODEL.position(data.postures, x)).ravel() / SIGMA
-    linear = Linearized(problem, x, residual, jacobian)
+    linear = LinearProblem(problem, x, residual, jacobian)
     assert problem.prior is not None
     least = linear.squares(Prior({}, earlier), 1.0)
     information = jacobian.T @ jacobian
@@ -124,7 +124,7 @@ def test_one_equation_tells_no_culprit() -> None:
     prior = Prior({}, Earlier(names, np.zeros(2), 0.01 * np.eye(2)))
     parameters = replace(MODEL.parameters, items=MODEL.parameters.items[:2])
     problem = SimpleNamespace(prior=prior, model=SimpleNamespace(parameters=parameters, names=names, prior={}))
-    linear = Linearized(problem, np.zeros(2), np.array([5.0]), np.ones((1, 2)))  # type: ignore[arg-type]
+    linear = LinearProblem(problem, np.zeros(2), np.array([5.0]), np.ones((1, 2)))  # type: ignore[arg-type]
     found = worst_contradicted(linear, 1e-3, np.inf, ())
     assert found in ({names[0]: (names[1],)}, {names[1]: (names[0],)})
 

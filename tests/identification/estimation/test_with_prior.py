@@ -14,7 +14,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.prior import WIDTHS, ZERO_WIDTHS, Prior, likeliest
-from identification.estimation.problem import Linearized, Problem
+from identification.estimation.problem import LinearProblem, Problem
 from identification.gap.library.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -211,7 +211,7 @@ def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing(
     def width(times: float, copies: int) -> float:
         target, columns = (np.concatenate([a] * copies) for a in (misfit + jacobian @ (times * sizes), jacobian))
         copied = replace(problem, weights=np.ones(1000 * copies))
-        return likeliest(Linearized(copied, zero, target, columns))[1][0]
+        return likeliest(LinearProblem(copied, zero, target, columns))[1][0]
 
     once = [width(times, 1) for times in (0.5, 1.0, 1.2, 1.4, 1.6, 2.0, 4.0)]
     assert once[0] == 1.0 < once[-1]
@@ -236,7 +236,7 @@ def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[
         left = float(np.linalg.slogdet(covariance)[1] + residual @ np.linalg.solve(covariance, residual))
         return left + 4.0 * sum(width != 1.0 for width in widths)
 
-    linear = Linearized(
+    linear = LinearProblem(
         Problem.of(SPATIAL, data, 0.05, prior=Prior(SPATIAL.prior)), zero, residual / 0.05, jacobian / 0.05
     )
     expected = min(product(WIDTHS, ZERO_WIDTHS), key=minus_log)
