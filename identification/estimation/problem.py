@@ -1,7 +1,7 @@
 """The least-squares problem of a fit: what must hold of data and model, their weighted residuals, and the methods.
 
-A problem is posed (`Problem.of`) and solved, by one of `METHODS` or about values of its parameters (`LinearProblem`); what
-follows from its solution is an `Identification` or a `BatchFit`.
+A problem is posed (`Problem.of`) and solved, by one of `METHODS` or about values of its parameters (`LinearProblem`);
+what follows from its solution is an `Identification` or a `BatchFit`.
 """
 
 from __future__ import annotations
