@@ -19,7 +19,7 @@ import numpy as np
 
 from doe.bounds.weights import proper_weights
 from doe.criteria import Criterion, E
-from doe.criteria.inverse_trace import InverseTrace
+from doe.criteria.variances import InverseTrace
 from doe.problem.problem import PriorInformation
 from identification.arrays import Array
 from identification.errors import InputError, JobError

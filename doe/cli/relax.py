@@ -71,8 +71,8 @@ def command(
     """
     from doe.bounds.relaxation import relax
     from doe.cross_check import cross_check
-    from doe.plan.file import plan_text
-    from doe.problem.robust import with_choices
+    from doe.plan.plan import plan_text
+    from doe.problem.uncertain import with_choices
     from doe.report.design import cross_check_table, relax_document
     from identification.files.arm import load_arm
 
@@ -112,7 +112,7 @@ def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, 
 
 def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array:
     """Levels of a grid, or (N, n) postures [rad]."""
-    from doe.plan.file import load_plan
+    from doe.plan.plan import load_plan
 
     if chosen.candidates is not None:
         return load_plan(chosen.candidates, problem.model.joint_types).postures

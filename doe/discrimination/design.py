@@ -23,7 +23,7 @@ from doe.criteria import D
 from doe.design import Design
 from doe.discrimination.misidentification import EffectLibrary, effect_library
 from doe.discrimination.swaps import ExtendedProblem, extended_problem, has_repeats, improving_swaps, pool_of
-from doe.plan.replicate_spacing import allowed_value, spread_free_joints
+from doe.plan.spacing import allowed_value, spread_free_joints
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, solve
 from doe.solvers.planar_theory import optimal_plans

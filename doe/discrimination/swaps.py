@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound
-from doe.plan.replicate_spacing import ROUNDING, allowed_value, neighbor_counts
+from doe.plan.spacing import ROUNDING, allowed_value, neighbor_counts
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria.criterion import surrogate, values_after_adding
-from doe.plan.replicate_spacing import distance_to_keep
+from doe.plan.spacing import distance_to_keep
 from doe.problem.postures import listed_candidates, random_grid
 from doe.problem.problem import MANY, DesignProblem, information_of_each
 from doe.solvers.solver import Budget, Offer

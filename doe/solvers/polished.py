@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from doe.plan.ascent import PlanAscent
-from doe.plan.rounding import rounded_plan
+from doe.plan.plan import rounded_plan
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange, ListBatch

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from doe.design import Design
-from doe.plan.expected_accuracy import plan_jacobians
-from doe.plan.replicate_spacing import allowed_value, replicates_allowed
+from doe.plan.accuracy import plan_jacobians
+from doe.plan.spacing import allowed_value, replicates_allowed
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array

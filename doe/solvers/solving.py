@@ -21,7 +21,7 @@ from doe.bounds.planar_theorem import applies
 from doe.design import Design
 from doe.plan.ascent import PlanAscent
 from doe.plan.plan import Plan
-from doe.plan.replicate_spacing import allowed_value, separated, spread_free_joints
+from doe.plan.spacing import allowed_value, separated, spread_free_joints
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Fedorov

@@ -25,9 +25,9 @@ from doe.discrimination.misidentification import EffectLibrary
 from doe.discrimination.swaps import CLOUD, pool_of
 from doe.discrimination.t_optimal import RivalPredictions, t_optimal
 from doe.plan.order import ordered, travel
-from doe.plan.replicate_spacing import too_near
-from doe.problem.bayesian import deviated_draws, ensemble_problem
+from doe.plan.spacing import too_near
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
+from doe.problem.uncertain import deviated_draws, ensemble_problem
 from doe.report.design import accuracy, design_document
 from doe.report.figures import certificate_figure
 from doe.solvers import solve

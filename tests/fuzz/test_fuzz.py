@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from doe.plan.file import load_plan
+from doe.plan.plan import load_plan
 from doe.studies.monte_carlo.file import load_study
 from identification.errors import InputError
 from identification.files.arm import load_arm

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from doe.plan.file import load_plan
+from doe.plan.plan import load_plan
 from doe.studies.monte_carlo.specification import (
     MOST_BLOCK,
     MOST_REPLICATIONS,

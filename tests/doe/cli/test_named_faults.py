@@ -122,7 +122,7 @@ def test_a_score_that_cannot_be_finished_leaves_no_picture(folder: Folder, monke
     def refuse(*_: object) -> None:
         raise InputError("constraints: no posture, allowed: constraints that leave some")
 
-    monkeypatch.setattr("doe.plan.observability.criterion_values", refuse)
+    monkeypatch.setattr("doe.plan.accuracy.criterion_values", refuse)
     before = sorted(folder.path.iterdir())
     refused(folder, ["score", "arm.toml", "plan.csv", "--picture", "p.svg"], "no posture, allowed")
     assert sorted(folder.path.iterdir()) == before

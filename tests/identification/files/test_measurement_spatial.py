@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.plan.file import load_plan, plan_text
-from doe.plan.plan import Plan
+from doe.plan.plan import Plan, load_plan, plan_text
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.files.measurement import load_measurements, measurement_text
