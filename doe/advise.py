@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from doe.bounds.best_known import bound_that_holds, bounds_of_runs
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.design import Design
 from doe.plan.accuracy import TipError, TipErrors
 from doe.plan.plan import Plan

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
-from doe.bounds.bound import NUMERICAL, PROVEN, Bound, postures_in_words
-from doe.bounds.equivalence import CERTIFIED
+from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, postures_in_words
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.criteria import D
 from doe.plan.accuracy import (

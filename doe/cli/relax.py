@@ -42,7 +42,7 @@ class RelaxationOptions:
 
     def limits(self, solver: str) -> tuple[Callable[[], bool], float]:
         """What ends the weights, at half the time where they are checked, and the end of it all."""
-        from doe.bounds.relaxation import LARGEST
+        from doe.bounds.column_generation import LARGEST
 
         if self.seconds is not None and solver in LARGEST:
             reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
@@ -69,7 +69,7 @@ def command(
     out : Write the plan with weights (CSV).
     force : Overwrite an existing file.
     """
-    from doe.bounds.relaxation import relax
+    from doe.bounds.column_generation import relax
     from doe.cross_check import cross_check
     from doe.plan.plan import plan_text
     from doe.problem.uncertain import with_choices

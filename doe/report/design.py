@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from doe.advise import Advice
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.bound import bound_in_words, postures_in_words
+from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.cross_check import CrossCheck
 from doe.design import BEST_KNOWN, Design, optimality_in_words
 from doe.discrimination.design import MOST_SEEN, DiscriminationDesign

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.plan.accuracy import tip_beside_random
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import robust_problem

@@ -15,14 +15,12 @@ import pytest
 from scipy.stats import norm
 
 from doe.advise import advise
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.column_generation import continuous_design
+from doe.bounds.certificate import ApproximateDesign
+from doe.bounds.column_generation import continuous_design, relax
 from doe.bounds.planar_theorem import closed_form_bound
-from doe.bounds.relaxation import relax
 from doe.design import score_plan
-from doe.discrimination.design import discrimination_design
+from doe.discrimination.design import CLOUD, discrimination_design, pool_of
 from doe.discrimination.misidentification import EffectLibrary
-from doe.discrimination.swaps import CLOUD, pool_of
 from doe.discrimination.t_optimal import RivalPredictions, t_optimal
 from doe.plan.order import ordered, travel
 from doe.plan.spacing import too_near

@@ -295,7 +295,7 @@ def test_a_dead_cluster_leaves_no_folder(folder: Folder, monkeypatch: pytest.Mon
     def choose(workers: int | None, cluster: str | None) -> None:
         raise InputError(f"--cluster {cluster}: no scheduler answers")
 
-    monkeypatch.setattr("doe.jobs.workers.chosen_workers", choose)
+    monkeypatch.setattr("doe.jobs.running.chosen_workers", choose)
     words = ["compare", "arm.toml", "--runs", "8", "--cluster", "tcp://127.0.0.1:9", "--out", "folder"]
     refused(folder, words, "no scheduler answers")
     assert not (folder.path / "folder").exists()

@@ -8,7 +8,7 @@ from importlib.metadata import version
 import pytest
 
 from doe.cli import main
-from doe.studies.monte_carlo.file import parse_study
+from doe.studies.monte_carlo.specification import parse_study
 from tests.doe.cli.conftest import Folder
 
 

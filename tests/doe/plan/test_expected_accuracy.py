@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.design import score
 from doe.plan.accuracy import error_at_poses, expected_deviations
 from doe.problem.uncertain import average_error

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from doe.advise import advise
-from doe.bounds.relaxation import relax
+from doe.bounds.column_generation import relax
 from doe.design import score_plan
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import ensemble_problem, prior_draws, tip_jacobians
 from doe.solvers import Gradient, solve

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.design import score
 from doe.plan.plan import Plan, load_plan
 from doe.problem.problem import DesignProblem

@@ -14,10 +14,10 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli.study import command
-from doe.jobs.workers import processes, serial
+from doe.jobs.running import processes, serial
 from doe.report.studies import figure_1_picture, figure_2_picture
 from doe.studies.paper import study as paper_run
-from doe.studies.paper.errata import Shown, errata
+from doe.studies.paper.study import Shown, errata
 from doe.studies.paper.tables import (
     agreement,
     consistent,
