@@ -28,7 +28,7 @@ from identification.model import Model
 
 def is_planar(model: InformationModel) -> TypeGuard[Model]:
     """True for the model of a planar arm, the only one of which this module knows anything."""
-    return isinstance(model, Model) and model.arm.chain is None
+    return isinstance(model, Model) and model.arm.chain.planar
 
 
 def applies(problem: DesignProblem) -> bool:

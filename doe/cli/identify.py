@@ -91,7 +91,7 @@ def command(
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
-        if value is not None and loaded.chain is None:
+        if value is not None and loaded.chain.planar:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = read_measurements(data, loaded)
@@ -278,7 +278,7 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
     from identification.kinematics.instrument import SPHERE
     from identification.model.minimal import PRACTICAL, minimal_of
 
-    if model.arm.chain is not None and not model.arm.chain.instrument.shows_size:
+    if not model.arm.chain.instrument.shows_size:
         surface = "spheres of unknown radius" if model.arm.chain.instrument.kind == SPHERE else "planes"
         reduced = f"minimal for contacts with {surface}, which leave the size of the arm open"
         raise InputError(f"--parameters: found {reduced}, allowed: all, with the prior of [machining]")

@@ -77,7 +77,7 @@ def by_order(model: Model) -> Callable[[Array], Array]:
         time = session_time(np.arange(len(postures), dtype=float))
         past = past_from_order(postures) if model.remembers else None
         conditions = Conditions(time=time, directions=directions_from_order(postures), past=past)
-        points = 1 if model.arm.chain is None else len(model.arm.chain.tools)
+        points = len(model.arm.chain.tools)
         each = (replace(conditions, marker=np.full(len(postures), k)) for k in range(points))
         return np.concatenate([model.jacobian(postures, conditions=at) for at in each], axis=1) / model.scales
 

@@ -13,8 +13,7 @@ from doe.problem.problem import DesignProblem, InformationModel
 from doe.problem.spatial import arm_model_of
 from identification.arrays import Array, readonly
 from identification.information import Spectrum, spectrum
-from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
-from identification.kinematics.planar import orientation_transform
+from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet, orientation_transform
 from identification.model.positions import of_positions
 
 

@@ -57,7 +57,7 @@ class EveryPoint(DerivedModel):
     def points(self) -> int:
         """Number of measured points."""
         chain = self.model.arm.chain
-        return 1 if chain is None else len(chain.tools)
+        return len(chain.tools)
 
     @property
     def dimension(self) -> int:
@@ -84,7 +84,7 @@ def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]
     Planar models stay as they are. Raises `InputError` for contacts with a surface whose place is not known. Warns
     (`UserWarning`) of points that are assumed.
     """
-    if model.arm.chain is None:
+    if model.arm.chain.planar:
         return model, model, {}
     placed = replace(model, arm=replace(model.arm, chain=with_points(model.arm.chain, contacts=True)))
     if model.sigma is None and model.prior:
@@ -94,7 +94,7 @@ def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]
 
 def measuring_every_point(model: Model) -> InformationModel:
     """The model of an arm with all of its measured points at every posture."""
-    several = model.arm.chain is not None and len(model.arm.chain.tools) > 1
+    several = len(model.arm.chain.tools) > 1
     return EveryPoint(model) if several else model
 
 
@@ -106,7 +106,7 @@ def arm_model_of(model: InformationModel) -> Model | None:
 
 def without_prior(arm: Arm) -> Arm:
     """An arm with its measured points in place and a minimal set of parameters, as tests for effects see it."""
-    if arm.chain is None:
+    if arm.chain.planar:
         return arm
     return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
 

@@ -97,7 +97,7 @@ class InView:
     def _pointing(self) -> Model | None:
         """The model with the measured point moved to where the reflector looks; None: it looks everywhere."""
         chain = self.model.arm.chain
-        if self.sight.facing is None or chain is None:
+        if self.sight.facing is None or chain.planar:
             return None
         direction = np.array(self.sight.facing) / np.linalg.norm(self.sight.facing)
         tools = {name: place + POINTER * direction for name, place in chain.tools.items()}

@@ -46,7 +46,6 @@ def touching_postures(model: Model, problem: DesignProblem) -> Array:
     what plans and bounds are of.
     """
     chain = model.arm.chain
-    assert chain is not None
     if chain.instrument.free_radius and model.best_known.get(RADIUS, 0.0) <= 0.0:
         reason = "radius_mm is not known: where the sphere is touched depends on it"
         raise InputError(f"instrument: {reason}, allowed for plans: with radius_mm, or a calibrated arm")
@@ -70,13 +69,11 @@ def touching_postures(model: Model, problem: DesignProblem) -> Array:
 
 def heights(model: Model, postures: Array) -> Array:
     """(m,) how far the measured point is above the surface [mm] at postures (m, n)."""
-    assert model.arm.chain is not None
     return np.asarray(model.position(postures)[:, 0] - (model.arm.chain.instrument.radius or 0.0))
 
 
 def on_surface(model: Model, postures: Array, units: Array) -> Array:
     """Postures (m, n) led to the surface by the shortest steps, most of them; limits apart."""
-    assert model.arm.chain is not None
     q, radius = np.array(postures), model.arm.chain.instrument.radius or 0.0
     conditions = Conditions()
     for _ in range(STEPS):
@@ -94,7 +91,6 @@ def clear_of_surface(model: Model, postures: Array) -> NDArray[np.bool_]:
     """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the surface
     that the point touches."""
     chain = model.arm.chain
-    assert chain is not None
     points = model.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3]
     if chain.instrument.kind == SPHERE:
         near = distance_to_segment(np.zeros(3), points[:, :-1], points[:, 1:])

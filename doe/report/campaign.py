@@ -117,7 +117,7 @@ class Campaign:
         if all(column in table for column in ("error_mm", "reachable")):
             self.commands[name] = table
             return "joint commands"
-        contact = arm.chain is not None and arm.chain.instrument.contact  # its plans no command writes
+        contact = arm.chain.instrument.contact  # its plans no command writes
         if contact or any(f"{column}_{unit}" in table for column in ("x", "distance") for unit in ("mm", "m")):
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
@@ -306,7 +306,7 @@ def calibrated_sections(arm: Arm, name: str, *, folded: bool) -> list[Section]:
     calibrated = Calibrated.of_arm(arm)
     rows, lines = ((), []) if calibrated is None else dh_table(calibrated, values, Path(name))
     expected, title = expected_elsewhere(provenance).strip(), f"Corrected values: {name}"
-    corrected = corrected_section(title, values, arm.chain is not None, expected, folded=folded)
+    corrected = corrected_section(title, values, not arm.chain.planar, expected, folded=folded)
     return [corrected, *(Section(part.title, part.parts, folded) for part in dh_sections(rows, lines, name))]
 
 

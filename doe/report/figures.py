@@ -54,7 +54,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     """The postures of an arm as stick figures, of very many some, and every joint's angles within its limits."""
     shown = postures[np.linspace(0, len(postures) - 1, min(len(postures), MANY)).round().astype(int)]
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
-    if arm.chain is not None:
+    if not arm.chain.planar:
         figure = Figure(figsize=(10.0, 8.6))
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
         for k, side in enumerate(SIDES, start=1):
@@ -99,7 +99,7 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
     for line, color in zip(Model(arm).points(postures), run_colors(len(postures)), strict=True):
         axes.plot(*line.T, color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1:].T, "o", color=color, ms=3)
-    dimension = 2 if arm.chain is None else 3
+    dimension = arm.dimension
     axes.plot(*np.zeros((dimension, 1)), "ks", ms=6)
     axes.set(aspect="equal" if dimension == 2 else "auto")
     axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in "xyz"[:dimension]})
@@ -136,9 +136,9 @@ def outlines(arm: Arm) -> list[tuple[Array, str]]:
     lines: list[tuple[Array, str]] = []
     for constraint in arm.constraints:
         if isinstance(constraint, WorkspaceBox):
-            lines += [(edges, LIMIT) for edges in _box(constraint, arm.chain is not None)]
+            lines += [(edges, LIMIT) for edges in _box(constraint, not arm.chain.planar)]
         elif isinstance(constraint, KeepOutCircle):
-            rings = [_ring(axis)[:, : arm.dimension] for axis in np.eye(3)[0 if arm.chain is not None else 2 :]]
+            rings = [_ring(axis)[:, : arm.dimension] for axis in np.eye(3)[list(arm.chain.turning)]]
             lines += [(np.array(constraint.center) + constraint.radius * ring, FORBIDDEN) for ring in rings]
         elif isinstance(constraint, KeepOutCylinder):
             ends = np.array([constraint.start, constraint.end])
@@ -276,7 +276,7 @@ def draw_workspace(
 ) -> list[list[Axes]]:
     """Residual arrows of two models in two columns of axes, with one for each projection, on one scale: the largest
     arrow is an eighth of the reach; and where a planar arm stands."""
-    dimension, values = pairs[0][0].shape[1], Model(arm).best_known if arm.chain is None else {}
+    dimension, values = pairs[0][0].shape[1], Model(arm).best_known if arm.chain.planar else {}
     grid = figure.subplots(len(projections(dimension)), 2, sharex=True, sharey="row", squeeze=False)
     scale = 0.12 * arm.reach / (max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0)
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
@@ -294,7 +294,7 @@ def draw_workspace(
             axis.update_datalim(np.column_stack([x + along, y + upward]))  # whole arrows
             axis.autoscale_view()
             axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
-            if arm.chain is None:
+            if arm.chain.planar:
                 axis.plot(values.get("base_offset.x0", 0.0), values.get("base_offset.y0", 0.0), "ks", ms=5)
     return [list(column) for column in grid.T]
 

@@ -41,7 +41,7 @@ def flange_turns(chain: SpatialChain, measurements: Measurements) -> Array:
 def turns_measured(model: object, measurements: Measurements) -> Array | None:
     """`flange_turns` of a fit of both base and tool; None for others."""
     arm = getattr(model, "arm", None)
-    if arm is None or arm.chain is None or {BASE, TOOL} & arm.chain.known:
+    if arm is None or arm.chain.planar or {BASE, TOOL} & arm.chain.known:
         return None
     return flange_turns(arm.chain, measurements)
 
@@ -54,7 +54,6 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
     if (turns := fit.flange_turns) is None or turns[0] > HARDLY:
         return []
     arm = fit.model.arm
-    assert arm.chain is not None
     tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
     if not tools:
         return []

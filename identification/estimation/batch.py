@@ -24,7 +24,7 @@ from identification.estimation.methods import damped_gauss_newton, linear, start
 from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
 from identification.information import full_rank, identifiability_of, spectrum
-from identification.kinematics.planar_linear import PlanarClosedForm
+from identification.kinematics.closed_form import PlanarClosedForm
 from identification.measurements import Conditions, Measurements, directions_from_order, past_from_order, session_time
 from identification.model import Model
 from identification.status import Status

@@ -50,7 +50,7 @@ class Calibrated(NamedTuple):
     @classmethod
     def of_arm(cls, arm: Arm) -> Calibrated | None:
         """As a spatial arm's file has it; None without a calibration and its covariance."""
-        if (calibration := arm.calibration) is None or arm.chain is None or calibration.covariance is None:
+        if (calibration := arm.calibration) is None or arm.chain.planar or calibration.covariance is None:
             return None
         model = Model(arm)
         geometry = CorrectedGeometry(arm.chain, {**model.fixed, **calibration.values})

@@ -56,7 +56,7 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     arm, postures_measured = getattr(fit.model, "arm", None), fit.postures
     if not isinstance(arm, Arm) or fit.not_identifiable or not np.all(np.isfinite(fit.covariance)):
         return None
-    if arm.chain is not None and not arm.chain.instrument.whole and len(postures_measured) < FEWEST:
+    if not arm.chain.instrument.whole and len(postures_measured) < FEWEST:
         return None
 
     def over(postures: Array) -> float:
@@ -77,12 +77,12 @@ def own_error(fit: Identification) -> float:
     model = fit.model
     if fit.prior is None or not isinstance(getattr(model, "arm", None), Arm):
         return 0.0
-    return fit.prior.own_error * float(np.sqrt(2 if model.arm.chain is None else 3))
+    return fit.prior.own_error * float(np.sqrt(model.arm.dimension))
 
 
 def size_left_open(arm: Arm) -> str:
     """What more postures do not help against: contacts that an arm twice as large would make as well."""
-    if arm.chain is None or arm.chain.instrument.shows_size:
+    if arm.chain.instrument.shows_size:
         return ""
     if arm.chain.instrument.free_radius:
         return "; but however many, contacts with a sphere of unknown radius fit an arm of any size: give radius_mm"

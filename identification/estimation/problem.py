@@ -13,7 +13,7 @@ from identification.estimation.levenberg_marquardt import Index, LeastSquares
 from identification.estimation.prior import Prior
 from identification.estimation.triangle import compressed
 from identification.information import RANK_TOLERANCE
-from identification.kinematics.planar_linear import PlanarClosedForm
+from identification.kinematics.closed_form import PlanarClosedForm
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 

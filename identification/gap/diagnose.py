@@ -88,7 +88,7 @@ def diagnose(
 def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None) -> None:
     """Raise `InputError` for data that do not fit the arm or lack what its effects need."""
     check_measurements(Model(arm), measurements)
-    touching = arm.chain is not None and arm.chain.instrument.contact  # contacts have no positions
+    touching = arm.chain.instrument.contact  # contacts have no positions
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
         if not (touching and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")

@@ -185,6 +185,17 @@ def chain_parameters(lengths: Sequence[float] | Array) -> ParameterSet:
     return ParameterSet.of((*errors, *offsets))
 
 
+def orientation_transform(parameters: ParameterSet) -> Array:
+    """(n, p) matrix T with dtheta = T parameters: dtheta_j = dq_1 + ... + dq_j of the joint offsets among them.
+
+    The paper's sigma_q (eq. 25) is the standard deviation of dtheta_j, not of the joint offset dq_j.
+    """
+    offsets = parameters.indices(JOINT_OFFSET)
+    transform = np.zeros((len(offsets), len(parameters)))
+    transform[:, offsets] = np.tri(len(offsets))
+    return transform
+
+
 def by_joint(values: Mapping[str, float], kind: str) -> Array:
     """(n,) the values of a kind, `kind:1` to `kind:n`, of a mapping from names."""
     of_joints: list[float] = []

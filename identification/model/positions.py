@@ -22,7 +22,7 @@ def of_positions(model: Model) -> Model:
     """The model of the measured point's position with the same parameters, without those of the reading of a length; of
     an instrument that reads positions as it is."""
     chain = model.arm.chain
-    if chain is None or chain.instrument.whole:
+    if chain.instrument.whole:
         return model
     arm = replace(model.arm, chain=replace(chain, instrument=WHOLE))
     held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names}
@@ -59,7 +59,7 @@ def in_own_frame(arm: Arm) -> Arm:
     """An arm that is measured by lengths as if its positions were measured in the frame of its base; any other as it
     is."""
     chain, calibration = arm.chain, arm.calibration
-    if chain is None or chain.instrument.whole:
+    if chain.instrument.whole:
         return arm
     chain = replace(chain, base=np.eye(4), known=chain.known | {BASE}, instrument=WHOLE)
     if calibration is not None:

@@ -15,7 +15,6 @@ import numpy as np
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.base_axes import along
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
 from identification.kinematics.frames import own_axes_angles
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, of_effects
@@ -29,7 +28,6 @@ from identification.sessions import start_at_bases, with_base_offset
 
 def as_calibrated(arm: Arm) -> Arm:
     """The arm with its calibrated geometry as the nominal one; values of effects stay."""
-    assert arm.chain is not None
     values = {} if arm.calibration is None else arm.calibration.values
     bare: dict[str, Any] = {"values": of_effects(values), "base": None, "tools": {}, "tool_axes": {}}
     kept = None if arm.calibration is None else replace(arm.calibration, **bare)
@@ -42,7 +40,7 @@ def _composed(spec: EffectSpec, chain: SpatialChain, values: Mapping[str, float]
     if spec.curve is None or not spec.curve.geometry:
         return spec
     of_curve = dict(spec.curve.geometry)
-    of_curve |= {name: float(x) for name, x in along(chain.base[:3, :3], of_curve).items()}
+    of_curve |= {name: float(x) for name, x in chain.along_base(of_curve, values).items()}
     without = {name: values.get(name, 0.0) - of_curve.get(name, 0.0) for name in {*values, *of_curve}}
     errors = errors_between(corrected(chain, values), corrected(chain, without))
     geometry = {name: -error for name, error in errors.items()} | of_effects(of_curve)
@@ -51,7 +49,7 @@ def _composed(spec: EffectSpec, chain: SpatialChain, values: Mapping[str, float]
 
 def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
     """Those that a refit may estimate, among others."""
-    if arm.chain is None:
+    if arm.chain.planar:
         return Model(with_base_offset(arm)).all_parameters
     return with_markers(one_unnamed(arm.chain, measurements), measurements).every_parameter
 
@@ -84,7 +82,7 @@ def fresh_points(chain: SpatialChain, measurements: Measurements) -> list[str]:
 
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
     """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts."""
-    if arm.chain is not None:
+    if not arm.chain.planar:
         model = _spatial(arm, measurements, refit)
         return model, model.values
     if refit == "none":
@@ -104,7 +102,6 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
         last, which base and points stand for; `none`: nothing
     """
     arm = as_calibrated(arm)
-    assert arm.chain is not None
     if refit == "none":
         check_names(arm.chain, measurements)
         model = Model(replace(arm, chain=with_markers(arm.chain, measurements)))
@@ -122,7 +119,6 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
 
 def _of_points(arm: Arm, before: SpatialChain) -> Arm:
     """The arm with the geometry of its curves for the one measured point that data call by another name."""
-    assert arm.chain is not None
     if len(arm.chain.tools) != 1 or len(before.tools) != 1:
         return arm
     (old,), (new,) = before.tools, arm.chain.tools

@@ -64,7 +64,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     """
     if "base" in words:
         arm = with_base(arm)
-    if arm.chain is not None and measurements is not None:
+    if not arm.chain.planar and measurements is not None:
         arm = replace(arm, chain=with_markers(arm.chain, measurements))
     model = Model(arm)
     chosen = {name for word in words for name in _named(word, model)}
@@ -77,7 +77,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
 def _named(word: str, model: Model) -> set[str]:
     """Names of the parameters that a word means."""
     effects = {effect.key: effect for effect in model.effects}
-    if word == "base" and model.arm.chain is None:
+    if word == "base" and model.arm.chain.planar:
         named = {p.name for p in model.parameters if p.name in PLANAR_BASE}
     elif word in KINDS:
         named = {p.name for p in model.parameters if p.kind in KINDS[word]}
@@ -131,11 +131,11 @@ def _check_places(arm: Arm, model: Model, held: set[str], measurements: Measurem
     several = measurements is not None and len(measurements.session_names) > 1
     kept = arm.calibration
     missing = {BASE: kept is None or kept.base is None, TOOL: kept is None or not kept.tools}
-    for kind in (BASE, TOOL) if arm.chain is not None else ():
+    for kind in (BASE, TOOL) if not arm.chain.planar else ():
         if (missing[kind] or several) and any(p.kind == kind and p.name in held for p in model.parameters):
             reason = "the data have several sessions" if several else "the arm file does not say where it is"
             raise InputError(f"only: {kind} is to be held, but {reason}, allowed: --only with {kind} among the words")
-    if several and arm.chain is None and set(PLANAR_BASE) & held:
+    if several and arm.chain.planar and set(PLANAR_BASE) & held:
         raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
 
 
@@ -207,9 +207,7 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlie
     # where arm and instrument stand; of a planar arm with a base offset that and the offset of joint 1
     planar = PLANAR_BASE if PLANAR_BASE[0] in model.all_parameters.names else ()
     of_set_up = {
-        p.name
-        for p in model.all_parameters
-        if (p.name in planar if model.arm.chain is None else p.kind in (BASE, TOOL))
+        p.name for p in model.all_parameters if (p.name in planar if model.arm.chain.planar else p.kind in (BASE, TOOL))
     }
     of_both = whole.about((set(model.names) | set(held)) - of_set_up)
     if not set(of_both.names) - set(held):
@@ -241,9 +239,9 @@ def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> 
 
 def same_drawing(calibrated: Arm, arm: Arm) -> bool:
     """Whether the errors of two arms mean the same things: equal lengths, joints and frames."""
-    same = calibrated.links == arm.links and (calibrated.chain is None) == (arm.chain is None)
+    same = calibrated.links == arm.links and (calibrated.chain.planar) == (arm.chain.planar)
     same = same and calibrated.joint_types == arm.joint_types and np.allclose(calibrated.lengths, arm.lengths)
-    if same and calibrated.chain is not None and arm.chain is not None:
+    if same and not calibrated.chain.planar and not arm.chain.planar:
         pairs = zip(calibrated.chain.joints, arm.chain.joints, strict=True)
         same = all(np.allclose(a.origin, b.origin) and np.allclose(a.axis, b.axis) for a, b in pairs)
     return bool(same)

@@ -47,7 +47,7 @@ def with_mounting_doubt(
     fit : the same for other measurements
     """
     chain = together.model.arm.chain if hasattr(together.model, "arm") else None
-    if chain is None or len(measurements.sessions) < 2:
+    if chain is None or chain.planar or len(measurements.sessions) < 2:
         return together
     renamed, old = renamed_by_session(measurements, tuple(chain.tools))
     if not old:
@@ -74,7 +74,6 @@ def _moved(apart: Identification, old: dict[str, str]) -> dict[str, str]:
     """How far each point that is moved significantly is from where the session before has it [mm], along the directions
     in which it is: the heights of a SCARA's reflectors, say, are hardly known."""
     chain = apart.model.arm.chain
-    assert chain is not None
     places: dict[str, Array] = composed_tools(chain, apart.model.parameters.mapping(apart.parameters))
     index = {name: k for k, name in enumerate(apart.names)}
     distances: dict[str, str] = {}

@@ -16,7 +16,7 @@ from identification.model import Model
 
 CHAIN = chain_of([DHRow(0.0, np.pi / 2, 200.0), DHRow(-300.0, 0.0, 0.0), DHRow(-250.0, 0.1, 40.0)])
 TOOLS = {"a": np.array([50.0, 0.0, 20.0]), "b": np.array([-40.0, 30.0, 10.0])}
-MODEL = Model(Arm.of_chain(replace(CHAIN, tools=TOOLS), sigma=0.05))
+MODEL = Model(Arm(replace(CHAIN, tools=TOOLS), sigma=0.05))
 POSTURES = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 3))
 
 

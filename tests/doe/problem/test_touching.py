@@ -35,7 +35,7 @@ def arm_of(kind: str, **changes: object) -> Arm:
     known = frozenset({TOOL})
     chain = replace(CHAIN, instrument=instrument, base=base, tools={"1": REFLECTOR}, known=known)
     joints = tuple(replace(joint, lower=-2.0, upper=2.0) for joint in chain.joints)
-    return Arm.of_chain(replace(chain, joints=joints), sigma=0.01, **changes)
+    return Arm(replace(chain, joints=joints), sigma=0.01, **changes)
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from identification.kinematics.instrument import Instrument
 
 CHAIN = chain_of([DHRow(300.0, 0.0, 10.0), DHRow(200.0, 1.0, 0.0)])
 BAR, BALL, FACE = (
-    Arm.of_chain(replace(CHAIN, instrument=one))
+    Arm(replace(CHAIN, instrument=one))
     for one in (Instrument("distance"), Instrument("sphere", 12.5), Instrument("plane"))
 )
 HEAD = 'kind = "spatial"\n[[dh]]\na_mm = 300.0\nalpha_deg = 0.0\nd_mm = 10.0\n'
