@@ -270,14 +270,16 @@ class SpatialChain(ByValue):
         be longer and may be bent to its left; 0: from the base to joint 1."""
         if link == 0:
             return frame.placed(matrix)
-        longer = values.get(f"{LENGTH_ERROR}:{link}", 0.0)
+        shift = ca.SX(ca.DM(matrix[:3, 3]))
+        longer = ca.SX(values.get(f"{LENGTH_ERROR}:{link}", 0.0))
         if "extensions" in added and self._steps[link]:
             longer += added["extensions"][link - 1]
-        if not ca.SX(longer).is_zero():
-            frame = frame.along(self.link_vectors[link - 1] / self._steps[link], longer)
+        if not longer.is_zero():
+            shift += ca.DM(self.link_vectors[link - 1] / self._steps[link]) * longer
         if "deflections" not in added:
-            return frame.placed(matrix)
-        return frame.moved(1, added["deflections"][link - 1]).placed(matrix).turned(2, added["slopes"][link - 1])
+            return frame.shifted(shift).placed(pose(rotation=matrix[:3, :3]))
+        shift[1] += added["deflections"][link - 1]
+        return frame.shifted(shift).turned(2, added["slopes"][link - 1])
 
     @cached_property
     def link_vectors(self) -> list[Array]:
