@@ -40,6 +40,8 @@ LARGEST_ACCELERATION = 1e6  # [m/s^2]
 SIGMA_RANGE = (1e-9, 1e9)  # [mm]
 MANY_TURNS = 10.0 * np.pi + 1e-6  # [rad] no arm turns a joint farther; degrees do
 
+DIAGNOSED = "armcal diagnose"  # `source` of the calibrations that it writes
+
 
 @dataclass(frozen=True, eq=False)
 class Gravity(ByValue):

@@ -53,7 +53,7 @@ def command(
     from identification.measurements import rms_distance
     from identification.servo import with_servo_errors
     from identification.validate import drawing_residuals
-    from identification.validate.judgement import judged
+    from identification.validate.validation import judged
 
     loaded = load_arm(arm)
     if models := [path for path in data if path.suffix.lower() == ".toml"]:

@@ -84,10 +84,9 @@ def command(
     from identification.model import Model
     from identification.servo import following_errors, with_servo_errors
     from identification.sessions import with_sessions
-    from identification.validate.judgement import prior_judged
-    from identification.validate.reuse import at_reference, with_base_doubt, words_of
+    from identification.validate.reuse import at_reference, with_base_doubt, with_mounting_doubt, words_of
     from identification.validate.row_groups import diagnosed
-    from identification.validate.set_up import with_mounting_doubt
+    from identification.validate.validation import prior_judged
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -198,8 +197,8 @@ def in_words(data: dict[str, Any]) -> list[str]:
 def fit_data(fit: Identification, path: Path, arm: Arm, data: Measurements, words: list[str]) -> dict[str, Any]:
     """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
     from doe.report.identification import dh_table
-    from identification.estimation.dh_values import Calibrated
-    from identification.estimation.left_out import left_out_rms
+    from identification.estimation.corrected_values import Calibrated
+    from identification.estimation.expected_tip import left_out_rms
     from identification.measurements import rms_distance
     from identification.validate import drawing_residuals
 

@@ -32,7 +32,7 @@ from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.progress import Progress, silent
 from identification.validate import drawing_residuals
-from identification.validate.judgement import judged
+from identification.validate.validation import judged
 
 FRESH, TARGETS = 200, 50  # postures
 

@@ -31,8 +31,7 @@ from doe.report.signed_residuals import Compared
 from identification.arm import Arm
 from identification.document import Action, Document, Pictures, Section, Sheet
 from identification.errors import InputError
-from identification.estimation.corrected_values import CorrectedValue, corrected_values
-from identification.estimation.dh_values import Calibrated
+from identification.estimation.corrected_values import Calibrated, CorrectedValue, corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import Table as CsvTable
 from identification.files.csv import read_table

@@ -20,7 +20,7 @@ from doe.problem.spatial_constraints import circle_across
 from doe.report.page import check_picture
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.estimation.intervals import quantile_95
+from identification.estimation.uncertainty import quantile_95
 from identification.files.io import write_whole
 from identification.gap.detectability import Detectability
 from identification.gap.result import Diagnosis

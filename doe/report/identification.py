@@ -13,9 +13,8 @@ from identification.compensate.compensation import Compensation
 from identification.document import Action, Document, Facts, Section, Sheet
 from identification.errors import InputError
 from identification.estimation import Identification
-from identification.estimation.corrected_values import CorrectedValue
-from identification.estimation.dh_values import Calibrated, dh_places, dh_values
-from identification.estimation.shown import facts
+from identification.estimation.corrected_values import Calibrated, CorrectedValue, dh_places, dh_values
+from identification.estimation.result import facts
 from identification.files.arm_chain import dh_rows
 from identification.inspection.inspection import Inspection
 from identification.kinematics.frames import point_table, pose_table

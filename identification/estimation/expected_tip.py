@@ -1,16 +1,30 @@
-"""How far a fitted arm's tip may be from where it is computed: the covariance of the parameters, at the tip."""
+"""How far a fitted arm's tip may be from where it is computed: the covariance of the parameters, at the tip.
+
+Where base and measured point cannot be told apart: the flange turned too little.
+
+    y_i = B (p_i + R_i t) + b
+
+A shift of the point t along v and the shift of the base that follows it move measured points by B (R_i - mean R) v and
+no more. Its mean square is v^T (I - (mean R)^T mean R) v: zero along every v where the flange keeps one orientation,
+and along the axis where it turns about one only, however many rows there are.
+
+What a fit leaves of postures that it has not seen: each left out in turn, without a second fit.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.estimation.base_and_tool import base_and_tool
-from identification.measurements import POINT
+from identification.kinematics.spatial import BASE, TOOL, SpatialChain
+from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
+from identification.model.placed import tip_frames
 from identification.model.positions import FEWEST, tip_jacobian
 from identification.sessions import placing
 from identification.threads import single_thread
@@ -117,3 +131,112 @@ def hardly_determined(fit: Identification) -> list[str]:
         doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
         return [f"away from the postures measured {doubt}. Keep near these postures, or measure others"]
     return []
+
+
+TOGETHER = "base and tool cannot be told apart"  # the beginning of that sentence
+HARDLY = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
+CAUSE = 2.0  # times less uncertain with the tool given: it is the reason
+
+
+def flange_turns(chain: SpatialChain, measurements: Measurements) -> Array:
+    """(3,) root mean square motion of a point 1 mm from the flange's center that its base follows [mm], by the axes
+    along which it is, the least first. Each session has a base of its own."""
+    turns, square = tip_frames(chain, measurements.postures)[:, :3, :3], np.zeros((3, 3))
+    for rows in measurements.session_rows:
+        apart = turns[rows] - turns[rows].mean(axis=0)
+        square += np.einsum("mji,mjk->ik", apart, apart)
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(square / len(turns)).clip(min=0.0)))
+
+
+def turns_measured(model: object, measurements: Measurements) -> Array | None:
+    """`flange_turns` of a fit of both base and tool; None for others."""
+    arm = getattr(model, "arm", None)
+    if arm is None or arm.chain.planar or {BASE, TOOL} & arm.chain.known:
+        return None
+    return flange_turns(arm.chain, measurements)
+
+
+def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> list[str]:
+    """The sentence that names it, where it is what leaves a fit uncertain; else none.
+
+    tip : expected error of the tip [mm] with a covariance (p, p); None: something is not identifiable at all
+    """
+    if (turns := fit.flange_turns) is None or turns[0] > HARDLY:
+        return []
+    arm = fit.model.arm
+    tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
+    if not tools:
+        return []
+    if tip is None and all(fit.identifiable[tools]):
+        return []
+    if tip is not None:
+        across = fit.covariance[:, tools]
+        within = np.linalg.pinv(fit.covariance[np.ix_(tools, tools)], hermitian=True)
+        if CAUSE * tip(fit.covariance - across @ within @ across.T) > tip(fit.covariance):  # with the tools known
+            return []
+    anywhere = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSES, arm.links))
+    able = flange_turns(arm.chain, Measurements(anywhere, np.zeros((POSES, 3))))
+    if able[0] <= HARDLY:  # all its axes are parallel
+        return []
+    how = "by 45 deg and more, or give [tool]"
+    if turns[1] <= HARDLY:  # mean squares of small turns a about x, y, z: y^2 + z^2, x^2 + z^2, x^2 + y^2
+        angle = np.degrees(np.sqrt(np.sum(turns**2) / 2.0))
+        kept = f"the flange kept one orientation, turned by {round(float(angle), 4):.2g} deg (RMS)"
+        return [f"{TOGETHER}: {kept}. Measure postures that turn it about two axes {how}"]
+    kept = f"the flange turned about one axis only, about others by {np.degrees(turns[0]):.2g} deg (RMS)"
+    return [f"{TOGETHER}: {kept}. Measure postures that turn it about another axis, too, {how}"]
+
+
+ALONE = 1e-9  # of 1: what is left of a posture that alone determines something
+
+
+@single_thread()
+def left_out_residuals(fit: Identification, measurements: Measurements) -> Array | None:
+    """(m, d) each posture's positions less where a fit to all other postures puts them [mm].
+
+    With the leverages H_g of the rows of a posture the residuals without them are (I - H_g)^-1 r_g: exact for a model
+    that is linear in its parameters, and to first order for any other (R. D. Cook, S. Weisberg, "Residuals and
+    Influence in Regression", 1982, section 2.2). The noise of one measurement is in it.
+
+    measurements : the rows of the fit; copies do not count, and get what is left of the row they copy
+
+    None where something is not identifiable, or a posture alone determines it.
+    """
+    if fit.not_identifiable or len(measurements) != len(fit.residuals_after):
+        return None
+    kept, weights = measurements.originals == np.arange(len(measurements)), np.ones(len(measurements))
+    if (sigma := measurements.sigma) is not None:
+        weights = np.sqrt(np.mean(sigma**2)) / sigma
+    _, jacobian = fit.model.linearize(measurements.postures, fit.parameters, measurements.conditions)
+    weights = weights[kept]
+    rows = weights[:, None, None] * jacobian[kept]
+    m, d, p = rows.shape
+    prior = np.zeros((0, p)) if fit.prior is None else fit.prior.rows(fit.model.parameters, fit.scatter or 0.0)
+    leverage = _orthonormal(np.concatenate([rows.reshape(-1, p), prior]))[: m * d].reshape(m, d, -1)
+    residuals = weights[:, None] * fit.residuals_after[kept]
+    without = np.empty_like(residuals)
+    for group in _groups(measurements.posture_numbers[kept]):
+        block = leverage[group].reshape(-1, leverage.shape[-1])
+        left = np.eye(len(block)) - block @ block.T
+        if np.linalg.eigvalsh(left)[0] < ALONE:
+            return None
+        without[group] = np.linalg.solve(left, residuals[group].ravel()).reshape(-1, d)
+    return np.asarray((without / weights[:, None])[np.cumsum(kept)[measurements.originals] - 1])
+
+
+def left_out_rms(fit: Identification, measurements: Measurements) -> float | None:
+    """Root mean square distance [mm] of `left_out_residuals`, copies not counted; None as there."""
+    residuals = left_out_residuals(fit, measurements)
+    return None if residuals is None else rms_distance(residuals[np.unique(measurements.originals)][:, POINT])
+
+
+def _orthonormal(rows: Array) -> Array:
+    """(N, p) columns of the same span, orthonormal."""
+    sizes = np.maximum(np.linalg.norm(rows, axis=0), np.finfo(float).tiny)
+    return np.asarray(np.linalg.qr(rows / sizes)[0])
+
+
+def _groups(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Row numbers of each posture, from the number of each row's (m,)."""
+    order = np.argsort(numbers, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1)

@@ -1,21 +1,128 @@
-"""The least-squares problem that every method solves: weighted residuals of data sets and their Jacobian."""
+"""What must hold before a fit: the data suit the model, and what is known of the noise.
+
+The least-squares problem that every method solves: weighted residuals of data sets and their Jacobian.
+
+The paper's iteration (Section III, Steps 1-5): the linearised solution of eq. 11, repeated.
+
+Step 1 starts at zero errors, Step 2 computes positions, Step 3 solves eq. 11 for the residuals, Step 4 corrects the
+model, Step 5 repeats. Nothing damps it and it knows no bounds. A linear change of coordinates does not change the
+iteration, so orientation offsets (the paper's) and joint offsets (ours) take the same steps.
+
+The methods of estimation by name: closed form, damped Gauss-Newton, and the paper's own steps.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
-from identification.estimation.levenberg_marquardt import Index, LeastSquares
+from identification.errors import InputError
+from identification.estimation.levenberg_marquardt import (
+    Index,
+    LeastSquares,
+    Solution,
+    compressed,
+    levenberg_marquardt,
+    outcomes,
+    truncated_steps,
+)
 from identification.estimation.prior import Prior
-from identification.estimation.triangle import compressed
-from identification.information import RANK_TOLERANCE
+from identification.information import RANK_TOLERANCE, column_lengths
 from identification.kinematics.closed_form import PlanarClosedForm
+from identification.kinematics.instrument import RADIUS
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
+from identification.status import Status
+
+RELIANCE = ("given", "estimated")
+
+
+class Noise(NamedTuple):
+    """Weights of the rows and the standard deviation of one coordinate; `sigma` is None where it must be estimated.
+
+    reliance : what the intervals rely on, see `uncertainty`
+    """
+
+    weights: Array  # (m,) 1/sigma_i^2 where sigma is known, else relative
+    sigma: float | None  # root mean square over rows [mm]
+    reliance: str | None = None
+
+
+def check_measurements(model: Model, measurements: Measurements, prior: Prior | None = None) -> None:
+    """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations.
+
+    prior : of parameters that need no equation, besides those of the model
+    """
+    _check_kind("model", model, "linearize", "a Model, as in Model(arm)")
+    _check_kind("measurements", measurements, "positions", "Measurements, as load_measurements(path) gives")
+    n, m, p = model.joints, len(measurements), len(model.parameters)
+    if measurements.links != n:
+        raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
+    if measurements.dimension not in getattr(model, "dimensions", (model.dimension,)):
+        allowed = f"allowed: {model.dimension} as the model has"
+        raise InputError(f"measurements: positions of {measurements.dimension} coordinates, {allowed}")
+    if p == 0:
+        raise InputError("model: every parameter is known, allowed: at least one to estimate")
+    _check_needs(model, measurements)
+    held = {*model.prior, *(() if prior is None else prior.names)}
+    p -= len(held & set(model.names))
+    if (d := measurements.dimension) * m < p:
+        counted = f"{d} m = {d * m} < p = {p}"
+        raise InputError(f"measurements: fewer equations than unknowns: {counted}, allowed: m >= {-(-p // d)}")
+
+
+def _check_needs(model: Model, measurements: Measurements) -> None:
+    for effect in model.effects:
+        if "temperature" in effect.needs and measurements.temperature is None:
+            raise InputError(
+                f"effects: {effect.key} needs the column temperature_C, the measurements have none, allowed: with it"
+            )
+        if "gravity" in effect.needs and model.arm.gravity is None:
+            allowed = "an arm file with a [gravity] table"
+            raise InputError(f"effects: {effect.key} needs gravity torques, allowed: {allowed}")
+        if "distance" in effect.needs and not model.arm.measures_distances:
+            allowed = "an arm file with an [instrument] of kind distance"
+            raise InputError(f"effects: {effect.key} needs measured distances, allowed: {allowed}")
+
+
+def _check_kind(name: str, value: object, needed: str, allowed: str) -> None:
+    if not hasattr(value, needed):
+        raise InputError(f"{name}: found {type(value).__name__}, allowed: {allowed}")
+
+
+def weighting(
+    model: Model, measurements: Measurements, sigma: ArrayLike | str | None, weights: ArrayLike | None
+) -> Noise:
+    """Which sigma holds (argument, then rows, then arm), and the weights that follow; of rows that are copied the first
+    counts, the others have no weight. Raises `InputError`."""
+    m = len(measurements)
+    relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
+    if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
+        raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
+    relative = np.where(measurements.originals == np.arange(len(measurements)), relative, 0.0)
+    if isinstance(sigma, str) and sigma not in RELIANCE:
+        raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
+    reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"
+    if reliance == "estimated":
+        return Noise(relative, None, reliance)
+    numbers = None if isinstance(sigma, str) else sigma
+    stated = next((s for s in (numbers, measurements.sigma, model.sigma) if s is not None), None)
+    if stated is None and reliance == "given":
+        allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
+        raise InputError(f"sigma: 'given', but none is given, allowed: {allowed}")
+    if stated is None:
+        return Noise(relative, None)
+    deviations = np.asarray(stated, dtype=float)
+    if deviations.shape not in ((), (m,)) or not np.all(np.isfinite(deviations) & (deviations > 0.0)):
+        raise InputError(f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
+    return Noise(relative / deviations**2, float(np.sqrt(np.mean(deviations**2))), reliance)
+
 
 ROUNDING = 1e-14  # of a coordinate, after a chain of some ten operations
 
@@ -132,3 +239,96 @@ class Problem:
         """(m d, p) weighted Jacobian of the plan that the data sets share, at parameters (p,), without the prior."""
         jacobian = self.root_weights[:, :, None] * self.model.jacobian(self.postures, parameters, self.conditions)
         return jacobian.reshape(-1, jacobian.shape[-1])
+
+
+MAX_ITERATIONS = 50
+STEP_TOLERANCE = 1e-12  # of the arm's reach; "required accuracy" of Step 5
+
+
+def paper_steps(problem: Problem) -> Solution:
+    """Steps 1-5 until the correction is below 1e-12 of the reach. Raises `InputError` for parameters with bounds."""
+    model = problem.model
+    for parameter in model.parameters:
+        if np.isfinite(parameter.lower) or np.isfinite(parameter.upper):
+            bounded = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
+            raise InputError(f"method: paper_steps knows no bounds, {bounded}; allowed: gauss_newton")
+    errors = np.zeros(len(model.parameters))  # Step 1
+    enough = STEP_TOLERANCE * model.reach
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        residuals, jacobian = problem.linearize_at(errors)  # Step 2
+        # Step 3, eq. 11: the least-squares solution, the shortest where the rank is not full
+        lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), model.scales)
+        columns = np.where(zero, 0.0, jacobian / lengths)
+        correction = truncated_steps(columns[None], residuals[None], np.zeros(1), problem.tolerance)[0][0] / lengths
+        errors = errors + correction  # Step 4
+        if not np.all(np.isfinite(errors)):
+            return _end(problem, np.zeros(len(errors)), Status.solver_failed, iteration)
+        if np.linalg.norm(correction * model.scales) <= enough:  # Step 5
+            return _end(problem, errors, Status.converged, iteration)
+    return _end(problem, errors, Status.iteration_limit, MAX_ITERATIONS)
+
+
+def _end(problem: Problem, errors: Array, status: Status, iterations: int) -> Solution:
+    parameters = errors[None]
+    inactive = np.zeros(parameters.shape, dtype=bool)
+    ends = np.array([status], dtype=object), np.array([iterations])
+    return Solution(parameters, problem.squares(parameters), inactive, *ends)
+
+
+def linear(problem: Problem) -> Solution:
+    """Exact global minimiser of a model with a closed form. Raises `InputError` for any other model."""
+    form = problem.exact_form
+    if form is None:
+        allowed = "lengths and offsets, nothing known, and no effect but base_offset; use gauss_newton"
+        raise InputError(f"method: linear does not fit this model, allowed: {allowed}")
+    parameters, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
+    status = outcomes(np.isfinite(squares), Status.converged, Status.solver_failed)
+    return Solution(parameters, squares, np.zeros(parameters.shape, dtype=bool), status, np.ones(len(squares), int))
+
+
+def damped_gauss_newton(problem: Problem) -> Solution:
+    """A stationary point within the bounds, by damped Gauss-Newton steps (Levenberg-Marquardt) from `starts`."""
+    return levenberg_marquardt(problem.least_squares, starts(problem))
+
+
+METHODS: Mapping[str, Callable[[Problem], Solution]] = {
+    "linear": linear,
+    "gauss_newton": damped_gauss_newton,
+    "paper_steps": paper_steps,
+}
+
+
+def starts(problem: Problem) -> Array:
+    """(K, p) the closed form of the model without its effects, or the best known values where those fit better.
+
+    The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
+    """
+    best_known = np.tile(problem.start, (len(problem.positions), 1))
+    if RADIUS in problem.model.names:
+        return _with_radius(problem, best_known)
+    form = problem.model.closed_form
+    if form is None:
+        return best_known
+    solved = best_known.copy()
+    solved[:, form.indices] = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)[0]
+    if not np.any(problem.start):
+        return solved  # nothing is known that the closed form does not know
+    return np.where((problem.squares(best_known) < problem.squares(solved))[:, None], best_known, solved)
+
+
+def _with_radius(problem: Problem, starts: Array) -> Array:
+    """(K, p) of contacts with a sphere of unknown radius: the mean distance from its center at starts (K, p), and all
+    others as they fit best with that.
+
+    An arm that shrinks with its sphere would explain any residual to first order, since heights above the sphere are
+    homogeneous in all lengths; where nothing but noise is left, it explains no more than that.
+    """
+    k, least = problem.model.names.index(RADIUS), problem.least_squares
+    starts[:, k] -= problem.residuals(starts).mean(axis=(1, 2))
+
+    def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
+        residuals, jacobian = least.linearize(parameters, index)
+        jacobian[..., k] = 0.0
+        return residuals, jacobian
+
+    return levenberg_marquardt(replace(least, linearize=linearize), starts).parameters

@@ -10,9 +10,9 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.estimation.checks import check_measurements
+from identification.estimation.doubts import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.estimation.outlying import outlying, together
-from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
+from identification.estimation.problem import check_measurements
 from identification.gap import words
 from identification.gap.average import PredictingModel, averaged
 from identification.gap.blocks import REST

@@ -14,12 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
-from identification.estimation.intervals import freedom_kept, limits_95
-from identification.estimation.uncertainty import FittedRows, uncertainty
+from identification.estimation.uncertainty import FittedRows, freedom_kept, limits_95, uncertainty
 from identification.gap import words
 from identification.gap.confirmation import Confirmation, Gap, Offered
 from identification.gap.curve import Curve
@@ -35,7 +34,6 @@ from identification.kinematics.joint_range import joint_range
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import placed_calibration
-from identification.validate.row_groups import DIAGNOSED
 
 
 class Estimate(NamedTuple):

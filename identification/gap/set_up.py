@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from identification.arrays import Array
 from identification.effects.places import widths
-from identification.estimation.plausibility import FALL
+from identification.estimation.doubts import FALL
 from identification.gap.average import PredictingModel
 from identification.gap.fit import Fit
 from identification.kinematics.placement import placed, registered

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from identification.estimation import Identification, estimate
-from identification.estimation.with_prior import UNUSUAL
+from identification.estimation.estimate import UNUSUAL
 from identification.gap.noise import NoiseFloor
 from identification.gap.words import of_joints
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, Parameter

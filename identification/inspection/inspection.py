@@ -12,9 +12,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.base_and_tool import TOGETHER
-from identification.estimation.expected_tip import FEW, hardly_determined
-from identification.estimation.plausibility import (
+from identification.estimation.doubts import (
     another_frame,
     beyond_limits,
     copied_rows,
@@ -23,7 +21,8 @@ from identification.estimation.plausibility import (
     limited,
     outside_limits,
 )
-from identification.estimation.shown import MISFIT
+from identification.estimation.expected_tip import FEW, TOGETHER, hardly_determined
+from identification.estimation.result import MISFIT
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.data_checks import data_warnings, gap_notes, wrong_units
 from identification.inspection.enough import Sufficiency, sufficiency

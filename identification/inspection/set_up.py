@@ -11,7 +11,7 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.plausibility import FAR_ZERO, SPARE
+from identification.estimation.doubts import FAR_ZERO, SPARE
 from identification.estimation.uncertainty import LEVEL
 from identification.inspection.data_checks import DRAWN
 from identification.inspection.readings import anywhere, as_written, some_of_one_point

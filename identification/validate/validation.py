@@ -1,11 +1,13 @@
 """Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands.
 
 Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with.
+
+Judge a model before it is offered for use: does it predict what it has not seen better than the geometry alone?
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,16 +18,18 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document, Section, Sheet
 from identification.errors import InputError, nearest
-from identification.estimation import estimate
+from identification.estimation import Identification, estimate
+from identification.estimation.expected_tip import left_out_residuals
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
-from identification.gap.confirmation import LEVEL, gained_squares
+from identification.gap.confirmation import LEVEL, Offered, gained_squares
+from identification.gap.result import Diagnosis
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.numbers_in_text import in_a_sentence, number
-from identification.sessions import placing, with_sessions
-from identification.validate.refit import fresh_points, placed_values, refit_model, refit_parameters
+from identification.sessions import placing, with_sessions, without_sessions
+from identification.validate.reuse import fresh_points, placed_values, refit_model, refit_parameters
 from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
 
 # of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
@@ -352,3 +356,42 @@ def validation_verdict(data: Mapping[str, Any], model: str = "the model", rows: 
 def drawing_in_words(rms: float, refit: str = "base") -> str:
     """What the drawing leaves [mm], and what was fitted of it;  refit : as for `validate`"""
     return f"{in_a_sentence(rms)} mm (drawing, {DRAWN[refit]})"
+
+
+def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:
+    """The diagnosis with what its extended model is worth beside the geometry (`Diagnosis.offered`).
+
+    Where nothing is missing nothing is offered. On a hold-out both are placed as `validate` places them, so that the
+    figures are those that it gives of the files of `diagnose --out` and of `identify --out`; without one, the
+    cross-validation over postures says it.
+
+    arm : as it was diagnosed;  measurements, holdout : as for `diagnose`
+    """
+    if diagnosis.verdict == "none" or not diagnosis.predicting.specs:
+        return diagnosis
+    if holdout is None:
+        tests = [test for test in diagnosis.cross_validation if test.transfer == "other postures"]
+        return replace(diagnosis, offered=Offered.of_test(tests[0])) if tests else diagnosis
+    kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
+    geometry = identified_geometry(arm, kept)
+    try:
+        alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
+    except InputError:  # too few rows to place the arm
+        return diagnosis
+    return replace(diagnosis, offered=Offered.of("holdout", alone, extended, holdout))
+
+
+def identified_geometry(arm: Arm, measurements: Measurements) -> Arm:
+    """The arm as `identify` calibrates it, where it stands in the first session."""
+    fit = estimate(Model(with_sessions(arm, measurements)), measurements)
+    return replace(arm, calibration=without_sessions(fit.calibration()))
+
+
+def prior_judged(
+    geometry: Callable[[], Identification], fit: Identification, measurements: Measurements
+) -> Offered | None:
+    """What a fit with a prior of further effects is worth beside the geometry, each posture predicted from the others;
+    None where the rows determine the one or the other not."""
+    model = left_out_residuals(fit, measurements)
+    alone = None if model is None else left_out_residuals(geometry(), measurements)
+    return None if model is None or alone is None else Offered.of("cross-validation", alone, model, measurements)

@@ -18,7 +18,7 @@ from identification.arm import Arm, Calibration
 from identification.compensate import compensate
 from identification.errors import InputError
 from identification.estimation import estimate
-from identification.estimation.plausibility import outside_limits
+from identification.estimation.doubts import outside_limits
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm
 from identification.files.csv import read_table

@@ -35,7 +35,7 @@ from doe.studies.blind.rivals import (
 )
 from doe.studies.blind.score import BARS, BlindStudy, contradictions, scored_table
 from identification.errors import InputError, nearest
-from identification.estimation.intervals import quantile_95
+from identification.estimation.uncertainty import quantile_95
 from identification.files.io import write_together
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm
 from identification.estimation import Identification, estimate
-from identification.estimation.base_and_tool import TOGETHER, flange_turns
+from identification.estimation.expected_tip import TOGETHER, flange_turns
 from identification.inspection.inspection import inspect
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose

@@ -10,10 +10,9 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import Identification, estimate, estimate_with_prior
-from identification.estimation.checks import weighting
-from identification.estimation.contradictions import Linear, contradicted
+from identification.estimation.doubts import Linear, contradicted
 from identification.estimation.prior import Earlier, Prior
-from identification.estimation.problem import Problem
+from identification.estimation.problem import Problem, weighting
 from identification.measurements import Measurements
 from identification.model import Model
 

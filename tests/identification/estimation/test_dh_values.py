@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import Identification, estimate
-from identification.estimation.dh_values import Calibrated, dh_places, dh_values
+from identification.estimation.corrected_values import Calibrated, dh_places, dh_values
 from identification.kinematics.corrected import corrected
 from identification.kinematics.corrected_dh import corrected_links, drawn_links
 from identification.kinematics.denavit_hartenberg import chain_of

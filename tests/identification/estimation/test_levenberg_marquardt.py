@@ -10,12 +10,12 @@ from scipy.optimize import least_squares
 
 from identification.estimation.levenberg_marquardt import (
     GRADIENT_TOLERANCE,
+    MANY,
     LeastSquares,
     Linearize,
     damped_steps,
     levenberg_marquardt,
 )
-from identification.estimation.triangle import MANY
 from identification.status import Status
 
 INF = np.inf

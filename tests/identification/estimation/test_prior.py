@@ -7,9 +7,8 @@ import pytest
 
 from identification.arm import EffectSpec
 from identification.errors import InputError
-from identification.estimation.methods import damped_gauss_newton
 from identification.estimation.prior import Prior, effective_count
-from identification.estimation.problem import Problem
+from identification.estimation.problem import Problem, damped_gauss_newton
 from identification.information import covariance
 from identification.measurements import Measurements
 from identification.model import Model

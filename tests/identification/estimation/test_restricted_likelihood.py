@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 from scipy.optimize import minimize_scalar
 
-from identification.estimation.restricted_likelihood import Restricted
+from identification.estimation.prior import Restricted
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import sqrtm
 
-from identification.estimation.sandwich import sandwich
+from identification.estimation.uncertainty import sandwich
 
 GROUPS = np.array([0, 0, 0, 1, 2, 2, 3, 3, 3, 3, 4, 4, 5, 5, 6, 7])  # of 16 rows, of different sizes
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.estimation.triangle import BLOCK, compressed, triangle
+from identification.estimation.levenberg_marquardt import BLOCK, compressed, triangle
 
 
 @pytest.mark.parametrize("rows", [6, 300, 2 * BLOCK + 3])

@@ -12,10 +12,16 @@ from scipy import stats
 from identification.arm import Arm, Machining
 from identification.errors import InputError
 from identification.estimation import estimate
-from identification.estimation.intervals import quantile_95
-from identification.estimation.left_out import left_out_rms
-from identification.estimation.plausibility import copied_rows
-from identification.estimation.uncertainty import FittedRows, correlated, lack_of_fit, stretches, uncertainty
+from identification.estimation.doubts import copied_rows
+from identification.estimation.expected_tip import left_out_rms
+from identification.estimation.uncertainty import (
+    FittedRows,
+    correlated,
+    lack_of_fit,
+    quantile_95,
+    stretches,
+    uncertainty,
+)
 from identification.information import spectrum
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements

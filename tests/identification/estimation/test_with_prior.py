@@ -13,10 +13,8 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.checks import weighting
-from identification.estimation.prior import Prior
-from identification.estimation.problem import Problem
-from identification.estimation.restricted_likelihood import WIDTHS, ZERO_WIDTHS, LinearizedProblem, Widths, likeliest
+from identification.estimation.prior import WIDTHS, ZERO_WIDTHS, LinearizedProblem, Prior, Widths, likeliest
+from identification.estimation.problem import Problem, weighting
 from identification.gap.library.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements

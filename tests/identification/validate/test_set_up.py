@@ -20,7 +20,7 @@ from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
 from identification.status import Status
 from identification.validate import drawing_residuals, validate
-from identification.validate.set_up import with_mounting_doubt
+from identification.validate.reuse import with_mounting_doubt
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
