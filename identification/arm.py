@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
+from identification.document import html_lines, html_table
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
-from identification.html_tables import html_lines, html_table
 from identification.kinematics.counting import Counting, JointKinds, check_kinds
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
     LENGTH_ERROR,
+    MAX_LINKS,
     REVOLUTE,
     by_joint,
     chain_parameters,
@@ -30,7 +31,6 @@ from identification.kinematics.parameters import (
 from identification.kinematics.spatial import SpatialChain, planar_chain
 from identification.workspace import ColumnLimits, WorkspaceConstraint
 
-MAX_LINKS = 12
 # what files may say: beyond these, squares overflow and sines of angles are noise
 LENGTH_RANGE = (1e-6, 1e9)  # [mm] of a link
 LARGEST_LENGTH = LENGTH_RANGE[1]  # [mm] of a coordinate

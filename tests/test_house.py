@@ -22,9 +22,13 @@ LAYERS = {
     "identification.status": 0,
     "identification.progress": 0,
     "identification.data_frames": 1,
-    "identification.html_tables": 0,
     "identification.document": 0,
-    "identification.numbers_in_text": 0,
+    "identification.documents.identification": 5,
+    "identification.documents.diagnosis": 6,
+    "identification.documents.inspection": 7,
+    "identification.documents": 2,
+    "identification.documents.pictures": 6,
+    "identification.documents.use": 6,
     "identification.threads": 0,
     "identification.files": 1,
     "identification.kinematics": 1,
@@ -59,6 +63,7 @@ LAYERS = {
     "identification.inspection.data_checks": 5,
     "identification.validate.row_groups": 5,
     "identification.compensate": 6,
+    "identification.workflow": 8,
     "identification.sessions": 5,
     "identification.validate": 6,
     "identification.gap": 6,
@@ -217,7 +222,6 @@ def test_every_layer_has_a_module() -> None:
 # names of several modules that mean the same in each
 SAME = {
     "command": "a verb of the command line",
-    "html": "a result as it is shown",
 }
 
 

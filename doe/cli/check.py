@@ -17,7 +17,6 @@ def command(common: CommonOptions, arm: File, data: File) -> Answer:
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
     """
-    from doe.report.identification import inspection_document
     from identification.files.arm import load_arm
     from identification.files.arm_chain import urdf_masses
     from identification.files.measurement import load_measurements
@@ -27,4 +26,4 @@ def command(common: CommonOptions, arm: File, data: File) -> Answer:
     measurements = load_measurements(data, loaded)
     common.report(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
     inspection = inspect(loaded, measurements, urdf_masses(arm))
-    return Answer(inspection.to_json(), [inspection_document(inspection, str(arm), str(data))])
+    return Answer(inspection.to_json(), [inspection.document(str(arm), str(data))])

@@ -23,7 +23,6 @@ def command(
     force : Overwrite an existing file.
     """
     from doe.problem.constraints import constraints_of
-    from doe.report.identification import compensation_document
     from identification.compensate import compensate
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets
@@ -45,4 +44,4 @@ def command(
         commands.reached,
     )
     lines = written({out: commands_text(commands.safe_commands, *columns, commands.messages)}, force, "commands")
-    return Answer(commands.to_json(), [compensation_document(commands).plus(*lines)])
+    return Answer(commands.to_json(), [commands.document().plus(*lines)])

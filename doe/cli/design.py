@@ -71,7 +71,7 @@ def command(
     from doe.plan.tip_error import tip_beside_random
     from doe.problem.robust import with_choices
     from doe.report.design import design_document, missing_lines
-    from doe.report.identification import identify_command
+    from identification.documents.identification import identify_command
     from identification.files.arm import load_arm
 
     for option, needed in (("loss", search.discriminating), ("draws", postures.uncertain)):

@@ -45,8 +45,8 @@ def command(
     out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
     force : Overwrite an existing file.
     """
-    from doe.report.gap import diagnosis_document
     from doe.report.page import page
+    from identification.documents.diagnosis import diagnosis_document
     from identification.files.arm import load_arm
     from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose

@@ -14,7 +14,7 @@ def command(common: CommonOptions, name: str | None = None) -> Answer:
     the arm file that some of them need. Effects of installed packages (entry points armcal.effects) are in the
     list.
     """
-    from doe.report.library import entry_document, gravity_document, library_document
+    from identification.documents.library import entry_document, gravity_document, library_document
     from identification.effects.catalogue import GRAVITY, entries, entry
 
     if name == "gravity":

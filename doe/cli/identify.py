@@ -77,7 +77,7 @@ def command(
     out : Write a calibrated arm file (TOML).
     force : Overwrite an existing file.
     """
-    from doe.report.identification import hardly_better, identification_actions, identification_document
+    from identification.documents.identification import hardly_better, identification_actions, identification_document
     from identification.estimation import estimate
     from identification.estimation import without_outliers as without
     from identification.files.arm import load_arm
@@ -196,11 +196,11 @@ def in_words(data: dict[str, Any]) -> list[str]:
 
 def fit_data(fit: Identification, path: Path, arm: Arm, data: Measurements, words: list[str]) -> dict[str, Any]:
     """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
-    from doe.report.identification import dh_table
     from identification.estimation.corrected_values import Calibrated
     from identification.estimation.expected_tip import left_out_rms
     from identification.measurements import rms_distance
     from identification.validate import drawing_residuals
+    from identification.workflow import dh_table
 
     try:
         drawing = rms_distance(drawing_residuals(arm, data))

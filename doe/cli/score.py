@@ -80,7 +80,7 @@ def command(
 
 
 def _alias_drawing(sees: Detectability) -> Figure:
-    from doe.report.figures import alias_figure  # deferred: matplotlib takes longer to load than a score
+    from identification.documents.pictures import alias_figure  # deferred: matplotlib takes longer to load than a score
 
     return alias_figure(sees)
 

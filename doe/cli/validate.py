@@ -34,9 +34,9 @@ def command(
     picture : Draw residuals against time and over the workspace (PNG, SVG, PDF).
     force : Overwrite an existing file.
     """
-    from doe.report.identification import validation_actions
+    from identification.documents.use import is_better, validation_actions
     from identification.files.arm import load_arm
-    from identification.validate import is_better, validate
+    from identification.validate import validate
     from identification.validate.row_groups import mostly_outside
 
     arm = load_arm(model)
@@ -52,6 +52,8 @@ def command(
 
 def validation_drawing(validation: Validation) -> Figure:
     """Residuals against time and over the workspace."""
-    from doe.report.figures import validation_figure  # deferred: matplotlib takes longer to load than a validation
+    from identification.documents.pictures import (
+        validation_figure,  # deferred: matplotlib takes longer to load than a validation
+    )
 
     return validation_figure(validation)

@@ -10,7 +10,7 @@ import numpy as np
 
 from identification.arrays import Array, ByValue, readonly
 from identification.data_frames import frame_of_columns
-from identification.html_tables import html_lines, html_table
+from identification.document import html_lines, html_table
 from identification.kinematics.counting import counting_in, in_columns
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
 

@@ -14,22 +14,19 @@ import numpy as np
 from doe.plan.file import load_plan
 from doe.plan.plan import Plan
 from doe.report.design import design_verdict, plan_actions, plan_section
-from doe.report.figures import workspace_arrows
-from doe.report.gap import diagnosis_actions, diagnosis_sections, diagnosis_verdict, gap_in_words
-from doe.report.identification import (
+from identification.arm import Arm
+from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number
+from identification.documents.diagnosis import diagnosis_actions, diagnosis_sections, diagnosis_verdict, gap_in_words
+from identification.documents.identification import (
     calibrated_actions,
-    command_rows,
     corrected_section,
     dh_sections,
-    dh_table,
     expected_elsewhere,
     identification_verdict,
     identify_command,
-    rows_listed,
 )
-from doe.report.signed_residuals import Compared
-from identification.arm import Arm
-from identification.document import Action, Document, Pictures, Section, Sheet
+from identification.documents.pictures import Compared, workspace_arrows
+from identification.documents.use import command_rows, rows_listed, validation_sections, validation_verdict
 from identification.errors import InputError
 from identification.estimation.corrected_values import Calibrated, CorrectedValue, corrected_values
 from identification.files.arm import load_arm
@@ -40,10 +37,10 @@ from identification.files.measurement import load_measurements
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances
 from identification.model import Model
-from identification.numbers_in_text import as_sentence, number
-from identification.validate import Validation, validate, validation_sections, validation_verdict
+from identification.validate import Validation, validate
 from identification.validate.reuse import same_drawing
 from identification.validate.row_groups import data_hashes, diagnosed, outside
+from identification.workflow import dh_table
 
 # a command -> keys that its JSON object alone has
 KEYS = {

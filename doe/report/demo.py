@@ -10,11 +10,19 @@ from doe.demo.run import Demo
 from doe.design import optimality_in_words
 from doe.report.design import design_verdict, plan_section
 from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm, draw_side
-from doe.report.gap import diagnosis_sections, diagnosis_verdict
-from doe.report.signed_residuals import Compared, joint_errors
-from identification.document import Action, Document, Pictures, Section, Sheet
+from identification.document import (
+    Action,
+    Document,
+    Pictures,
+    Section,
+    Sheet,
+    number,
+    to_significant_digits,
+    unit_or_dash,
+)
+from identification.documents.diagnosis import diagnosis_sections, diagnosis_verdict
+from identification.documents.pictures import Compared, joint_errors
 from identification.model import Model
-from identification.numbers_in_text import number, to_significant_digits, unit_or_dash
 
 
 def demo_document(demo: Demo) -> Document:

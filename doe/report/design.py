@@ -22,21 +22,20 @@ from doe.plan.plan import Plan
 from doe.plan.replicate_spacing import distance_to_keep
 from doe.problem.problem import DesignProblem
 from doe.problem.spatial import COLLISIONS
-from doe.report.identification import identify_command
 from doe.solvers.solver import LONG_PLAN
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet
+from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
+from identification.documents.diagnosis import untested
+from identification.documents.identification import identify_command
 from identification.estimation.corrected_values import NARROWED
 from identification.files.csv import Table as CsvTable
 from identification.files.measurement_columns import posture_columns
 from identification.gap.detectability import Detectability
 from identification.gap.result import Diagnosis
-from identification.gap.words import untested
 from identification.kinematics.parameters import EFFECT
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.numbers_in_text import in_a_sentence, number
 
 Data = Mapping[str, Any]  # what a command says with --json
 

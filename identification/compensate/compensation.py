@@ -31,6 +31,8 @@ from identification.compensate.inverse_kinematics import (
     violations,
 )
 from identification.data_frames import frame_of_columns
+from identification.document import Document
+from identification.documents.use import compensation_document
 from identification.errors import InputError
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import counting_in, in_columns
@@ -357,8 +359,15 @@ class Compensation:
         left: dict[str, Any] = {"error_mm": self.left, "reachable": self.reached, "message": self.messages}
         return frame_of_columns(columns | left, kind)
 
+    def document(self) -> Document:
+        """How many targets are reached and which are not, then joint commands for the first ones."""
+        return compensation_document(self)
+
     def __repr__(self) -> str:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
+
+    def _repr_html_(self) -> str:
+        return self.document()._repr_html_()
 
 
 def _where(shown: NDArray[np.bool_], rows: Array) -> list[Any]:

@@ -1,7 +1,4 @@
-"""What an identification found, with its uncertainty.
-
-An identification as text and as tables of a notebook.
-"""
+"""What an identification found, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -17,7 +14,8 @@ from scipy.special import chdtrc
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_rows
-from identification.document import Document, Facts, Sheet
+from identification.document import Document
+from identification.documents import identification as shown
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.doubts import Contradiction, contradiction_warnings
 from identification.estimation.expected_tip import hardly_determined, tip_of
@@ -27,7 +25,6 @@ from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint, orientation_transform
 from identification.measurements import POINT, distances, rms_distance
 from identification.model import Model
-from identification.numbers_in_text import number, to_significant_digits
 from identification.status import Status
 
 
@@ -133,7 +130,7 @@ class Identification:
         """What chi2 says where it rejects the model or the sigma given, and what follows for the intervals."""
         if self.p_value is None or self.p_value >= LEVEL or self.scatter is None or not self.sigma:
             return None
-        return misfit_sentence(self, self.p_value, self.scatter / self.sigma)
+        return shown.misfit_sentence(self, self.p_value, self.scatter / self.sigma)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -143,7 +140,7 @@ class Identification:
         misfit = (*contradiction_warnings(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
         doubts = (*self.doubts, *hardly_determined(self))
         if self.status is Status.iteration_limit:
-            return (UNFINISHED, *misfit, *doubts)
+            return (shown.UNFINISHED, *misfit, *doubts)
         return (*doubts, *misfit) if self.status is Status.implausible else (*misfit, *doubts)
 
     @cached_property
@@ -293,7 +290,7 @@ class Identification:
         rows = zip(self.model.parameters, values, self.std, *self.intervals.T, strict=True)
         return [
             {"name": p.name, "unit": p.file_unit}
-            | {k: float(v * p.to_file) if np.isfinite(v) else None for k, v in zip(COLUMNS, figures, strict=True)}
+            | {k: float(v * p.to_file) if np.isfinite(v) else None for k, v in zip(shown.COLUMNS, figures, strict=True)}
             for p, *figures in rows
         ]
 
@@ -303,13 +300,17 @@ class Identification:
         closed = self.method == "linear" and self.status is Status.converged
         return "Closed form, the exact global minimum." if closed else self.status.value
 
+    def document(self) -> Document:
+        """The parameters with their intervals, and how well the model fits."""
+        return shown.parameters_document(self)
+
     def __str__(self) -> str:
-        return str(identification_sheet(self))
+        return str(self.document())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return identification_sheet(self)._repr_html_()
+        return self.document()._repr_html_()
 
 
 _OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")
@@ -324,63 +325,3 @@ _NOT_KEPT = (
     "clusters",
     *_OF_GEOMETRY,
 )
-
-
-MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
-COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
-HEADINGS = ("parameter", "value", "std", "95 % low", "95 % high", "unit")
-UNFINISHED = (
-    "the fit stopped at the limit of iterations before it converged: values that the measurements hardly determine may "
-    "still move together, and their intervals hold only near where it stopped"
-)
-
-
-def p_value_in_words(p: float) -> str:
-    """`p = 0.012`; a p-value that underflows is not shown as zero."""
-    return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
-
-
-def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
-    """That chi2 rejects the model or the sigma given, and what follows; times : residuals in units of that sigma."""
-    figures = f"chi2 {fit.chi2:.4g}, {fit.dof} degrees of freedom, {p_value_in_words(p_value)}"
-    prior = "the prior does not hold (above), " if fit.contradictions else ""
-    cause = f"{prior}the model is incomplete or sigma_mm too small"
-    relied = fit.uncertainty.kind == "given"
-    follows = "rely on sigma_mm and are too narrow" if relied else "do not rely on sigma_mm"
-    do = "settle the prior first" if fit.contradictions else "armcal diagnose looks for what is missing"
-    shown = f"{times:{'.3g' if times < 1000.0 else '.0f'}}"
-    scatter = f"{MISFIT} {shown} times sigma_mm = {fit.sigma:.4g} ({figures})"
-    return f"{scatter}: {cause}. The intervals {follows}; {do}"
-
-
-def identification_sheet(fit: Identification) -> Document:
-    """All of it: the parameters, rounded by their standard deviations, and what else was found."""
-    rows = [
-        [name, *(to_significant_digits(row[key], row["std"]) for key in COLUMNS), row["unit"]]
-        for name, row in zip(fit.shown_names, fit.rows(), strict=True)
-    ]
-    open_ones = [("not identifiable", combination) for combination in fit.not_identifiable]
-    return Document("Identification", [], [Sheet(HEADINGS, rows), Facts([*open_ones, *facts(fit)])], (), fit.warnings)
-
-
-def facts(fit: Identification) -> list[tuple[str, str | None]]:
-    """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
-    origin = "given" if fit.sigma_known else "estimated"
-    sigma = "unknown" if fit.sigma is None else f"{fit.sigma:.4g} mm per axis ({origin})"
-    chi2 = None if fit.p_value is None else f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}"
-    doubt = "; but chi2 says that it is not" if fit.misfit else ""
-    tip = None
-    if fit.expected_tip is not None:
-        measured = f"{fit.expected_tip_measured:.4g} mm at the tip at postures like those measured"
-        tip = f"{measured}, {fit.expected_tip:.4g} mm over the joint limits (RMS), if the model is right{doubt}"
-    angles = None if fit.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
-    return [
-        ("method", f"{fit.method}: {fit.outcome}"),
-        ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} mm"),
-        ("largest", f"{fit.max_before:.4g} -> {fit.max_after:.4g} mm"),
-        ("orientations, RMS", angles),
-        ("expected error", tip),
-        ("sigma", f"{sigma}, {fit.dof} degrees of freedom"),
-        ("chi2", chi2 and f"{chi2}: the residuals scatter {number(fit.scatter, 5)} mm"),
-        ("95 % intervals", fit.uncertainty.sentence),
-    ]

@@ -6,8 +6,9 @@ Its effects are `Candidate`, a set of them with estimates and intervals, and `Tr
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -18,8 +19,9 @@ from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
+from identification.document import Document
+from identification.documents import diagnosis as words
 from identification.estimation.uncertainty import FittedRows, freedom_kept, limits_95, uncertainty
-from identification.gap import words
 from identification.gap.confirmation import Confirmation, Gap, Offered
 from identification.gap.curve import Curve
 from identification.gap.detectability import Beside, Detectability, OrderRange, Size
@@ -229,7 +231,7 @@ class Diagnosis:
     shapes : named waves whose order the range of their joint does not determine
     replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
-    offered : the extended model beside the geometry alone, None where it was not judged (`validate.judgement.judged`)
+    offered : the extended model beside the geometry alone, None where it was not judged (`validate.validation.judged`)
     data : `file` and `sha256` of the rows, if known
     """
 
@@ -391,10 +393,19 @@ class Diagnosis:
         sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
         return frame_of_rows([{**said, **p._asdict()} for said, parameters in sets for p in parameters], kind)
 
+    def document(
+        self,
+        files: Sequence[str] = ("arm.toml", "data.csv"),
+        written: Path | None = None,
+        nominal: float | None = None,
+    ) -> Document:
+        """All of it, with pictures: `documents.diagnosis.diagnosis_document`."""
+        return words.diagnosis_document(self.to_json(), self, files, written, nominal)
+
     def __str__(self) -> str:
-        return words.text(self)
+        return str(self.document())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return words.html(self)
+        return self.document().without_pictures()._repr_html_()

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from identification.document import of_joints
 from identification.estimation import Identification, estimate
 from identification.estimation.estimate import UNUSUAL
 from identification.gap.noise import NoiseFloor
-from identification.gap.words import of_joints
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, Parameter
 from identification.measurements import POINT, Measurements
 

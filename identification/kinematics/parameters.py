@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
 
+MAX_LINKS = 12
 # unit in the API -> (unit in files and tables, factor to it, suffix of the key in an arm file)
 FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
     {

@@ -9,38 +9,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.document import Document, Section, Sheet
+from identification.document import Document
+from identification.documents.identification import DRAWN
+from identification.documents.use import FITTED, HARDLY, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.expected_tip import left_out_residuals
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.gap.confirmation import LEVEL, Offered, gained_squares
-from identification.gap.result import Diagnosis
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.numbers_in_text import in_a_sentence, number
 from identification.sessions import placing, with_sessions, without_sessions
 from identification.validate.reuse import fresh_points, placed_values, refit_model, refit_parameters
 from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
 
-# of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
-DRAWN = {
-    "base": "after fitting where the arm stands",
-    "offsets": "after fitting joint offsets and where the arm stands",
-    "none": "as it stands",
-}
+if TYPE_CHECKING:  # a diagnosis imports this package
+    from identification.gap.result import Diagnosis
+
 REFITS = (*DRAWN,)
-FITTED = "these are the measurements that the model was identified from: this says nothing about others"
-HARDLY = "hardly better"  # said of a gain within what the rows scatter by
 END = 0.5  # time at the end of a session, -0.5 to 0.5
 
 
@@ -310,52 +305,6 @@ def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) 
                 yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
     if undetermined:
         yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
-
-
-# -- in words ----------------------------------------------------------------------------------------------------------
-def validation_sections(data: Mapping[str, Any], points: str = "") -> list[Section]:
-    """Drawing and model over all rows, and block by block;  points : what is refitted of a spatial arm beside"""
-    keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
-    what = {"base": "position and rotation of the base", "offsets": "joint offsets, position of the base"}
-    summary = f"{data['rows']} rows, nothing refitted"
-    if data["refit"] != "none":
-        sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
-        summary = (
-            f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
-        )
-    figures = ("RMS", "mean", "95 %\nbelow", "largest")
-    rows = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
-    rows.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])
-    blocks = [
-        [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[f"{key}_mm"]) for key in keys)]
-        for b in data["blocks"]
-    ]
-    headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
-    shown = [Section("Validation, distances in mm", [Sheet(("", *figures), rows), summary])]
-    return shown + ([Section("Validation, block by block, in mm", [Sheet(headings, blocks)])] if blocks else [])
-
-
-def is_better(data: Mapping[str, Any]) -> bool:
-    """Whether the model is better than the drawing, by more than the rows scatter."""
-    return data["rms_mm"] < data["rms_nominal_mm"] and not any(HARDLY in note for note in data["notes"])
-
-
-def validation_verdict(data: Mapping[str, Any], model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
-    """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
-    better;  model, rows : names of files;  seen : it was fitted to these rows"""
-    rows = rows or ("the model's own measurements" if FITTED in data.get("notes", ()) else "other measurements")
-    which = ", which it was fitted to" if seen else ""
-    figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
-    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
-    gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
-    worth = f"{'no better' if gain <= 0.0 else HARDLY} than the drawing"
-    worth = f"{100.0 * gain:.0f} % of the error is removed" if is_better(data) else worth
-    return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
-
-
-def drawing_in_words(rms: float, refit: str = "base") -> str:
-    """What the drawing leaves [mm], and what was fitted of it;  refit : as for `validate`"""
-    return f"{in_a_sentence(rms)} mm (drawing, {DRAWN[refit]})"
 
 
 def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:

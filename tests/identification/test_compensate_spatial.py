@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.report.identification import compensation_document
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate import compensate
 from identification.compensate.inverse_kinematics import TOLERANCE
+from identification.documents.use import compensation_document
 from identification.errors import InputError
 from identification.files.target import commands_text, load_targets
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of

@@ -8,8 +8,8 @@ import re
 
 import pytest
 
+from identification.document import in_a_sentence
 from identification.files.arm import load_arm
-from identification.numbers_in_text import in_a_sentence
 from tests.doe.cli.conftest import Folder
 
 

@@ -11,9 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from doe.report.identification import conventions, corrected_table
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.document import as_text
+from identification.documents.identification import conventions, corrected_table
 from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.prior import Prior

@@ -211,7 +211,7 @@ def test_effects_of_gravity_act_through_the_load_and_its_direction() -> None:
 
 def test_library_holds_the_users_effects() -> None:
     assert set(NAMES) < set(library())
-    assert isinstance(library()["breathing"]([1.0], None, {"rate": ca.SX.sym("r")}).chosen["rate"], ca.SX)
+    assert isinstance(library()["breathing"](planar_chain([1.0]), None, {"rate": ca.SX.sym("r")}).chosen["rate"], ca.SX)
 
 
 def test_formulas_are_shared_by_arms_of_one_geometry() -> None:

@@ -1,29 +1,130 @@
-"""A diagnosis as a document, by the JSON object of `armcal diagnose`; with the diagnosis itself with pictures too."""
+"""A diagnosis in words: its verdict in a line, and a document of it, by the JSON object of `armcal diagnose`; with the
+diagnosis itself with pictures too."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from doe.report.identification import correct, corrected_section, hardly_better
-from identification.document import Action, Document, Pictures, Section, Sheet
+from identification.document import (
+    Action,
+    Document,
+    Pictures,
+    Section,
+    Sheet,
+    as_sentence,
+    estimate_text,
+    in_a_sentence,
+    number,
+    of_joints,
+    unit_or_dash,
+)
+from identification.documents.identification import DRAWN, correct, corrected_section, hardly_better
 from identification.effects import library
 from identification.estimation.corrected_values import corrected_values
-from identification.gap.detectability import Size
-from identification.gap.result import Diagnosis
-from identification.gap.scatter import Finding
-from identification.gap.words import gap_rows, of_joints, tests_of
 from identification.model import Model
-from identification.numbers_in_text import as_sentence, estimate_text, in_a_sentence, number, unit_or_dash
-from identification.validate import DRAWN
+
+if TYPE_CHECKING:
+    from identification.gap.detectability import OrderRange
+    from identification.gap.result import Diagnosis
 
 Data = Mapping[str, Any]  # what `armcal diagnose --json` says
 MOST = 4  # kinds of effects that a verdict spells out
+# reason: identification/README.md, "Constants"
+SHORT = 60  # characters of names that a verdict spells out; the tables have all of them
 
 
+# -- the verdict in a line ---------------------------------------------------------------------------------------------
+def sentence(result: Diagnosis) -> str:
+    """The verdict with its findings in one line."""
+    return "; ".join([headline(result), *findings(result)])
+
+
+def headline(result: Diagnosis) -> str:
+    """The verdict alone, preceded by `not confirmed`, and by how the model compares with the geometry alone where it is
+    no better."""
+    title, count = named(result), len(result.candidates)
+    missing = f"{title} {'is' if len(result.effects) == 1 else 'are'}"
+    where = (result.where or "a place that is not known").replace(":", " ")
+    if result.verdict == "none":
+        verdict = "none: no missing effect is detectable; effects larger than the sizes listed are excluded"
+    elif result.verdict == "named":
+        verdict = f"named: {missing} missing from the model"
+    elif result.verdict == "ambiguous" and count == 1:
+        verdict = f"ambiguous: {missing} likeliest, but less likely than not; measure more postures"
+    elif result.verdict == "ambiguous":
+        likeliest = sorted(result.candidates, key=lambda c: -(c.probability or 0.0))
+        lists = [" | ".join(f"{c.title} {c.probability or 0.0:.2f}" for c in likeliest)]
+        lists.append(" | ".join(c.title for c in likeliest))
+        options = next((f" ({listed})" for listed in lists if len(listed) <= SHORT), "")
+        verdict = f"ambiguous: {count} explanations fit about equally well{options}; measure more postures"
+    elif described(result):
+        curves = f"error curves of {of_joints([curve.joint for curve in result.curves])}"
+        beside = f" + {title}" if result.effects else ""
+        fits = f"no effect in the library fits; {curves}{beside} describe the errors"
+        verdict = f"cause unknown ({where} first): {fits}"
+    else:
+        verdict = f"unknown: something outside the library, {where}{f', beside {title}' if result.effects else ''}"
+    if result.offered is not None and not result.offered.better:
+        verdict = f"{result.offered.sentence}; {verdict}"
+    return f"not confirmed: {verdict}" if result.confirmed is False else verdict
+
+
+def named(result: Diagnosis) -> str:
+    """The effects of the best set, or their number if the list is long."""
+    title = " + ".join(result.effects)
+    return title if len(title) <= SHORT or len(result.effects) <= 1 else f"{len(result.effects)} effects"
+
+
+def described(result: Diagnosis) -> bool:
+    """Whether an error curve describes the unknown effect: its size and shape are known, its cause is not."""
+    return (result.where, result.shape) in {(f"joint:{curve.joint}", curve.shape) for curve in result.curves}
+
+
+def findings(result: Diagnosis, *, orders: bool = True) -> list[str]:
+    """Findings that belong to the verdict, one clause each;  orders : those about waves of undetermined order too"""
+    shape = [f"its shape: {result.shape}"] if result.shape and not described(result) else []
+    over = result.misfit is not None and result.misfit.significant
+    scatter = [f"scatter {result.misfit.ratio:.3g} x sigma_mm, not explained"] if result.misfit and over else []
+    says = {True: "replicates across sessions", False: "does not replicate across sessions"}
+    titles = {answer: [r.effect for r in result.replication if r.replicates is answer] for answer in says}
+    replication = [f"{says[answer]}: {' + '.join(effects)}" for answer, effects in titles.items() if effects]
+    return [
+        *shape,
+        *scatter,
+        *replication,
+        *(order_clauses(result.shapes) if orders else []),
+    ]
+
+
+def order_clauses(shapes: Sequence[OrderRange]) -> list[str]:
+    """One clause for the waves of undetermined order of each joint."""
+    clauses = []
+    for joint in sorted({shape.joint for shape in shapes}):
+        waves = [shape for shape in shapes if shape.joint == joint]
+        low, high = waves[0].range_deg
+        listed = " and ".join("{} (orders {} to {} fit)".format(wave.effect, *wave.orders) for wave in waves)
+        what = "is a shape, not a cause" if len(waves) == 1 else "are shapes, not causes"
+        clauses.append(f"over the {high - low:.0f} deg that joint {joint} moved, {listed} {what}")
+    return clauses
+
+
+def likely(result: Diagnosis) -> str:
+    """The probabilities in one line, with those of other sets, and what they leave open: names that are shapes rather
+    than causes, and rows too few for a test."""
+    few = result.effects and result.tests and all(test.confirmed is None for test in result.tests)
+    shapes = ["among the library's shapes, whatever makes them"] if result.effects and result.shapes else []
+    among = "; ".join([*shapes, *(["too few rows to confirm it on others"] if few else [])])
+    short = {c.title: "what is named" for c in result.candidates[:1] if len(c.title) > SHORT}
+    every = ", ".join(f"{short.get(name, name)} {p:.2f}" for name, p in result.probability.items() if p >= 0.005)
+    other = ", ".join(f"{name} {p:.2f}" for name, p in result.other_sets.items())
+    return f"probability{f' ({among})' if among else ''}: {every}{f' (of that {other})' if other else ''}"
+
+
+# -- the document ------------------------------------------------------------------------------------------------------
 def diagnosis_document(
     data: Data,
     diagnosis: Diagnosis | None = None,
@@ -189,16 +290,16 @@ def diagnosis_sections(data: Data, diagnosis: Diagnosis | None = None, nominal: 
     sections += curve_sections(data, diagnosis)
     if diagnosis is not None:
         how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
-        pictures = Pictures(lambda: [how, _figures().against_figure(diagnosis)])
+        pictures = Pictures(lambda: [how, _pictures().against_figure(diagnosis)])
         sections.append(Section("Against time and torque", [pictures], folded=True))
     return [*sections, *further_sections(data, diagnosis)]
 
 
-def _figures() -> Any:
+def _pictures() -> Any:
     """Deferred: tables need no pictures, and matplotlib takes longer to load than a small diagnosis."""
-    from doe.report import figures
+    from identification.documents import pictures
 
-    return figures
+    return pictures
 
 
 def missing_section(data: Data, diagnosis: Diagnosis | None = None) -> Section:
@@ -267,6 +368,50 @@ def replication_sections(data: Data) -> list[Section]:
     return [Section("Across sessions", [lead, Sheet(headings, rows)])] if rows else []
 
 
+def gap_rows(data: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows, by the JSON object of a diagnosis: RMS distances before and after, on the data, less
+    outliers, and on rows that no fit has seen, and whether the model holds there."""
+    gap, rows, out = data["gap"], data.get("rows"), len(data.get("outlier_rows", ()))
+    answers = {True: "yes", False: "no", None: "too few rows"}  # `shrinks`: whether as far as expected stays open
+    figures = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
+    counted = "" if rows is None else f"{rows - out} of {rows}" if out else str(rows)
+    shown = [["the data", counted, *figures, ""]]
+    for test in tests_of(data):
+        kind = "held out" if test["by"] == "holdout" else "cross-validated"
+        figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))
+        answer = "shrinks" if test["confirmed"] and not test["as_predicted"] else answers[test["confirmed"]]
+        shown.append([f"{kind}: {test.get('file') or test['transfer']}", str(test["rows"]), *figures, answer])
+    return ["RMS distance [mm]", "rows", "before", "after", "expected", "holds"], shown
+
+
+def tests_of(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What rows that were not used for the fits say: the hold-out, and cross-validation."""
+    return ([data["confirmation"]] if data["confirmation"] else []) + list(data["cross_validation"])
+
+
+def untested(skipped: Mapping[str, str]) -> list[str]:
+    """One sentence for each reason why effects were not tested;  skipped : effect -> reason."""
+    words = {"needs gravity": "needs [gravity] in the arm file", "needs temperature": "needs temperature_C that varies"}
+    return [
+        f"not tested, {words.get(why, why)}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
+        for why in dict.fromkeys(skipped.values())
+    ]
+
+
+def scatter_in_words(finding: Data) -> str:
+    """A property of the noise, an entry of `scatter`."""
+    kind, _, joint = finding["finding"].partition(":")
+    when = "early" if finding["size"] < 0.0 else "late"
+    what = {
+        "joint_noise": f"larger the farther joint {joint} moves the point, by a relative variance of",
+        "reach_noise": "larger far from the base, by a relative variance of",
+        "time_noise": f"larger {when} in the session, by a relative variance of",
+        "serial_correlation": "rows measured one after the other err alike, lag-1 correlation",
+        "repeats": "rows of one posture err alike, by a relative variance of",
+    }[kind]
+    return f"{finding['finding']} ({what} {abs(finding['size']):.2g}, probability {1.0 - finding['p']:.2f})"
+
+
 def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float | None = None) -> Section:
     """How far model and measurements are apart, before and after, and what rows say that no fit has seen."""
     sources = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
@@ -279,13 +424,13 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
         Sheet(*gap_rows(data)),
         "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: "
         f"{noise}; on rows that no fit has seen: what the model predicts. A smaller gap alone does not prove a name.",
-        *(holds_in_words(test) for test in tests_of(data) if test["confirmed"] is not None or test.get("refitted")),
-        *(f"Scatter: {Finding(f['finding'], f['p'], f['size'])}." for f in data["scatter"]),
+        *map(holds_in_words, tests_of(data)),
+        *(f"Scatter: {scatter_in_words(finding)}." for finding in data["scatter"]),
         *([f"Rows left out as outliers: {outliers}."] if outliers else []),
         *([] if nominal is None else [f"Drawing: {number(nominal)} mm RMS, {DRAWN['base']}."]),
     ]
     if diagnosis is not None:
-        parts.append(Pictures(lambda: [_figures().gap_figure(diagnosis)]))
+        parts.append(Pictures(lambda: [_pictures().gap_figure(diagnosis)]))
     return Section("The gap, before and after", parts)
 
 
@@ -293,9 +438,9 @@ def signed_section(diagnosis: Diagnosis) -> Section:
     """Residuals of the data with their sign, against each joint."""
 
     def draw() -> Sequence[Any]:
-        from doe.report.signed_residuals import READ, Compared  # deferred: as `_figures`
+        from identification.documents.pictures import READ, Compared  # deferred: as `_pictures`
 
-        shown, kept = diagnosis.residuals, _figures().rows_kept(diagnosis)
+        shown, kept = diagnosis.residuals, _pictures().rows_kept(diagnosis)
         named = (*diagnosis.effects, *(curve.key for curve in diagnosis.curves))
         angles = [values for name, values in shown.against.items() if name.startswith("joint ")]
         postures, before, after = (values[kept] for values in (np.column_stack(angles), shown.before, shown.after))
@@ -324,7 +469,7 @@ def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Secti
         for c in data["curves"]
     ]
     table = Sheet(("joint", "angles [deg]", "RMS [deg]", "std [deg]", "shape"), rows)
-    pictures = [] if diagnosis is None else [Pictures(lambda: [_figures().curves_figure(diagnosis)])]
+    pictures = [] if diagnosis is None else [Pictures(lambda: [_pictures().curves_figure(diagnosis)])]
     return [Section("Error curves of joints", [table, text, *pictures])] if rows else []
 
 
@@ -362,8 +507,8 @@ def further_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Sec
         Sheet(("effect", "probability", "F alone", "p", "-2 log odds alone"), trials),
     ]
     alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
-    each = [[name, str(Size(**size))] for name, size in data["excluded"].items()]
-    pictures = [] if diagnosis is None else [Pictures(lambda: [_figures().alias_figure(diagnosis.detectability)])]
+    each = [[name, size_in_words(size)] for name, size in data["excluded"].items()]
+    pictures = [] if diagnosis is None else [Pictures(lambda: [_pictures().alias_figure(diagnosis.detectability)])]
     excluded = Sheet(("effect", "joints", "found from (90 % power)", "tip [mm]"), excluded_by_kind(data))
     shown: list[Any] = [
         excluded,
@@ -385,23 +530,32 @@ def further_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Sec
     return [*sections, *([Section("Notes", notes)] if notes else [])]
 
 
+def size_in_words(size: Data) -> str:
+    """The smallest size that can be detected, an entry of `excluded`."""
+    if size["value"] is None:
+        return "invisible"
+    return f"{size['value']:.3g}" if size["unit"] == "1" else f"{size['value']:.3g} {size['unit']}"
+
+
 def excluded_by_kind(data: Data) -> list[list[str]]:
     """For each kind of effect the smallest sizes that these data would have shown with 90 % probability, those first
     that may move the tip most without being found."""
 
-    def at_tip(size: Size) -> float:
-        return np.inf if size.value is None else size.tip_mm or 0.0
+    def at_tip(size: Data) -> float:
+        return np.inf if size["value"] is None else size["tip_mm"] or 0.0
 
-    kinds: dict[str, list[tuple[str, Size]]] = {}
+    kinds: dict[str, list[tuple[str, Data]]] = {}
     for name, size in data["excluded"].items():
         key, _, setting = name.partition("[")
         kind, _, joint = key.partition(":")
-        kinds.setdefault(f"{kind}[{setting}" if setting else kind, []).append((joint, Size(**size)))
+        kinds.setdefault(f"{kind}[{setting}" if setting else kind, []).append((joint, size))
     rows = []
     for kind, sizes in sorted(kinds.items(), key=lambda item: -max(at_tip(size) for _, size in item[1])):
         joints = sorted(int(joint) for joint, _ in sizes if joint)
-        least, most = (best((size for _, size in sizes), key=Size.order) for best in (min, max))
-        span = str(most) if str(least) == str(most) else f"{str(least).removesuffix(f' {most.unit}')} to {most}"
+        ordered = sorted((size for _, size in sizes), key=lambda size: (size["value"] is None, size["value"]))
+        least, most = size_in_words(ordered[0]), size_in_words(ordered[-1])
+        unit = f" {ordered[-1]['unit']}"
+        span = most if least == most else f"{least.removesuffix(unit)} to {most}"
         moved = max(at_tip(size) for _, size in sizes)
         listed = of_joints(joints).removeprefix("joints ").removeprefix("joint ") if joints else "–"
         rows.append([kind, listed, span, number(moved, 3) if np.isfinite(moved) else "any"])

@@ -7,23 +7,28 @@ from pathlib import Path
 
 import numpy as np
 
-from doe.report.figures import validation_figure
-from doe.report.identification import (
-    compensation_document,
+from identification.arm import Arm, Calibration
+from identification.compensate.compensation import Compensation
+from identification.document import Sheet, as_text
+from identification.documents.identification import (
     corrected_section,
     dh_sections,
     identification_actions,
     identification_verdict,
     in_short,
+)
+from identification.documents.pictures import validation_figure
+from identification.documents.use import (
+    HARDLY,
+    compensation_document,
+    is_better,
     validation_actions,
+    validation_verdict,
     without_command,
 )
-from identification.arm import Arm, Calibration
-from identification.compensate.compensation import Compensation
-from identification.document import Sheet, as_text
 from identification.estimation.corrected_values import CorrectedValue
 from identification.measurements import Measurements
-from identification.validate import HARDLY, is_better, validate, validation_verdict
+from identification.validate import validate
 
 ARM = Arm([300.0, 200.0], calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from identification.document import Document, Facts, Part, Sheet
+from identification.document import Document, Facts, Part, Sheet, unit_or_dash
 from identification.effects.catalogue import GRAVITY, Entry
-from identification.numbers_in_text import unit_or_dash
 
 TITLES = {
     "looked for": "Effects that diagnose looks for",

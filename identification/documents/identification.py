@@ -1,31 +1,46 @@
-"""What measurements give, as documents: their inspection, a fit and its values, a validation, commands for targets."""
+"""A fit as a document: its figures, the corrected values for the controller, and what to do next."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from identification.arrays import Array
-from identification.compensate.compensation import Compensation
-from identification.document import Action, Document, Facts, Section, Sheet
-from identification.errors import InputError
-from identification.estimation import Identification
-from identification.estimation.corrected_values import Calibrated, CorrectedValue, dh_places, dh_values
-from identification.estimation.result import facts
-from identification.files.arm_chain import dh_rows
-from identification.inspection.inspection import Inspection
-from identification.kinematics.frames import point_table, pose_table
-from identification.kinematics.instrument import RADIUS
-from identification.kinematics.parameters import REVOLUTE
-from identification.numbers_in_text import estimate_text, in_a_sentence, number, unit_or_dash
+from identification.document import (
+    Action,
+    Document,
+    Facts,
+    Section,
+    Sheet,
+    estimate_text,
+    in_a_sentence,
+    number,
+    to_significant_digits,
+    unit_or_dash,
+)
 from identification.sessions import placing
-from identification.validate import DRAWN, drawing_in_words
+
+if TYPE_CHECKING:
+    from identification.estimation.corrected_values import CorrectedValue
+    from identification.estimation.result import Identification
 
 Data = Mapping[str, Any]  # what a command says with --json
 
+MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
+COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
+HEADINGS = ("parameter", "value", "std", "95 % low", "95 % high", "unit")
+UNFINISHED = (
+    "the fit stopped at the limit of iterations before it converged: values that the measurements hardly determine may "
+    "still move together, and their intervals hold only near where it stopped"
+)
+# of the drawing, by `refit` of validate: said wherever its error is, so that figures of commands can be compared
+DRAWN = {
+    "base": "after fitting where the arm stands",
+    "offsets": "after fitting joint offsets and where the arm stands",
+    "none": "as it stands",
+}
 ALL_OF_THEM = (
     "All values belong together: do not enter a part of them. --full prints the complete table, --json and --out have "
     "it; --urdf writes it as a URDF file.",
@@ -39,49 +54,55 @@ BETA = (
 MOVED = 1e-3  # of the RMS: where a file lacks the place it has been fitted before
 
 
-# -- armcal check ------------------------------------------------------------------------------------------------------
-def inspection_document(result: Inspection, arm: str, rows: str) -> Document:
-    """Problems first, then the facts, the range of each joint, what the data cannot say, and the next command."""
-    data, few = result.to_json(), result.enough is not None and result.enough.few
-    verdict = f"No problems found in these data{', but they are few for a fit' if few else ''}."
-    parts: list[Any] = [f"  - {sentence}" for sentence in result.problems]
-    counting = result.readings.counting
-    if counting is not None and set(result.readings.sentences) & set(result.problems):
-        parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
-        parts += [f"    {line}" for line in counting.toml.splitlines()]
-    figures: list[tuple[str, str | None]] = [
-        ("rows", f"{result.rows} rows, {result.postures} postures"),
-        ("columns besides", ", ".join(result.given) or "none"),
-        ("sessions", ", ".join(result.sessions)),
-        ("measured points", ", ".join(result.markers)),
-        ("repeats scatter by", None if result.floor.source is None else f"{result.floor.value:.4g} mm"),
+def p_value_in_words(p: float) -> str:
+    """`p = 0.012`; a p-value that underflows is not shown as zero."""
+    return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
+
+
+def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
+    """That chi2 rejects the model or the sigma given, and what follows; times : residuals in units of that sigma."""
+    figures = f"chi2 {fit.chi2:.4g}, {fit.dof} degrees of freedom, {p_value_in_words(p_value)}"
+    prior = "the prior does not hold (above), " if fit.contradictions else ""
+    cause = f"{prior}the model is incomplete or sigma_mm too small"
+    relied = fit.uncertainty.kind == "given"
+    follows = "rely on sigma_mm and are too narrow" if relied else "do not rely on sigma_mm"
+    do = "settle the prior first" if fit.contradictions else "armcal diagnose looks for what is missing"
+    shown = f"{times:{'.3g' if times < 1000.0 else '.0f'}}"
+    scatter = f"{MISFIT} {shown} times sigma_mm = {fit.sigma:.4g} ({figures})"
+    return f"{scatter}: {cause}. The intervals {follows}; {do}"
+
+
+def parameters_document(fit: Identification) -> Document:
+    """All of it: the parameters, rounded by their standard deviations, and what else was found."""
+    rows = [
+        [name, *(to_significant_digits(row[key], row["std"]) for key in COLUMNS), row["unit"]]
+        for name, row in zip(fit.shown_names, fit.rows(), strict=True)
     ]
-    if result.other_units:
-        return Document("Inspection", ["Fix these first:"], [*parts, Facts(figures)])
-    figures.append(("drawing", f"{number(result.drawing)} mm RMS, {DRAWN['base']}"))
-    figures.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm RMS"))
-    if (enough := result.enough) is not None:
-        figures.append(("such a fit", enough.count))
-        if not result.problems:  # else data that are to be put right would be judged
-            weak = [f"{name} (std {std:{'.3g' if std < 1000.0 else '.0f'}} {unit})" for name, std, unit in enough.weak]
-            figures.append(("determines", "; ".join(enough.identifiable) or "nothing by itself"))
-            figures += [("only weakly", "; ".join(weak)), ("does not", "; ".join(enough.open))]
-            figures.append(("accuracy", enough.accuracy))
-    joints = []
-    for joint in result.joints:
-        limits = (
-            f"{joint.in_file_units(x):.2f}" if joint.limited else "none" for x in (joint.limit_low, joint.limit_high)
-        )
-        ranges = (f"{joint.in_file_units(x):.2f}" for x in (joint.low, joint.high))
-        joints.append([str(joint.joint), *ranges, *limits, joint.unit, str(joint.outside)])
-    headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
-    parts += [Facts(figures), Sheet(headings, joints, "Joints"), *(f"note: {note}" for note in result.notes)]
-    if result.sag is not None and result.sag.recommended:
-        parts.append("\n".join(["", *result.sag.lines, ""]))
-    if result.problems:
-        return Document("Inspection", ["Fix these first:"], parts)
-    then = f"armcal identify {arm} {rows} --out calibrated.toml, then armcal diagnose {arm} {rows}"
-    return Document("Inspection", [verdict], [*parts, f"Next: {then}"])
+    open_ones = [("not identifiable", combination) for combination in fit.not_identifiable]
+    return Document("Identification", [], [Sheet(HEADINGS, rows), Facts([*open_ones, *facts(fit)])], (), fit.warnings)
+
+
+def facts(fit: Identification) -> list[tuple[str, str | None]]:
+    """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
+    origin = "given" if fit.sigma_known else "estimated"
+    sigma = "unknown" if fit.sigma is None else f"{fit.sigma:.4g} mm per axis ({origin})"
+    chi2 = None if fit.p_value is None else f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}"
+    doubt = "; but chi2 says that it is not" if fit.misfit else ""
+    tip = None
+    if fit.expected_tip is not None:
+        measured = f"{fit.expected_tip_measured:.4g} mm at the tip at postures like those measured"
+        tip = f"{measured}, {fit.expected_tip:.4g} mm over the joint limits (RMS), if the model is right{doubt}"
+    angles = None if fit.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
+    return [
+        ("method", f"{fit.method}: {fit.outcome}"),
+        ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} mm"),
+        ("largest", f"{fit.max_before:.4g} -> {fit.max_after:.4g} mm"),
+        ("orientations, RMS", angles),
+        ("expected error", tip),
+        ("sigma", f"{sigma}, {fit.dof} degrees of freedom"),
+        ("chi2", chi2 and f"{chi2}: the residuals scatter {number(fit.scatter, 5)} mm"),
+        ("95 % intervals", fit.uncertainty.sentence),
+    ]
 
 
 # -- armcal identify ---------------------------------------------------------------------------------------------------
@@ -209,28 +230,6 @@ def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
     return lines
 
 
-def dh_table(
-    calibrated: Calibrated, values: Sequence[CorrectedValue], arm: Path
-) -> tuple[tuple[CorrectedValue, ...], list[str]]:
-    """The corrected Denavit-Hartenberg table of an arm file that has one, and lines of base, measured points and the
-    radius of a sphere beside it; else empty.
-
-    values : corrected ones, the radius among them
-    """
-    if (table := dh_rows(arm)) is None:
-        return (), []
-    try:
-        rows, places = dh_values(calibrated, *table), dh_places(calibrated, *table)
-    except InputError:  # prismatic joints, or axes that are one
-        return (), []
-    lines = []
-    for name, at in places:
-        figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
-        lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
-    radius = [f"{one.name} [mm]: {one.corrected:z.3f} +- {one.std:.3f}" for one in values if one.parameter == RADIUS]
-    return rows, [*lines, *radius]
-
-
 def dh_sections(rows: Sequence[CorrectedValue], lines: Sequence[str], name: str = "") -> list[Section]:
     """The corrected Denavit-Hartenberg table, what belongs to it and how it is to be used; none without rows."""
     together = (
@@ -329,82 +328,6 @@ def calibrated_actions(
     ]
 
 
-# -- armcal validate ---------------------------------------------------------------------------------------------------
-def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyond: bool = False) -> list[Action]:
-    """What to do with a model that predicts other measurements, or does not;  beyond : as for the document"""
-    why = "Most rows are at angles that the calibration has not seen. A fit that reaches farther from its data:"
-    far = [Action(why, identify_command("arm.toml", "data.csv", "library-prior"))] if beyond else []
-    if better:
-        return [*far, correct(model)]
-    zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only joint_offsets,base")
-    if refit == "offsets":
-        return [*far, zeros]
-    asked = f"armcal validate {model} {rows} --refit offsets"
-    return [
-        *far,
-        Action("See whether the zeros of the joints have moved, and what refitting them gains:", asked),
-        zeros,
-    ]
-
-
-# -- armcal compensate -------------------------------------------------------------------------------------------------
-def compensation_document(result: Compensation) -> Document:
-    """How many targets are reached and which are not, then joint commands for the first ones."""
-    reached = f"{np.count_nonzero(result.reached)} of {len(result.targets)} targets reached by the calibrated model"
-    if result.model_rms is not None:
-        reached += f" (RMS {result.model_rms:.4g} mm on its own measurements)"
-    if result.angles is not None and result.reached.any():
-        reached += (
-            f"; orientations are those wanted to {miss_text(result.to_json()['max_error_deg'])} deg, by the same model"
-        )
-    reasons = [f"target {k} ! {message}" for k, message in enumerate(result.messages, start=1) if message]
-    rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
-    types = result.joint_types or (REVOLUTE,) * result.commands.shape[1]
-    digits = 3 if len(types) + result.targets.shape[1] <= 6 else 2  # of more joints and axes than 80 columns have room
-    joints = [f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1)]
-    commands = np.where(np.isnan(result.safe_commands), np.nan, result.commands_in_file_units)
-    rows = command_rows(result.targets, commands, result.left, digits)
-    headings = ["row", *"xyz"[: result.targets.shape[1]], *joints, "miss"]
-    table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
-    rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
-    verdict = " ".join([f"{reached}.", *without_command(result)])
-    return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=result.warnings)
-
-
-def without_command(result: Compensation) -> list[str]:
-    """How many targets have no command, and why; in one sentence, none where every target is reached."""
-    rows = (np.flatnonzero(~result.reached) + 1).tolist()
-    counts = {"out of reach": ~result.near, "barred by a constraint": result.near & ~result.reached}
-    why = {reason: int(np.count_nonzero(which)) for reason, which in counts.items() if which.any()}
-    counted = ", ".join(f"{count} {reason}" if len(why) > 1 else reason for reason, count in why.items())
-    have = "have" if len(rows) > 1 else "has"
-    return [f"{len(rows)} {have} no command (angles left empty): {counted} ({rows_listed(rows)})."] if rows else []
-
-
-def rows_listed(rows: Sequence[int]) -> str:
-    """`row 3`, `rows 1, 5`; of many the first eight."""
-    return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:8]))}{', ...' if len(rows) > 8 else ''}"
-
-
-def command_rows(targets: Array, commands: Array, miss: Array, digits: int = 3) -> list[list[str]]:
-    """A row of text for each target: its number, (k, d) targets [mm], (k, n) commands [file units], (k,) miss [mm].
-
-    digits : decimals of commands, two more than of targets
-    """
-    return [
-        [
-            str(row),
-            *(f"{value:.{digits - 2}f}" for value in target),
-            *("-" if np.isnan(value) else f"{value:.{digits}f}" for value in command),
-            miss_text(error),
-        ]
-        for row, (target, command, error) in enumerate(zip(targets, commands, miss, strict=True), start=1)
-    ]
-
-
-def miss_text(error: float) -> str:
-    """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy; a dash for
-    NaN."""
-    if np.isnan(error):
-        return "-"
-    return "< 1e-6" if error < 1e-6 else number(error) if error < 100.0 else f"{error:.0f}"
+def drawing_in_words(rms: float, refit: str = "base") -> str:
+    """What the drawing leaves [mm], and what was fitted of it;  refit : as for `validate`"""
+    return f"{in_a_sentence(rms)} mm (drawing, {DRAWN[refit]})"

@@ -9,7 +9,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from doe.report.page import svg
-from doe.report.signed_residuals import (
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.conditions import Conditions
+from identification.documents.pictures import (
     Compared,
     caption,
     dense,
@@ -19,8 +21,6 @@ from doe.report.signed_residuals import (
     line_between,
     signed_figures,
 )
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.conditions import Conditions
 from identification.error_curve import ErrorCurve
 from identification.model import Model
 
