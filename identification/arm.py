@@ -232,9 +232,9 @@ class Arm(ByValue):
         return limits[0], limits[1]
 
     @property
-    def measures_distances(self) -> bool:
-        """Whether distances from a center are measured, and no positions."""
-        return self.chain.instrument.distances
+    def offers(self) -> frozenset[str]:
+        """What its instrument has that effects may need (`Instrument.offers`)."""
+        return self.chain.instrument.offers
 
     @property
     def reach(self) -> float:

@@ -9,7 +9,6 @@ from identification.errors import InputError
 from identification.estimation.corrected_values import Calibrated, CorrectedValue, dh_places, dh_values
 from identification.files.arm_chain import dh_rows
 from identification.kinematics.frames import point_table, pose_table
-from identification.kinematics.instrument import RADIUS
 
 
 def dh_table(
@@ -30,5 +29,6 @@ def dh_table(
     for name, at in places:
         figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
         lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
-    radius = [f"{one.name} [mm]: {one.corrected:z.3f} +- {one.std:.3f}" for one in values if one.parameter == RADIUS]
-    return rows, [*lines, *radius]
+    own = {p.name for p in calibrated.geometry.chain.instrument.parameters}
+    touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
+    return rows, [*lines, *touched]

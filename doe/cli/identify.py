@@ -274,12 +274,11 @@ class Wanted:
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
     """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
-    from identification.kinematics.instrument import SPHERE
     from identification.model.minimal import PRACTICAL, minimal_of
 
-    if not model.arm.chain.instrument.shows_size:
-        surface = "spheres of unknown radius" if model.arm.chain.instrument.kind == SPHERE else "planes"
-        reduced = f"minimal for contacts with {surface}, which leave the size of the arm open"
+    readings, _ = model.arm.chain.instrument.size_is_open
+    if readings:
+        reduced = f"minimal for {readings}, which leave the size of the arm open"
         raise InputError(f"--parameters: found {reduced}, allowed: all, with the prior of [machining]")
     kept = minimal_of(model, measurements, PRACTICAL)
     if hardly := [name for name in minimal_of(model, measurements).names if name not in kept.names]:

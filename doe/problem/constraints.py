@@ -198,10 +198,15 @@ class Expression:
 
 def distance_to_segment(point: Array, start: Array, end: Array) -> Array:
     """(...) distance of points (..., d) from segments."""
+    return np.asarray(np.linalg.norm(nearest_on_segment(point, start, end) - point, axis=-1))
+
+
+def nearest_on_segment(point: Array, start: Array, end: Array) -> Array:
+    """(..., d) the points of segments that are nearest to points (..., d)."""
     along = end - start
     square = np.maximum(np.sum(along**2, axis=-1), 1e-300)
     fraction = np.clip(np.sum((point - start) * along, axis=-1) / square, 0.0, 1.0)
-    return np.asarray(np.linalg.norm(start + fraction[..., None] * along - point, axis=-1))
+    return np.asarray(start + fraction[..., None] * along)
 
 
 def signed_gap(a: Array, b: Array, c: Array, d: Array) -> Array:

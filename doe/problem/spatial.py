@@ -24,7 +24,6 @@ from identification.arm import Arm
 from identification.conditions import Conditions
 from identification.errors import InputError
 from identification.kinematics.frames import pose
-from identification.kinematics.instrument import PLANE
 from identification.kinematics.parameters import ParameterSet
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.model import Model
@@ -124,14 +123,14 @@ def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
     contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
     has no place.
     """
-    if chain.instrument.whole:
+    if chain.instrument.reads_positions:
         return chain
     stands = BASE in chain.known or not np.array_equal(chain.base, np.eye(4))
     if not contacts:
         refuse_contacts(chain)
     if chain.instrument.contact and not stands:
         reason = f"kind {chain.instrument.kind} without center_mm: where it is touched is not known"
-        how = "center_mm and normal" if chain.instrument.kind == PLANE else "center_mm"
+        how = " and ".join(sorted(chain.instrument.keys & {"center_mm", "normal"}))
         raise InputError(f"instrument: found {reason}, allowed for plans: with {how}, or a calibrated arm")
     if stands:
         return chain

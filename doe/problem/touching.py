@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.problem.constraints import distance_to_segment
+from doe.problem.constraints import nearest_on_segment
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.errors import InputError
-from identification.kinematics.instrument import RADIUS, SPHERE
 from identification.model import Model
 
 if TYPE_CHECKING:
@@ -46,9 +45,9 @@ def touching_postures(model: Model, problem: DesignProblem) -> Array:
     what plans and bounds are of.
     """
     chain = model.arm.chain
-    if chain.instrument.free_radius and model.best_known.get(RADIUS, 0.0) <= 0.0:
-        reason = "radius_mm is not known: where the sphere is touched depends on it"
-        raise InputError(f"instrument: {reason}, allowed for plans: with radius_mm, or a calibrated arm")
+    if unknown := [p for p in chain.instrument.parameters if model.best_known.get(p.name, 0.0) <= 0.0]:
+        reason = f"{unknown[0].toml_key} is not known: where the {chain.instrument.kind} is touched depends on it"
+        raise InputError(f"instrument: {reason}, allowed for plans: with {unknown[0].toml_key}, or a calibrated arm")
     generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
     for _ in range(BATCHES):
         anywhere = generator.uniform(problem.lower, problem.upper, (BATCH, len(chain)))
@@ -69,19 +68,19 @@ def touching_postures(model: Model, problem: DesignProblem) -> Array:
 
 def heights(model: Model, postures: Array) -> Array:
     """(m,) how far the measured point is above the surface [mm] at postures (m, n)."""
-    return np.asarray(model.position(postures)[:, 0] - (model.arm.chain.instrument.radius or 0.0))
+    return np.asarray(model.position(postures)[:, 0] - model.arm.chain.instrument.touched)
 
 
 def on_surface(model: Model, postures: Array, units: Array) -> Array:
     """Postures (m, n) led to the surface by the shortest steps, most of them; limits apart."""
-    q, radius = np.array(postures), model.arm.chain.instrument.radius or 0.0
+    q, touched = np.array(postures), model.arm.chain.instrument.touched
     conditions = Conditions()
     for _ in range(STEPS):
         distance, slopes = model.expressions.posture_jacobian(
             q, model.condition_table(q, conditions), model.values[None]
         )
         slope = slopes[:, 0] * units
-        steps = -slope * ((distance[:, 0, 0] - radius) / np.maximum(np.sum(slope**2, axis=1), 1e-300))[:, None]
+        steps = -slope * ((distance[:, 0, 0] - touched) / np.maximum(np.sum(slope**2, axis=1), 1e-300))[:, None]
         longest = np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / LONGEST, 1.0)
         q = q + steps / longest * units
     return q
@@ -91,9 +90,9 @@ def clear_of_surface(model: Model, postures: Array) -> NDArray[np.bool_]:
     """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the surface
     that the point touches."""
     chain = model.arm.chain
-    points = model.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3]
-    if chain.instrument.kind == SPHERE:
-        near = distance_to_segment(np.zeros(3), points[:, :-1], points[:, 1:])
-        radius = chain.instrument.radius or model.best_known[RADIUS]
-        return np.asarray(np.all(near > radius - 2.0 * TOUCHES, axis=1))
-    return np.asarray(np.all(points[:, :, 2] > -2.0 * TOUCHES, axis=1))
+    points, instrument = model.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3], chain.instrument
+    # of a segment the nearest point to a sphere is that to its center, to a plane an end
+    points = np.concatenate([points, nearest_on_segment(np.zeros(3), points[:, :-1], points[:, 1:])], axis=1)
+    own = np.array([model.best_known[p.name] for p in instrument.parameters])
+    above = instrument.linearized(points, own, np.zeros(1))[0][..., 0] - instrument.touched
+    return np.asarray(np.all(above > -2.0 * TOUCHES, axis=1))

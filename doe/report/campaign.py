@@ -34,6 +34,8 @@ from identification.files.csv import Table as CsvTable
 from identification.files.csv import read_table
 from identification.files.io import read_text
 from identification.files.measurement import load_measurements
+from identification.files.measurement_columns import UNITS
+from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances
 from identification.model import Model
@@ -113,8 +115,10 @@ class Campaign:
         if all(column in table for column in ("error_mm", "reachable")):
             self.commands[name] = table
             return "joint commands"
-        contact = arm.chain.instrument.contact  # its plans no command writes
-        if contact or any(f"{column}_{unit}" in table for column in ("x", "distance") for unit in ("mm", "m")):
+        instrument = arm.chain.instrument
+        read = ((c.name, c.quantity) for c in (*TRACKER.coordinates[:1], *instrument.coordinates[:1]))
+        columns = [f"{axis}_{unit}" for axis, quantity in read for unit in UNITS[quantity]]
+        if instrument.contact or any(column in table for column in columns):  # plans of contacts no command writes
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
         self.plans[name] = load_plan(path, arm.joint_types), table

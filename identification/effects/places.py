@@ -94,7 +94,9 @@ def position_and_state(
     real = chain.q + additions["joint_angles"]
     tip, turned = chain.geometry.tip(real, geometry, additions, chain.marker, chain.reference)
     measured = tip + additions["instrument"] + sum(e.instrument(tip, v) for e, v in parts)
-    return ca.vertcat(chain.geometry.instrument.symbolic(measured, geometry), turned), ca.vertcat(loads, plain, tip)
+    instrument = chain.geometry.instrument
+    own = geometry[geometry.numel() - len(instrument.parameters) :]
+    return ca.vertcat(instrument.reading(measured, own, chain.session), turned), ca.vertcat(loads, plain, tip)
 
 
 def _loads(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:

@@ -23,7 +23,6 @@ from identification.kinematics.corrected_dh import Link, corrected_links, drawn_
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow
 from identification.kinematics.frames import pose, pose_table
-from identification.kinematics.instrument import RADIUS
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter
 from identification.kinematics.spatial import SpatialChain
 from identification.model import Model
@@ -44,7 +43,6 @@ TURNED_FRAME = (
 )
 BASE = "pose of the base for the instrument, turned about its own x, y and z axis"
 TOOL = "measured point in the frame of the tip"
-BALL = "of ball and stylus tip together; known as well as the size of the arm"
 STANDS = "where the arm stands: type it into the controller only if the measurements are in the controller's own frame"
 TURNED = f"zero of joint 1 with how the arm is turned, {STANDS}"
 EFFECT = "no value of a controller: armcal compensate takes it off the commands"
@@ -217,8 +215,10 @@ def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[st
             axis, _, unit = key.rpartition("_")
             value = value if nominal is None else _nearest(value, nominal, key)
             yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, _convention(place, table))
-    if chain.instrument.free_radius:
-        yield _Quantity("sphere radius", RADIUS, None, values.get(RADIUS, 0.0), {RADIUS: 1.0}, "mm", BALL)
+    for p in chain.instrument.parameters:
+        name, convention = chain.instrument.names(p)
+        value = values.get(p.name, 0.0) * p.to_file
+        yield _Quantity(name, p.name, None, value, {p.name: p.to_file}, p.file_unit, convention)
 
 
 def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:

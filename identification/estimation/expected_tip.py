@@ -70,7 +70,7 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     arm, postures_measured = getattr(fit.model, "arm", None), fit.postures
     if not isinstance(arm, Arm) or fit.not_identifiable or not np.all(np.isfinite(fit.covariance)):
         return None
-    if not arm.chain.instrument.whole and len(postures_measured) < FEWEST:
+    if not arm.chain.instrument.places and len(postures_measured) < FEWEST:
         return None
 
     def over(postures: Array) -> float:
@@ -95,12 +95,9 @@ def own_error(fit: Identification) -> float:
 
 
 def size_left_open(arm: Arm) -> str:
-    """What more postures do not help against: contacts that an arm twice as large would make as well."""
-    if arm.chain.instrument.shows_size:
-        return ""
-    if arm.chain.instrument.free_radius:
-        return "; but however many, contacts with a sphere of unknown radius fit an arm of any size: give radius_mm"
-    return "; but however many, contacts with planes fit an arm of any size, which only [machining] tells"
+    """What more postures do not help against: readings that an arm twice as large would give as well."""
+    readings, remedy = arm.chain.instrument.size_is_open
+    return f"; but however many, {readings} fit an arm of any size: {remedy}" if readings else ""
 
 
 def hardly_determined(fit: Identification) -> list[str]:

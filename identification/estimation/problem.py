@@ -34,8 +34,8 @@ from identification.estimation.levenberg_marquardt import (
 )
 from identification.estimation.prior import Prior
 from identification.information import RANK_TOLERANCE, column_lengths
+from identification.instruments import Instrument
 from identification.kinematics.closed_form import PlanarClosedForm
-from identification.kinematics.instrument import RADIUS
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status
@@ -86,7 +86,7 @@ def _check_needs(model: Model, measurements: Measurements) -> None:
         if "gravity" in effect.needs and model.arm.gravity is None:
             allowed = "an arm file with a [gravity] table"
             raise InputError(f"effects: {effect.key} needs gravity torques, allowed: {allowed}")
-        if "distance" in effect.needs and not model.arm.measures_distances:
+        if "distance" in effect.needs - model.arm.offers:
             allowed = "an arm file with an [instrument] of kind distance"
             raise InputError(f"effects: {effect.key} needs measured distances, allowed: {allowed}")
 
@@ -304,8 +304,11 @@ def starts(problem: Problem) -> Array:
     The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
     """
     best_known = np.tile(problem.start, (len(problem.positions), 1))
-    if RADIUS in problem.model.names:
-        return _with_radius(problem, best_known)
+    chain = problem.model.arm.chain if isinstance(problem.model, Model) else None
+    if not chain.planar:
+        own = {parameter.name for parameter in chain.instrument.parameters}
+        if numbers := [k for k, name in enumerate(problem.model.names) if name in own]:
+            return _with_instrument(problem, best_known, chain.instrument, numbers)
     form = problem.model.closed_form
     if form is None:
         return best_known
@@ -316,19 +319,15 @@ def starts(problem: Problem) -> Array:
     return np.where((problem.squares(best_known) < problem.squares(solved))[:, None], best_known, solved)
 
 
-def _with_radius(problem: Problem, starts: Array) -> Array:
-    """(K, p) of contacts with a sphere of unknown radius: the mean distance from its center at starts (K, p), and all
-    others as they fit best with that.
-
-    An arm that shrinks with its sphere would explain any residual to first order, since heights above the sphere are
-    homogeneous in all lengths; where nothing but noise is left, it explains no more than that.
-    """
-    k, least = problem.model.names.index(RADIUS), problem.least_squares
-    starts[:, k] -= problem.residuals(starts).mean(axis=(1, 2))
+def _with_instrument(problem: Problem, starts: Array, instrument: Instrument, own: list[int]) -> Array:
+    """(K, p) starts (K, p) with the parameters of the instrument, whose numbers are `own`, as they explain the readings
+    best, and all others as they fit best with those of them that the instrument holds first."""
+    least = problem.least_squares
+    starts, held = instrument.settled(starts, problem.residuals, own)
 
     def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
         residuals, jacobian = least.linearize(parameters, index)
-        jacobian[..., k] = 0.0
+        jacobian[..., held] = 0.0
         return residuals, jacobian
 
-    return levenberg_marquardt(replace(least, linearize=linearize), starts).parameters
+    return levenberg_marquardt(replace(least, linearize=linearize), starts).parameters if held else starts

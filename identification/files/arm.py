@@ -31,6 +31,7 @@ from identification.files.schema import (
     require_count,
     validated_arm,
 )
+from identification.instruments import KINDS
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.parameters import (
     FILE_UNITS,
@@ -300,8 +301,9 @@ def _check_needs(file: ArmFile, effects: Iterable[tuple[EffectSpec, Effect]]) ->
     """Raises `InputError` for an effect of gravity on an arm without gravity, and for one of measured distances where
     something else is measured."""
     kind = None if file.instrument is None else file.instrument.kind
+    offers = frozenset[str]() if kind is None else KINDS[kind].offers
     for spec, effect in effects:
-        if "distance" in effect.needs and kind != "distance":
+        if "distance" in effect.needs - offers:
             state = "no [instrument] table" if kind is None else f"an [instrument] of kind {kind}"
             raise InputError(f"effects: {spec.key} needs measured distances, found {state}, allowed: kind distance")
         if "gravity" in effect.needs and file.gravity is None:

@@ -23,7 +23,7 @@ from identification.effects.places import widths
 from identification.estimation.doubts import FALL
 from identification.gap.average import PredictingModel
 from identification.gap.fit import Fit
-from identification.kinematics.placement import placed, registered
+from identification.instruments.registration import placed, registered
 from identification.measurements import POINT, Conditions, Measurements
 
 # reason: identification/README.md, "Constants"
@@ -110,7 +110,7 @@ class Predicted(NamedTuple):
         """By a model;  there : conditions of the rows"""
         left = fitted.position_residuals(holdout, there)[:, POINT]
         measured, chain, axes = holdout.positions[:, POINT], fitted.model.arm.chain, None
-        if not chain.planar and chain.instrument.whole:
+        if chain.instrument.reads_positions:
             sizes = widths(chain)
             first = sum([*sizes.values()][: [*sizes].index("tool")])
             levers = fitted.model.place_levers(holdout.postures, fitted.values, there)[0]

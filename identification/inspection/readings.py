@@ -19,9 +19,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.inspection.data_checks import CLEARLY, DRAWN
 from identification.kinematics.counting import Counting
-from identification.kinematics.length_placement import placed_by_lengths
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
-from identification.kinematics.placement import placed
 from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
@@ -286,7 +284,7 @@ def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
 
 def _mirrored(best: Reading, arm: Arm) -> Iterator[Reading]:
     """The frame of the positions mirrored; lengths are the same in it."""
-    if arm.chain.instrument.whole:
+    if arm.chain.instrument.reads_positions:
         yield replace(best, mirrored=not best.mirrored)
 
 
@@ -365,13 +363,9 @@ def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callabl
             return float(np.sqrt(max(squares, 0.0) / len(tip)))
 
         return in_plane
-    frames, measured, instrument = frames_of_tip(chain), rows.positions[:, :3], chain.instrument
-    if instrument.whole:
-        return lambda reading: (
-            placed(frames(reading.postures(rows.postures)), reading.positions(measured), chain.reach).rms
-        )
-    lengths = partial(placed_by_lengths, instrument, reach=chain.reach, hopeless=hopeless)
-    return lambda reading: lengths(frames(reading.postures(rows.postures)), measured[:, 0]).rms
+    frames, measured = frames_of_tip(chain), rows.positions[:, : chain.instrument.dimension]
+    place = partial(chain.instrument.place, reach=chain.reach, hopeless=hopeless)
+    return lambda reading: place(frames(reading.postures(rows.postures)), reading.positions(measured)).rms
 
 
 def _in_plane(arm: Arm, rows: Measurements, reading: Reading) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

@@ -27,9 +27,9 @@ from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
+from identification.instruments import TRACKER, Instrument
 from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.frames import AXES, Frame, pose, rotation_to_z
-from identification.kinematics.instrument import RADIUS, WHOLE, Instrument
 from identification.kinematics.orientations import rotation_vector
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
@@ -109,7 +109,7 @@ class SpatialChain(ByValue):
     fixed: frozenset[str] = frozenset()
     angle_scale: float | None = None
     tool_axes: Mapping[str, Array] = field(default_factory=dict)
-    instrument: Instrument = WHOLE
+    instrument: Instrument = TRACKER
     axes: str = IN_SPACE
 
     def __post_init__(self) -> None:
@@ -142,10 +142,10 @@ class SpatialChain(ByValue):
 
     @property
     def coordinates(self) -> int:
-        """Numbers that are measured of a posture: d of a point, 6 of a pose, 1 of a length."""
-        if not self.instrument.whole:
-            return 1
-        return self.dimension * (1 if self.angle_scale is None else 2)
+        """Numbers that are measured of a posture: those that the instrument reads, d of a point, or 6 of a pose."""
+        if self.angle_scale is not None:
+            return 2 * DIMENSION
+        return self.dimension if self.instrument.reads_positions else self.instrument.dimension
 
     @cached_property
     def reach(self) -> float:
@@ -197,17 +197,14 @@ class SpatialChain(ByValue):
         return ParameterSet.of(
             p
             for p in self.every_parameter
-            if (p.kind.partition("_")[0] not in self.known or p.name == RADIUS)
+            if (p.kind.partition("_")[0] not in self.known or p in self.instrument.parameters)
             and (p.name not in hidden and (p.joint != 1 or stands))
         )
 
     @cached_property
     def every_parameter(self) -> ParameterSet:
         """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
-        and six errors, and last the radius of a sphere that is touched, where nobody knows it; of a planar arm the
-        lengths of the links and the offsets of the joints."""
-        if self.planar:
-            return chain_parameters(self.lengths)
+        and six errors, and last those of the instrument itself."""
         parameters = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
         for name, place in self.tools.items():
             far = FARTHEST * (self.reach + float(np.linalg.norm(place)))
@@ -218,9 +215,7 @@ class SpatialChain(ByValue):
             unit, scale = ("rad", lever) if joint.type == REVOLUTE else ("mm", 1.0)
             parameters.append(Parameter(f"joint_offset:{j}", unit, scale=scale, kind=JOINT_OFFSET, joint=j))
             parameters += _six("translation_", "rotation_", f":{j}", lever, kinds, j)
-        if self.instrument.free_radius:
-            parameters.append(Parameter(RADIUS, "mm", kind=BASE))
-        return ParameterSet.of(parameters)
+        return ParameterSet.of((*parameters, *self.instrument.parameters))
 
     def link_lengths(self, values: ca.SX) -> ca.SX:
         """(n,) `lengths` with their errors, where values of the parameters have some."""

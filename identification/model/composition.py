@@ -1,11 +1,11 @@
 """Spatial models assembled from parts that are compiled once: the geometry, and each effect by itself.
 
-    position = T(q, g, a) + i,   (a, i) = sum_e A_e(q, c, v_e, s)
+    reading = R(T(q, g, a) + i, w),   (a, i) = sum_e A_e(q, c, v_e, s)
 
-Here g are the values of the geometry, a and i what the effects e with values v_e add at the places of the chain before
-the instrument and at it (effects/places.py), and s the state on which they depend: loads, which effects may change,
-link lengths, and the tip before the instrument. Derivatives follow exactly by the chain rule. The parts are shared by
-all models of an arm (compiled_parts.py).
+R is what the instrument reads, with values w of its own. g are the values of the geometry, a and i what the effects e
+with values v_e add at the places of the chain before the instrument and at it (effects/places.py), and s the state on
+which they depend: loads, which effects may change, link lengths, and the tip before the instrument. Derivatives follow
+exactly by the chain rule. The parts are shared by all models of an arm (compiled_parts.py).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from identification.arrays import Array
 from identification.effects import Effect
 from identification.effects.places import OF_FRAME
-from identification.kinematics.instrument import WHOLE, Instrument
+from identification.instruments import TRACKER, Instrument
 from identification.kinematics.spatial import DIMENSION
 from identification.model.compiled_parts import LOADED, CompiledArm, CompiledEffect, Outputs
 
@@ -32,7 +32,8 @@ POINT = slice(DIMENSION)  # of the position
 class At(NamedTuple):
     """A model evaluated at some postures.
 
-    position : (..., d) [mm];  by_geometry : (..., d, g) derivative with respect to the values of the geometry
+    position : (..., d) [mm];  by_geometry : (..., d, g) derivative with respect to the values of the geometry, then of
+        the instrument
     levers : (..., d, P) derivative with respect to what is added at each place;  state : (..., S)
     added : outputs of each effect's part
     """
@@ -49,7 +50,7 @@ class Composition:
     """A spatial arm with effects as functions of arrays (q, c, p), with the interface of `Expressions`.
 
     q : (..., n) postures [rad];  c : (..., C) conditions;  p : (..., p) free parameters [API units]
-    values : of all parameters, those of the geometry first, None for the free ones
+    values : of all parameters, those of the geometry first, then those of the instrument, None for the free ones
     tied : the part of each value that belongs to error curves, off where these do not hold; empty: none
     instrument : what is read of the position, which the parts compute
     """
@@ -58,7 +59,7 @@ class Composition:
     effects: tuple[Effect, ...]
     values: tuple[float | None, ...]
     tied: tuple[float, ...] = ()
-    instrument: Instrument = WHOLE
+    instrument: Instrument = TRACKER
 
     def position(self, q: Array, c: Array, p: Array) -> tuple[Array]:
         """(..., d, 1) positions."""
@@ -68,7 +69,8 @@ class Composition:
         """(..., d, 1) positions, and (..., d, p) derivatives with respect to p."""
         at = self._at(q, c, p, self._used)
         varying = zip(self._geometry_values, self._constants, strict=True)
-        columns = [at.by_geometry[..., [value is None for value, constant in varying if constant is None]]]
+        free_columns = [value is None for value, constant in varying if constant is None]
+        columns = [at.by_geometry[..., [*free_columns, *(value is None for value in self._instrument_values)]]]
         for part, values, (_, slopes, _) in zip(self._parts, self._own, at.added, strict=True):
             free, levers = [k for k, value in enumerate(values) if value is None], at.levers[..., part.rows]
             product = np.multiply if len(part.rows) == 1 else np.matmul  # many small products take three times as long
@@ -91,7 +93,13 @@ class Composition:
 
     @cached_property
     def _geometry_values(self) -> tuple[float | None, ...]:
-        return self.values[: len(self.values) - sum(len(effect.parameters) for effect in self.effects)]
+        of_effects = sum(len(effect.parameters) for effect in self.effects)
+        return self.values[: len(self.values) - len(self.instrument.parameters) - of_effects]
+
+    @cached_property
+    def _instrument_values(self) -> tuple[float | None, ...]:
+        start = len(self._geometry_values)
+        return self.values[start : start + len(self.instrument.parameters)]
 
     @cached_property
     def _constants(self) -> tuple[float | None, ...]:
@@ -99,15 +107,11 @@ class Composition:
         tied = self.tied[: len(self._geometry_values)] or np.zeros(len(self._geometry_values)).tolist()
         return tuple(None if part else value for value, part in zip(self._geometry_values, tied, strict=True))
 
-    @property
-    def _sphere(self) -> bool:
-        """Whether the last parameter of the geometry is the radius of a sphere that is touched."""
-        return self.instrument.free_radius
-
     @cached_property
     def _own(self) -> list[tuple[float | None, ...]]:
         """For each effect its elements of `values`."""
-        ends = np.cumsum([len(self._geometry_values), *(len(effect.parameters) for effect in self.effects)]).tolist()
+        start = len(self._geometry_values) + len(self._instrument_values)
+        ends = np.cumsum([start, *(len(effect.parameters) for effect in self.effects)]).tolist()
         return [self.values[start:end] for start, end in pairwise(ends)]
 
     @cached_property
@@ -116,21 +120,22 @@ class Composition:
         rows = {int(row) for part in self._parts for row in part.rows}
         return tuple(place for place in INSIDE if rows & set(range(*self.shared.places[place].indices(1 << 30))))
 
-    def _split(self, c: Array, p: Array) -> tuple[Array, list[Array]]:
-        """(..., g) values of the geometry that are no constants, and (..., size) all values of each effect."""
+    def _split(self, c: Array, p: Array) -> tuple[Array, Array, list[Array]]:
+        """(..., g) values of the geometry that are no constants, and (..., size) all values of the instrument and of
+        each effect."""
         free = np.array([value is None for value in self.values], dtype=bool)
         every = np.empty((*p.shape[:-1], len(free)))
         every[..., free] = p
         every[..., ~free] = [value for value in self.values if value is not None]
         if self.tied:
             every = every - c[..., -1:] * np.array(self.tied)
-        ends = np.cumsum([len(self._constants), *map(len, self._own)])
-        geometry, *of_effects = np.split(every, ends[:-1], axis=-1)
-        return geometry[..., [value is None for value in self._constants]], of_effects
+        ends = np.cumsum([len(self._constants), len(self._instrument_values), *map(len, self._own)])
+        geometry, of_instrument, *of_effects = np.split(every, ends[:-1], axis=-1)
+        return geometry[..., [value is None for value in self._constants]], of_instrument, of_effects
 
     def _at(self, q: Array, c: Array, p: Array, used: tuple[str, ...], derivatives: bool = True) -> At:
         """Evaluate the model, with levers of the places used: loads first, then the geometry, then the instrument."""
-        shared, (g, values) = self.shared, self._split(c, p)
+        shared, (g, own, values) = self.shared, self._split(c, p)
         batch = np.broadcast_shapes(q.shape[:-1], c.shape[:-1], p.shape[:-1])
         state = np.zeros((*batch, shared.at.state.numel()))
         state[..., 0], state[..., shared.of_lengths] = c[..., 0], shared.lengths
@@ -146,16 +151,14 @@ class Composition:
         if any(part.measures for part in self._parts):
             added = self._added(q, c, values, state)
             position[..., POINT] += self._total(added, batch)[..., shared.places[INSTRUMENT]]
-        radius = (self._constants[-1] if self._constants[-1] is not None else g[..., -1:]) if self._sphere else 0.0
+        reads = not self.instrument.reads_positions
+        if reads:
+            position, by_point, by_own = self.instrument.linearized(position, own, c[..., 3:4])
         if not derivatives:
-            position = position if self.instrument.whole else self.instrument.linearized(position)[0] - radius
             return At(position, np.zeros(0), np.zeros(0), state, added)
         by_geometry, levers = self._derivatives(computed[1], computed[2], added, used)
-        if not self.instrument.whole:
-            position, slopes = self.instrument.linearized(position)
-            position, by_geometry, levers = position - radius, slopes @ by_geometry, slopes @ levers
-            if self._sphere and self._constants[-1] is None:
-                by_geometry[..., -1] = -1.0
+        if reads:
+            by_geometry, levers = np.concatenate([by_point @ by_geometry, by_own], axis=-1), by_point @ levers
         return At(position, by_geometry, levers, state, added)
 
     def _added(self, q: Array, c: Array, values: list[Array], state: Array) -> list[Outputs]:

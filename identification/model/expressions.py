@@ -17,6 +17,7 @@ from identification.effects.chain import ORIENTATION, chain_at, condition_width,
 from identification.effects.places import by_place, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
+from identification.instruments import TRACKER
 from identification.kinematics.orientations import turned
 from identification.kinematics.parameters import ParameterSet
 from identification.model.compiled_parts import compiled_arm
@@ -108,10 +109,9 @@ class Expressions:
         chain = self.arm.chain
         if chain.planar or not self.effects:
             return None
-        pointing = replace(
-            chain, instrument=chain.instrument.unread
-        )  # has what this instrument does not show, too: it is zero
-        every = (*pointing.parameters().names, *(p.name for effect in self.effects for p in effect.parameters))
+        pointing = replace(chain, instrument=TRACKER)  # has what this instrument does not show, too: it is zero
+        own = (*chain.instrument.parameters, *(p for effect in self.effects for p in effect.parameters))
+        every = (*pointing.parameters().names, *(p.name for p in own))
         values = tuple(None if name in self.estimated.names else float(self.fixed.get(name, 0.0)) for name in every)
         shared, tied = compiled_arm(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
         tied |= {name: float(x) for name, x in chain.along_base(tied, {}).items()}

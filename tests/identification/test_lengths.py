@@ -19,10 +19,10 @@ from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.gap.diagnose import diagnose
 from identification.information import spectrum
+from identification.instruments import KINDS, Distance, Instrument, Plane, Sphere
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose
-from identification.kinematics.instrument import Instrument
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal, minimal_of
@@ -35,7 +35,7 @@ from tests.identification.exponentials import Exponentials, drawing
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 from tests.identification.touching import plane, sphere, touching
 
-BAR = Instrument("distance")
+BAR = Distance()
 CENTER = np.array([700.0, -200.0, 300.0])
 BASE = pose(-CENTER)
 STEP = 1e-5  # [mm, rad] of central differences of some 1e3 mm: rounding 1e3 * 1e-16 / 1e-5 = 1e-8, error of order 1e-10
@@ -53,7 +53,7 @@ def length(instrument: Instrument, point: Array) -> float:
 @pytest.mark.parametrize("effect", [False, True], ids=["one function", "composed of parts"])
 def test_jacobian(kind: str, effect: bool) -> None:
     """Against differences of products of exponentials; with an effect the model is put together in another way."""
-    instrument, chain = Instrument(kind), replace(CHAIN, base=BASE)
+    instrument, chain = KINDS[kind](), replace(CHAIN, base=BASE)
     arm = Arm(replace(chain, instrument=instrument))
     model = Model(arm.with_effects(EffectSpec("encoder_eccentricity", 2)) if effect else arm)
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 6))
@@ -163,14 +163,14 @@ def test_contacts_with_a_sphere() -> None:
     generator = np.random.default_rng(5)
     truth, radius = Exponentials(generator), 30.0
     q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), radius), 120, generator)
-    arm = Arm(replace(drawing(), instrument=Instrument("sphere", radius)), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=Sphere(radius)), sigma=0.01)
     found = fit(arm, q, radius + 0.01 * generator.standard_normal(120))
     assert found.status is Status.converged
     assert found.rms_after < 0.012 < 0.5 < found.rms_before
     assert rank(found.model, q) == 24
 
 
-BALL = Instrument("sphere")  # of unknown radius
+BALL = Sphere()  # of unknown radius
 RADIUS = "sphere.radius"
 
 
@@ -238,7 +238,7 @@ def test_contacts_with_planes() -> None:
     for normal, height in (((0.1, 0.05, 1.0), 200.0), ((1.0, 0.02, -0.03), 500.0), ((0.0, 1.0, 0.0), 400.0)):
         qs.append(touching(truth, plane(np.array(normal), height), 60, generator))
     q, session = np.concatenate(qs), np.repeat(["floor", "wall", "side"], 60)
-    arm = Arm(replace(drawing(), instrument=Instrument("plane")), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=Plane()), sigma=0.01)
     found = fit(arm, q, 0.01 * generator.standard_normal(180), session)
     assert found.status is Status.converged
     assert found.rms_after < 0.012 < 0.5 < found.rms_before
@@ -250,7 +250,7 @@ def test_contacts_with_planes() -> None:
 
 
 def test_no_plan_says_where_a_surface_is_touched() -> None:
-    arm = Arm(replace(CHAIN, instrument=Instrument("plane")), sigma=0.01)
+    arm = Arm(replace(CHAIN, instrument=Plane()), sigma=0.01)
     with pytest.raises(InputError, match="kind plane: at which postures"):
         simulate(arm, np.zeros((3, 6)), np.random.default_rng(0))
 
@@ -269,7 +269,7 @@ def test_a_minimal_set_of_contacts_is_what_the_largest_surface_shows(kind: str, 
     other = plane(np.array([1.0, 0.0, 0.0]), 500.0) if kind == "plane" else sphere(-center, 30.0)
     q = np.concatenate([touching(truth, other, 30, generator), touching(truth, surface, 80, generator)])
     length = 30.0 if kind == "sphere" else 0.0
-    arm = Arm(replace(drawing(), instrument=Instrument(kind, length or None)), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=Sphere(length) if length else Plane()), sigma=0.01)
     data = Measurements(q, np.full((110, 1), length), session=np.repeat(["a", "b"], [30, 80]))
     assert len(minimal_of(Model(arm), data, PRACTICAL).names) == count
 
@@ -280,7 +280,7 @@ def test_an_effect_is_named_by_contacts_alone() -> None:
     truth = Exponentials(generator)
     q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 150, generator)
     q[:, 2] += 8e-4 * np.cos(q[:, 2]) + 3e-4 * np.sin(q[:, 2])
-    arm = Arm(replace(drawing(), instrument=Instrument("sphere", 30.0)), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=Sphere(30.0)), sigma=0.01)
     found = diagnose(arm, Measurements(q, 30.0 + 0.01 * generator.standard_normal((150, 1))))
     assert found.named.effects == ("encoder_eccentricity:3",)
 

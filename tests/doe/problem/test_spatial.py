@@ -16,8 +16,8 @@ from doe.problem.spatial import OFF_AXIS, EveryPoint, designed, with_center, wit
 from doe.solvers import Gradient, solve
 from identification.arm import Arm
 from identification.errors import InputError
+from identification.instruments import Distance, Sphere
 from identification.kinematics.frames import pose
-from identification.kinematics.instrument import Instrument
 from identification.model import Model
 from identification.model.minimal import minimal
 from tests.doe.arms import FOUR
@@ -99,7 +99,7 @@ def test_uncertain_arms_keep_their_prior() -> None:
 
 
 def bar(**changes: Any) -> Arm:
-    chain = replace(CHAIN, instrument=Instrument("distance"), **changes)
+    chain = replace(CHAIN, instrument=Distance(), **changes)
     return Arm(chain, sigma=0.01, lower=np.full(6, -2.0), upper=np.full(6, 2.0))
 
 
@@ -154,6 +154,6 @@ def test_an_optimal_plan_of_distances_is_better_than_a_random_one() -> None:
 
 
 def test_contacts_at_an_unknown_place_have_no_plans() -> None:
-    arm = Arm(replace(CHAIN, instrument=Instrument("sphere", 20.0)))
+    arm = Arm(replace(CHAIN, instrument=Sphere(20.0)))
     with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
         DesignProblem.of(Model(arm))

@@ -14,8 +14,9 @@ from doe.problem.touching import clear_of_surface, heights, touching_postures
 from doe.solvers import solve
 from identification.arm import Arm, Calibration
 from identification.errors import InputError
+from identification.instruments import Plane, Sphere
+from identification.instruments.sphere import RADIUS
 from identification.kinematics.frames import pose, rotation_to_z
-from identification.kinematics.instrument import RADIUS, Instrument
 from identification.kinematics.spatial import BASE, TOOL
 from identification.model import Model
 from tests.doe.six_axis import CHAIN, REFLECTOR
@@ -31,7 +32,7 @@ def arm_of(kind: str, **changes: object) -> Arm:
     """Its limits are 2 rad; the surface where `center_mm` and `normal` say."""
     axes = rotation_to_z(NORMAL).T if kind == "plane" else np.eye(3)
     base = pose(-axes @ (LOW if kind == "plane" else CENTER), axes)
-    instrument = Instrument(kind, BALL if kind == "sphere" else None)
+    instrument = Sphere(BALL) if kind == "sphere" else Plane()
     known = frozenset({TOOL})
     chain = replace(CHAIN, instrument=instrument, base=base, tools={"1": REFLECTOR}, known=known)
     joints = tuple(replace(joint, lower=-2.0, upper=2.0) for joint in chain.joints)
@@ -101,7 +102,7 @@ def test_what_no_plan_can_be_made_for() -> None:
     far = replace(arm.chain, base=pose(-20.0 * CENTER), known=frozenset({BASE, TOOL}))
     with pytest.raises(InputError, match="sphere is touched within limits and constraints at 0 of 40000 random"):
         DesignProblem.of(Model(replace(arm, chain=far)))
-    unknown = replace(arm, chain=replace(arm.chain, instrument=Instrument("sphere")))
+    unknown = replace(arm, chain=replace(arm.chain, instrument=Sphere()))
     with pytest.raises(InputError, match="radius_mm is not known"):
         DesignProblem.of(Model(unknown))
 
@@ -110,7 +111,7 @@ def test_what_no_plan_can_be_made_for() -> None:
 def test_a_calibration_says_the_radius() -> None:
     arm = arm_of("sphere")
     assert arm.chain is not None
-    chain = replace(arm.chain, instrument=Instrument("sphere"))
+    chain = replace(arm.chain, instrument=Sphere())
     found = Model(replace(arm, chain=chain, calibration=Calibration({RADIUS: BALL})))
     problem = DesignProblem.of(found)
     expected = touching_postures(Model(arm), DesignProblem.of(Model(arm)))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec
+from identification.instruments import Distance
 from identification.kinematics.frames import pose
-from identification.kinematics.instrument import Instrument
 from identification.kinematics.parameters import PRISMATIC
 from identification.kinematics.spatial import Joint, SpatialChain
 from identification.model import Model
@@ -93,7 +93,7 @@ def test_in_space_outliers_point_anywhere(tools: dict[str, np.ndarray], angle_sc
 
 def test_outliers_of_lengths_are_too_long_or_too_short() -> None:
     """A distance is one number: off by `size` standard deviations, either way equally often."""
-    chain = SpatialChain(ELBOW, np.eye(4), tools={"1": TOOLS["1"]}, instrument=Instrument("distance"))
+    chain = SpatialChain(ELBOW, np.eye(4), tools={"1": TOOLS["1"]}, instrument=Distance())
     arm = Arm(chain, sigma=0.1)
     noisy = arm.with_effects(EffectSpec("outliers", None, {"share": 0.5, "size": 20.0}))
     exact, found = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.1) for one in (arm, noisy))

@@ -13,7 +13,7 @@ from identification.estimation import estimate, estimate_batch
 from identification.estimation.expected_tip import expected_tip, size_left_open
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
-from identification.kinematics.instrument import Instrument
+from identification.instruments import Distance, Instrument, Plane, Sphere
 from identification.model import Model
 from tests.doe.six_axis import CHAIN
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth
@@ -138,10 +138,10 @@ def test_what_is_not_identifiable_has_no_expected_error() -> None:
 @pytest.mark.parametrize(
     ("instrument", "said"),
     [
-        (Instrument("distance"), ""),
-        (Instrument("sphere", 15.0), ""),
-        (Instrument("sphere"), "give radius_mm"),
-        (Instrument("plane"), "only [machining] tells"),
+        (Distance(), ""),
+        (Sphere(15.0), ""),
+        (Sphere(), "give radius_mm"),
+        (Plane(), "only [machining] tells"),
     ],
 )
 def test_where_more_postures_do_not_show_the_size(instrument: Instrument, said: str) -> None:

@@ -11,9 +11,9 @@ from identification.arm import Arm
 from identification.errors import InputError
 from identification.inspection.data_checks import certainly_wrong_units, data_warnings
 from identification.inspection.inspection import inspect
+from identification.instruments import Instrument, Plane, Sphere
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
-from identification.kinematics.instrument import Instrument
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -222,7 +222,7 @@ def test_another_number_of_links() -> None:
         data_warnings(simulated(1.0), Arm([1.0, 1.0, 1.0]))
 
 
-@pytest.mark.parametrize("instrument", [Instrument("sphere", 15.0), Instrument("plane")])
+@pytest.mark.parametrize("instrument", [Sphere(15.0), Plane()])
 def test_contacts_have_no_unit(instrument: Instrument) -> None:
     """What a touch probe reads is the same in all rows, whatever postures touch: no unit is suspected."""
     arm = Arm(replace(CHAIN, instrument=instrument))

@@ -11,8 +11,8 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.estimation import estimate
 from identification.inspection.set_up import angle_between, constant_length, other_base, turned_frame
+from identification.instruments import Distance
 from identification.kinematics.frames import pose, rotation_about
-from identification.kinematics.instrument import Instrument
 from identification.kinematics.spatial import BASE
 from identification.measurements import Measurements
 from identification.model import Model
@@ -96,7 +96,7 @@ def bar_readings(offset: float, q: Array, generator: np.random.Generator) -> Mea
 def test_a_constant_in_all_distances(offset: float) -> None:
     generator = np.random.default_rng(4)
     data = bar_readings(offset, generator.uniform(-2.0, 2.0, (100, 6)), generator)
-    arm = Arm(replace(drawing(), instrument=Instrument("distance")), sigma=0.05)
+    arm = Arm(replace(drawing(), instrument=Distance()), sigma=0.05)
     found = constant_length(arm, data, estimate(Model(arm), data))
     if not offset:
         assert found == []

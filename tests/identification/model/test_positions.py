@@ -9,14 +9,14 @@ import pytest
 
 from identification.arm import Arm, Calibration
 from identification.errors import InputError
+from identification.instruments import Distance
+from identification.instruments.registration import registered
 from identification.kinematics.frames import pose
-from identification.kinematics.instrument import Instrument
-from identification.kinematics.placement import registered
 from identification.model import Model
 from identification.model.positions import in_own_frame, of_positions, tip_jacobian
 from tests.doe.six_axis import CHAIN
 
-BAR = Arm(replace(CHAIN, instrument=Instrument("distance"), base=pose([-700.0, 200.0, -300.0])), sigma=0.01)
+BAR = Arm(replace(CHAIN, instrument=Distance(), base=pose([-700.0, 200.0, -300.0])), sigma=0.01)
 POSTURES = np.random.default_rng(0).uniform(-2.0, 2.0, (30, 6))
 
 

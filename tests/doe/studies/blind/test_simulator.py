@@ -104,7 +104,7 @@ def test_hidden_effect_has_the_size_asked_for() -> None:
 
 
 def test_what_simulates_loads_nothing_of_the_model_that_is_judged() -> None:
-    """In a fresh interpreter, so that deferred and indirect imports count: the arm's description is set up, no model."""
+    """In a fresh interpreter, so that indirect imports count: the arm's description is set up, no model."""
     code = "import sys, doe.studies.blind.cells; print(*sorted(sys.modules))"
     loaded = set(
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()

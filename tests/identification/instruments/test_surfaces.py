@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.kinematics import length_placement
-from identification.kinematics.instrument import Instrument
-from identification.kinematics.length_placement import placed_by_lengths
+from identification.instruments import Distance, Instrument, Plane, Sphere, surfaces
 from tests.identification.exponentials import Exponentials
 
 TOOL = np.array([60.0, -40.0, 120.0])
@@ -28,7 +26,7 @@ def points(frames: np.ndarray) -> np.ndarray:
 
 def test_a_center(frames: np.ndarray) -> None:
     lengths = np.linalg.norm(points(frames) - CENTER, axis=1)
-    found = placed_by_lengths(Instrument("distance"), frames, lengths, REACH)
+    found = Distance().place(frames, lengths[:, None], REACH)
     np.testing.assert_allclose(found.base[:3, 3], -CENTER, atol=1e-6)
     np.testing.assert_array_equal(found.base[:3, :3], np.eye(3))
     np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
@@ -44,17 +42,17 @@ def test_a_ball_of_unknown_radius(radius: float) -> None:
     normals = generator.standard_normal((40, 3))
     places = CENTER + radius * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     frames[:, :3, 3] = places - frames[:, :3, :3] @ TOOL
-    found = placed_by_lengths(Instrument("sphere"), frames, np.full(40, 7.0), REACH)
+    found = Sphere().place(frames, np.full(40, 7.0)[:, None], REACH)
     np.testing.assert_allclose(found.base[:3, 3], -CENTER, atol=1e-6)
     np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
     assert found.rms < 1e-7
-    by_base = placed_by_lengths(Instrument("sphere"), frames, np.zeros(40), REACH, base=found.base)
+    by_base = Sphere().place(frames, np.zeros(40)[:, None], REACH, base=found.base)
     np.testing.assert_allclose(by_base.tool, TOOL, atol=1e-6)
 
 
 def test_a_plane_stands_below_the_arm(frames: np.ndarray) -> None:
     heights = points(frames) @ NORMAL - HEIGHT  # of an indicator that reads them
-    found = placed_by_lengths(Instrument("plane"), frames, heights, REACH)
+    found = Plane().place(frames, heights[:, None], REACH)
     np.testing.assert_allclose(found.base[2], [*NORMAL, -HEIGHT], atol=1e-6)
     np.testing.assert_allclose(found.base[:3, :3] @ found.base[:3, :3].T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
@@ -62,53 +60,53 @@ def test_a_plane_stands_below_the_arm(frames: np.ndarray) -> None:
 
 def test_what_is_known_stays(frames: np.ndarray) -> None:
     lengths = np.linalg.norm(points(frames) - CENTER, axis=1)
-    free = placed_by_lengths(Instrument("distance"), frames, lengths, REACH)
-    by_tool = placed_by_lengths(Instrument("distance"), frames, lengths, REACH, tool=TOOL)
+    free = Distance().place(frames, lengths[:, None], REACH)
+    by_tool = Distance().place(frames, lengths[:, None], REACH, tool=TOOL)
     np.testing.assert_array_equal(by_tool.tool, TOOL)
     np.testing.assert_allclose(by_tool.base, free.base, atol=1e-6)
-    by_base = placed_by_lengths(Instrument("distance"), frames, lengths, REACH, base=free.base)
+    by_base = Distance().place(frames, lengths[:, None], REACH, base=free.base)
     assert by_base.base is free.base
     np.testing.assert_allclose(by_base.tool, TOOL, atol=1e-6)
     heights = points(frames) @ NORMAL - HEIGHT
-    plane = placed_by_lengths(Instrument("plane"), frames, heights, REACH)
-    again = placed_by_lengths(Instrument("plane"), frames, heights, REACH, base=plane.base)
+    plane = Plane().place(frames, heights[:, None], REACH)
+    again = Plane().place(frames, heights[:, None], REACH, base=plane.base)
     np.testing.assert_allclose(again.tool, TOOL, atol=1e-6)
 
 
 def test_few_rows_have_a_start(frames: np.ndarray) -> None:
     """Fewer than unknowns: anything that explains them will do."""
     lengths = np.linalg.norm(points(frames[:4]) - CENTER, axis=1)
-    assert placed_by_lengths(Instrument("distance"), frames[:4], lengths, REACH).rms < 1.0
+    assert Distance().place(frames[:4], lengths[:, None], REACH).rms < 1.0
 
 
 @pytest.mark.parametrize("rows", [1, 2, 4])
 def test_a_few_contacts_have_a_ball(rows: int, frames: np.ndarray) -> None:
-    assert placed_by_lengths(Instrument("sphere"), frames[:rows], np.zeros(rows), REACH).rms < 1e-3 * REACH
+    assert Sphere().place(frames[:rows], np.zeros(rows)[:, None], REACH).rms < 1e-3 * REACH
 
 
 @pytest.mark.parametrize("rows", [1, 2])
 def test_one_or_two_contacts_have_a_plane(rows: int, frames: np.ndarray) -> None:
     """Any of those through them."""
-    found = placed_by_lengths(Instrument("plane"), frames[:rows], np.zeros(rows), REACH)
+    found = Plane().place(frames[:rows], np.zeros(rows)[:, None], REACH)
     assert found.rms < 1e-6 * REACH
     np.testing.assert_allclose(found.base[:3, :3] @ found.base[:3, :3].T, np.eye(3), atol=1e-12)
 
 
-@pytest.mark.parametrize("instrument", [Instrument("plane"), Instrument("sphere")])
+@pytest.mark.parametrize("instrument", [Plane(), Sphere()])
 def test_what_no_surface_explains_is_given_up_early(
     frames: np.ndarray, instrument: Instrument, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Random poses touch nothing: a bound far below what is left ends the search, one above it changes nothing."""
     steps = []
-    step = length_placement._Sphere.step
-    monkeypatch.setattr(length_placement._Sphere, "step", lambda *words: steps.append(1) or step(*words))
+    step = surfaces.CenterStarts.step
+    monkeypatch.setattr(surfaces.CenterStarts, "step", lambda *words: steps.append(1) or step(*words))
     lengths = np.zeros(40)
-    exact = placed_by_lengths(instrument, frames, lengths, REACH)
+    exact = instrument.place(frames, lengths[:, None], REACH)
     followed = len(steps)
-    again = placed_by_lengths(instrument, frames, lengths, REACH, hopeless=1.01 * exact.rms)
+    again = instrument.place(frames, lengths[:, None], REACH, hopeless=1.01 * exact.rms)
     assert again.rms == pytest.approx(exact.rms, rel=1e-6)
     steps.clear()
-    rough = placed_by_lengths(instrument, frames, lengths, REACH, hopeless=0.1 * exact.rms)
-    surfaces = 2 if instrument.free_radius else 1  # of known radii first
-    assert len(steps) <= surfaces * length_placement.FIRST < followed
+    rough = instrument.place(frames, lengths[:, None], REACH, hopeless=0.1 * exact.rms)
+    surfaces_tried = 2 if instrument.parameters else 1  # of known radii first
+    assert len(steps) <= surfaces_tried * surfaces.FIRST < followed
     assert rough.rms > 0.1 * exact.rms

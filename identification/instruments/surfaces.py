@@ -8,14 +8,13 @@ For a given measured point t the sphere about c is linear in c and |c|^2 (algebr
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from identification.arrays import Array
+from identification.instruments.search import ENOUGH, Placement, starts_of_tool
 from identification.kinematics.frames import pose
-from identification.kinematics.instrument import PLANE, Instrument
-from identification.kinematics.placement import ENOUGH, Placement, starts_of_tool
 
 ROUNDS, SOME = 50, 10  # effort: Gauss-Newton steps of each start, and where a radius is taken that is not right
 FIRST = 3  # steps, after which the best start of 99 of 100 wrong readings leaves at most 1.5 times what its end leaves
@@ -24,32 +23,26 @@ SMALL = 1e-10  # share of the largest eigenvalue of a normal matrix below which 
 
 
 def placed_by_lengths(
-    instrument: Instrument,
+    surface: type[CenterStarts],
     frames: Array,
     lengths: Array,
     reach: float,
-    base: Array | None = None,
-    tool: Array | None = None,
-    hopeless: float = np.inf,
+    base: Array | None,
+    tool: Array | None,
+    hopeless: float,
 ) -> Placement:
     """Base and tool that explain lengths (m,) best; what they leave open of the base is along the arm's own axes.
 
-    lengths : of a sphere of unknown radius less that radius, so that they may be any constant
-    frames : (m, 4, 4) nominal poses of the tip in the base;  reach : [mm] that gives the starts of the tool their size
-    base, tool : (4, 4) and (3,), known; None: to be found
-    hopeless : root mean square residual [mm]; what leaves more after `FIRST` steps is not followed to its end
+    surface : what the lengths are from;  other arguments as of `Instrument.place`
     """
     tools = starts_of_tool(reach) if tool is None else tool[None]
-    if instrument.free_radius:
-        state: _Sphere = _FreeSphere.started(frames, reach, tools, base, tool is None, hopeless)
-    else:
-        state = (_Plane if instrument.kind == PLANE else _Sphere)(frames, lengths, reach, tools, base)
+    state = surface.started(frames, lengths, reach, tools, base, tool is None, hopeless)
     best = _settled(state, base is None, tool is None, hopeless)
     rms = float(np.sqrt(state.squares()[best] / len(lengths)))
     return Placement(state.base(best) if base is None else base, state.tools[best], rms)
 
 
-def _settled(state: _Sphere, base: bool, tool: bool, hopeless: float, rounds: int = ROUNDS) -> int:
+def _settled(state: CenterStarts, base: bool, tool: bool, hopeless: float, rounds: int = ROUNDS) -> int:
     """Number of the start that ends with the least squares after Gauss-Newton steps of base and tool, or of one."""
     least, kept = np.full(len(state.tools), np.inf), (state.surface, state.tools)
     for done in range(rounds):
@@ -73,13 +66,20 @@ class _Linear(NamedTuple):
     of_tool: Array
 
 
-class _Sphere:
+class CenterStarts:
     """Centers of spheres (s, 3) for tools (s, 3) in the frame of the base; lengths (m,), or (s, 1) of each start."""
 
     def __init__(self, frames: Array, lengths: Array, reach: float, tools: Array, base: Array | None) -> None:
         self.places, self.turns, self.lengths = frames[:, :3, 3], frames[:, :3, :3], lengths
         self.reach, self.tools = reach, tools
         self.surface = self._found() if base is None else np.tile(self._known(base), (len(tools), 1))
+
+    @classmethod
+    def started(
+        cls, frames: Array, lengths: Array, reach: float, tools: Array, base: Array | None, tool: bool, hopeless: float
+    ) -> Self:
+        """Where Gauss-Newton steps start;  tool : whether it is to be found;  `hopeless` as of `placed_by_lengths`."""
+        return cls(frames, lengths, reach, tools, base)
 
     def points(self) -> Array:
         """(s, m, 3) measured points in the base."""
@@ -130,7 +130,7 @@ class _Sphere:
         self.surface = self.surface + change
 
 
-class _FreeSphere(_Sphere):
+class FreeSphereStarts(CenterStarts):
     """Centers of spheres of a radius that is the mean distance at each step (variable projection: G. H. Golub, V.
     Pereyra, 1973; the radius is linear).
 
@@ -139,11 +139,13 @@ class _FreeSphere(_Sphere):
 
     @classmethod
     def started(
-        cls, frames: Array, reach: float, tools: Array, base: Array | None, tool: bool, hopeless: float
-    ) -> _FreeSphere:
-        """The best of each of `RADII`; arguments as of the constructor;  tool : whether it is to be found."""
+        cls, frames: Array, lengths: Array, reach: float, tools: Array, base: Array | None, tool: bool, hopeless: float
+    ) -> Self:
+        """The best of each of `RADII`; lengths that are all the same say nothing."""
         radii = np.repeat(RADII * reach, len(tools))[:, None]
-        held = _Sphere(frames, np.zeros(len(frames)), reach, tools, base)  # the algebraic fits are those of any radius
+        held = CenterStarts(
+            frames, np.zeros(len(frames)), reach, tools, base
+        )  # the algebraic fits are those of any radius
         held.lengths = radii
         held.surface, held.tools = (np.tile(each, (len(RADII), 1)) for each in (held.surface, held.tools))
         _settled(held, base is None, tool, hopeless, SOME)
@@ -157,7 +159,7 @@ class _FreeSphere(_Sphere):
         return _Linear._make(each - each.mean(axis=1, keepdims=True) for each in super().linear())
 
 
-class _Plane(_Sphere):
+class PlaneStarts(CenterStarts):
     """Normals and heights of planes (s, 4), n . a = h."""
 
     def base(self, k: int) -> Array:

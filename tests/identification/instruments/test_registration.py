@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from identification.instruments.registration import placed, registered
 from identification.kinematics.frames import pose
-from identification.kinematics.placement import placed, registered
 
 
 @pytest.mark.parametrize("seed", range(4))

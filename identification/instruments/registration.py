@@ -13,19 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.arrays import Array
+from identification.instruments.search import ENOUGH, Placement, starts_of_tool
 from identification.kinematics.frames import pose
 
 ROUNDS = 200  # effort: of each start
 STILL = 0.01  # motion of a point 1 mm from the flange's center [mm] (RMS): less is lost in the errors of a drawing
-ENOUGH = 1e-6  # relative fall of the sum of squares in a round, below which a least-squares fit goes on from here
-
-
-class Placement(NamedTuple):
-    """base : (4, 4) pose of the base [mm];  tool : (3,) place of the measured point [mm];  rms : distance left [mm]."""
-
-    base: Array
-    tool: Array
-    rms: float
 
 
 def registered(points: Array, measured: Array) -> Array:
@@ -56,11 +48,6 @@ def placed(frames: Array, measured: Array, reach: float) -> Placement:
     base = registered(frames[:, :3, 3] + frames[:, :3, :3] @ tool, measured)
     left = measured - (frames[:, :3, 3] + frames[:, :3, :3] @ tool) @ base[:3, :3].T - base[:3, 3]
     return Placement(base, tool, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))))
-
-
-def starts_of_tool(reach: float) -> Array:
-    """(7, 3) places around the tip [mm] from which the measured point is looked for."""
-    return np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * reach
 
 
 def placed_tool(frames: Array, measured: Array, base: Array) -> Array:
