@@ -20,8 +20,7 @@ from doe.design import Design
 from doe.plan.addition import with_additions
 from doe.plan.plan import Plan
 from doe.plan.tip_error import TipError, TipErrors
-from doe.problem.prior import NEEDS_SIGMA
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import NEEDS_SIGMA, DesignProblem
 from doe.solvers import solve
 from identification.arm import SIGMA_RANGE, Arm
 from identification.arrays import Array

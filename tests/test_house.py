@@ -70,6 +70,7 @@ LAYERS = {
     "identification.sessions": 5,
     "identification.validate": 6,
     "identification.gap": 6,
+    "identification.for_design": 7,
     "identification.inspection": 5,
     "identification.inspection.readings": 5,
     "identification.inspection.set_up": 6,

@@ -15,8 +15,7 @@ from doe.bounds.bound import Bound
 from doe.bounds.equivalence import Certificate, certify
 from doe.criteria import D
 from doe.plan.plan import Plan
-from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, PriorInformation
 from identification.arrays import Array
 from identification.kinematics.parameters import PRISMATIC
 from identification.status import Status

@@ -23,7 +23,7 @@ from doe.bounds.column_generation import column_generation, continuous_design, r
 from doe.bounds.continuous import ContinuousSet
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.bounds.weights import POWERS
-from doe.problem.candidates import listed_candidates
+from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array
 from identification.errors import JobError

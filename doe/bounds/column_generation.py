@@ -26,10 +26,8 @@ from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobi
 from doe.bounds.weights import POWERS, interior_point_weights, multiplicative_weights, sparsest
 from doe.criteria import Criterion
 from doe.plan.ascent import PlanAscent
-from doe.problem.candidates import Candidates, PostureList, well_spread
-from doe.problem.feasible import random_postures
-from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem, Stop, never
+from doe.problem.postures import Candidates, PostureList, random_postures, well_spread
+from doe.problem.problem import DesignProblem, PriorInformation, Stop, never
 from identification.arrays import Array
 from identification.errors import InputError, JobError
 

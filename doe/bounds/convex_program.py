@@ -20,7 +20,7 @@ import numpy as np
 from doe.bounds.weights import proper_weights
 from doe.criteria import Criterion, E
 from doe.criteria.inverse_trace import InverseTrace
-from doe.problem.prior import PriorInformation
+from doe.problem.problem import PriorInformation
 from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.information import log_determinants

@@ -16,9 +16,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.problem.candidates import CHUNK, Candidates, chunks
-from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem, Stop, never
+from doe.problem.postures import CHUNK, Candidates, chunks
+from doe.problem.problem import DesignProblem, PriorInformation, Stop, never
 from identification.arrays import Array
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal

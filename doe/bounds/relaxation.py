@@ -17,9 +17,8 @@ from doe.bounds.column_generation import column_generation, rough_design
 from doe.bounds.convex_program import solve_program
 from doe.bounds.equivalence import largest_sensitivity
 from doe.bounds.weights import proper_weights
-from doe.problem.candidates import Candidates, Grid, PostureList, grid, listed_candidates
-from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem, Stop, never
+from doe.problem.postures import Candidates, Grid, PostureList, grid, listed_candidates
+from doe.problem.problem import DesignProblem, PriorInformation, Stop, never
 from identification.errors import InputError, JobError, nearest
 from identification.status import Status
 

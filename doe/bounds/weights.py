@@ -20,8 +20,7 @@ import numpy as np
 
 from doe.criteria import Criterion
 from doe.criteria.criterion import Factored, smooth
-from doe.problem.prior import PriorInformation
-from doe.problem.problem import Stop, never
+from doe.problem.problem import PriorInformation, Stop, never
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.vectorize import PART

@@ -75,7 +75,7 @@ def command(
 def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:
     """Raises `InputError` for rows of fewer postures than the arm's own parameters need, let alone effects."""
     from doe.problem.problem import DesignProblem
-    from doe.problem.spatial import refuse_contacts
+    from identification.for_design import refuse_contacts
     from identification.model import Model
 
     refuse_contacts(arm.chain)

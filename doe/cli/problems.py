@@ -83,7 +83,7 @@ def design_problem(
     from doe.criteria import NAMES
     from doe.plan.file import load_plan
     from doe.problem.bayesian import ensemble_problem, prior_draws
-    from doe.problem.candidates import listed_candidates
+    from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
     from doe.problem.robust import missing_effects, robust_problem
     from identification.files.csv import read_table

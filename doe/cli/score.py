@@ -105,8 +105,8 @@ def _scored(arm: Arm, plan: Plan, path: Path, criterion: CriterionOptions, secon
 
 def _preflight(arm: Arm, plan: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
     """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
-    from doe.problem.spatial import without_prior
     from doe.report.design import preflight_parts
+    from identification.for_design import without_prior
     from identification.gap.detectability import detectability
 
     try:

@@ -77,7 +77,8 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
     After m runs with noise sigma per coordinate, -Phi sigma^2 / m is the mean over the poses of E |error|^2 [mm^2]:
     Phi = -tr(W M^-1) with W = mean of B_0^T B_0. Invariant to units.
 
-    jacobians : (k, d, p) scaled Jacobians at the test poses, `DesignProblem.scaled_jacobians(poses)`
+    jacobians : (k, d, p) scaled Jacobians at the test poses, `DesignProblem.scaled_jacobians(poses)`, or (k, P, c, p)
+        of P measured points each
     """
 
     jacobians: Array
@@ -86,9 +87,15 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
     def __post_init__(self) -> None:
         object.__setattr__(self, "jacobians", readonly(self.jacobians))
 
+    @property
+    def points(self) -> int:
+        """P."""
+        return self.jacobians.shape[1] if self.jacobians.ndim == 4 else 1
+
     @cached_property
     def _weight(self) -> Array:
-        return information_matrix(self.jacobians) / len(self.jacobians)
+        k, *_, p = self.jacobians.shape
+        return information_matrix(self.jacobians.reshape(k, -1, p)) / k
 
     def weight(self, parameters: int) -> Array:
         """(p, p) mean of B_0^T B_0."""

@@ -12,7 +12,7 @@ import numpy as np
 from doe.design import Design
 from doe.plan.file import plan_text
 from doe.plan.plan import Plan
-from doe.problem.feasible import random_postures
+from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification.arm import Arm

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from doe.criteria import D
 from doe.design import Design
-from doe.discrimination.effect_library import EffectLibrary, effect_library
+from doe.discrimination.misidentification import EffectLibrary, effect_library
 from doe.discrimination.swaps import ExtendedProblem, extended_problem, has_repeats, improving_swaps, pool_of
 from doe.plan.replicate_spacing import allowed_value, spread_free_joints
 from doe.problem.problem import DesignProblem

@@ -14,11 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.discrimination.effect_library import EffectLibrary
-from doe.discrimination.misidentification import MisidentificationBound
+from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound
 from doe.plan.replicate_spacing import ROUNDING, allowed_value, neighbor_counts
-from doe.problem.candidates import listed_candidates
-from doe.problem.feasible import random_postures
+from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget
 from identification.arrays import Array

@@ -11,8 +11,7 @@ import numpy as np
 
 from doe.criteria.criterion import surrogate, values_after_adding
 from doe.plan.replicate_spacing import with_room
-from doe.problem.candidates import listed_candidates
-from doe.problem.feasible import random_postures
+from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 

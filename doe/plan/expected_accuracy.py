@@ -9,12 +9,11 @@ import numpy as np
 
 from doe.criteria import I
 from doe.problem.bayesian import EnsembleModel
-from doe.problem.problem import DesignProblem, InformationModel
-from doe.problem.spatial import arm_model_of
+from doe.problem.model import DesignModel
+from doe.problem.problem import DesignProblem
 from identification.arrays import Array, readonly
 from identification.information import Spectrum, spectrum
-from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet, orientation_transform
-from identification.model.positions import of_positions
+from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
 
 
 @dataclass(frozen=True)
@@ -80,10 +79,7 @@ def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | N
     criterion, sigma = problem.criterion, problem.model.sigma
     if not isinstance(criterion, I) or sigma is None or not np.isfinite(value):
         return None
-    model = arm_model_of(problem.model)
-    coordinates = criterion.jacobians.shape[1]
-    points = 1.0 if model is None else coordinates / of_positions(model).dimension
-    return float(np.sqrt(max(-value, 0.0) / points / (runs + problem.prior.runs) * sigma**2 + problem.beyond))
+    return float(np.sqrt(max(-value, 0.0) / criterion.points / (runs + problem.prior.runs) * sigma**2 + problem.beyond))
 
 
 def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Spectrum:
@@ -153,12 +149,13 @@ def over_draws(draws: Sequence[ExpectedDeviations], judge: Callable[..., Array])
     return replace(draws[0], values=values, orientation=orientation)
 
 
-def _deviations(decomposed: Spectrum, model: InformationModel, joints: int, sigma: float) -> ExpectedDeviations:
+def _deviations(decomposed: Spectrum, model: DesignModel, joints: int, sigma: float) -> ExpectedDeviations:
     parameters = model.parameters
     per_scale = sigma / parameters.scales
     matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
     orientation = np.zeros(joints)
-    offsets = [(parameters[k].joint or 0) - 1 for k in parameters.indices(JOINT_OFFSET).tolist()]
-    transform = orientation_transform(parameters)
-    orientation[offsets] = np.sqrt(np.einsum("jp,pq,jq->j", transform, matrix, transform))
+    offsets = parameters.indices(JOINT_OFFSET).tolist()
+    sums = np.tri(len(offsets))  # dtheta_j = dq_1 + ... + dq_j
+    turned = sums @ matrix[np.ix_(offsets, offsets)] @ sums.T
+    orientation[[(parameters[k].joint or 0) - 1 for k in offsets]] = np.sqrt(np.diag(turned))
     return ExpectedDeviations(parameters, np.sqrt(np.diag(matrix)), orientation)

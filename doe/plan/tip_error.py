@@ -13,15 +13,12 @@ from typing import Any
 import numpy as np
 
 from doe.criteria import I
-from doe.problem.candidates import listed_candidates
-from doe.problem.feasible import random_postures
+from doe.problem.model import offers
+from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import missing_effects, robust_problem, tip_jacobians, workspace
-from doe.problem.spatial import arm_model_of
 from identification.arrays import Array
 from identification.information import information_matrix, inverses, spectrum
-from identification.model.positions import of_positions
-from identification.validate.row_groups import diagnosed
 
 SPACE = 3  # coordinates of a point
 PLANS = 50  # random plans that a plan is compared with
@@ -58,7 +55,8 @@ class TipErrors:
 
     problem : of the model as it is, whose parameters may have a prior, as a spatial arm's geometry has
     wide : `robust_problem` of it, whose added parameters come last
-    targets : (k, d, P) scaled Jacobian of the measured points of `wide` where the tip is needed, see `tip_jacobians`
+    targets : (k, points, c, P) scaled Jacobian of the measured points of `wide` where the tip is needed, see
+        `tip_jacobians`
     """
 
     problem: DesignProblem
@@ -72,11 +70,11 @@ class TipErrors:
 
         Of a diagnosed arm nothing is missing: what its data could show is in the model, and would have been shown.
         """
-        arm_model = arm_model_of(problem.model)
-        if problem.model.sigma is None or arm_model is None or problem.missing:
+        model = problem.model
+        if model.sigma is None or not offers(model, "missing_effects") or problem.missing:
             return None
         poses = workspace(problem)  # once: rare postures take long to find
-        if diagnosed(arm_model.arm):
+        if getattr(model, "complete", False):
             return cls(problem, problem, tip_jacobians(problem, poses))
         wide = robust_problem(problem, missing_effects(problem), poses=poses)
         return cls(problem, wide, tip_jacobians(wide, poses))
@@ -85,10 +83,8 @@ class TipErrors:
     def _targets(self) -> Array:
         """(k, d, P) the same, its squares a mean over the measured points, without orientations that are measured too:
         they are no distance."""
-        model, coordinates = arm_model_of(self.wide.model), self.targets.shape[1]
-        each = coordinates if model is None else of_positions(model).dimension
-        points = [self.targets[:, k : k + SPACE] for k in range(0, coordinates, each)]
-        return np.asarray(np.concatenate(points, axis=1) / np.sqrt(coordinates / each))
+        k, points, _, p = self.targets.shape
+        return np.asarray(self.targets[:, :, :SPACE].reshape(k, -1, p) / np.sqrt(points))
 
     @cached_property
     def _weight(self) -> Array:
@@ -198,6 +194,7 @@ def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) ->
     if problem.missing:
         at, everywhere = problem.criterion, replace(problem, choices=None) if problem.sampled else problem
         targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(everywhere))
+        targets = targets if targets.ndim == 4 else targets[:, None]
         errors: TipErrors | None = TipErrors(problem, problem, targets)
     else:
         errors = TipErrors.of(problem)

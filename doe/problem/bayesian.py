@@ -10,43 +10,76 @@ p K parameters.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from doe.criteria import Criterion, D
 from doe.criteria.bayesian import Average, Worst
-from doe.problem.derived_model import DerivedModel
-from doe.problem.problem import DesignProblem, InformationModel
+from doe.problem.model import DesignModel, offered
+from doe.problem.problem import DesignProblem
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
+from identification.for_design import for_design
 from identification.kinematics.parameters import ParameterSet
-from identification.model import Model
 
 KINDS = ("average", "worst")
 
 
 @dataclass(frozen=True)
-class EnsembleModel(DerivedModel):
+class EnsembleModel:
     """K arms measured at the same postures. draws : (K, p) parameter vectors [mm, rad]."""
 
-    model: InformationModel
+    model: DesignModel
     draws: Array
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "model", for_design(self.model))
         draws = readonly(np.atleast_2d(self.draws))
         p = len(self.model.parameters)
         if draws.shape[1] != p or not np.all(np.isfinite(draws)):
             raise InputError(f"draws: shape {draws.shape}, allowed: (K, {p}) finite numbers")
         object.__setattr__(self, "draws", draws)
 
+    @property
+    def joint_types(self) -> tuple[str, ...]:
+        """As of the model."""
+        return self.model.joint_types
+
+    @property
+    def lower(self) -> Array:
+        """As of the model."""
+        return self.model.lower
+
+    @property
+    def upper(self) -> Array:
+        """As of the model."""
+        return self.model.upper
+
+    @property
+    def sigma(self) -> float | None:
+        """As of the model."""
+        return self.model.sigma
+
     @cached_property
     def parameters(self) -> ParameterSet:
         """(K p) parameters of the model, with the number of the draw in their names."""
         draws = range(1, len(self.draws) + 1)
         return ParameterSet.of(replace(p, name=f"{p.name} [draw {k}]") for k in draws for p in self.model.parameters)
+
+    @property
+    def prior(self) -> dict[str, float]:
+        """That of the model, for every draw."""
+        return self.of_draws(self.model.prior)
+
+    def of_draws(self, deviations: Mapping[str, float]) -> dict[str, float]:
+        """Standard deviations of the model's parameters as those of every draw."""
+        numbers = range(1, len(self.draws) + 1)
+        return {f"{name} [draw {k}]": size for k in numbers for name, size in deviations.items()}
 
     @property
     def dimension(self) -> int:
@@ -58,32 +91,26 @@ class EnsembleModel(DerivedModel):
         """(K p) the draws."""
         return self.draws.ravel()
 
-    @cached_property
-    def jacobian_function(self) -> ca.Function:
-        """CasADi (q, c, draws) -> positions (K d) and block-diagonal Jacobian (K d, K p)."""
-        inner = self.model.jacobian_function
-        q, c = ca.SX.sym("q", inner.size1_in(0)), ca.SX.sym("c", inner.size1_in(1))
-        p = ca.SX.sym("p", self.draws.size)
-        each = [inner(q, c, part) for part in ca.vertsplit(p, self.draws.shape[1])]
-        outputs = [ca.vertcat(*(position for position, _ in each)), ca.diagcat(*(jacobian for _, jacobian in each))]
-        return ca.Function("ensemble", [q, c, p], ca.cse(outputs))
+    def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        """(K d) positions of the K arms."""
+        each = ca.vertsplit(p, self.draws.shape[1])
+        return ca.vertcat(*(self.model.symbolic_position(q, part) for part in each))
 
 
-def prior_draws(model: Model, count: int, generator: np.random.Generator) -> Array:
+def prior_draws(model: Any, count: int, generator: np.random.Generator) -> Array:
     """(count, p) parameter vectors around the best known values of an arm.
 
     With a calibration that has a covariance of the same parameters, from it; else independent normal deviations of the
     sizes of its machining, see `deviated_draws`, where an angle of unknown place turns a link of mean length.
     """
-    calibration = model.arm.calibration
-    if calibration is not None and calibration.covariance is not None and calibration.parameter_names == model.names:
-        return generator.multivariate_normal(model.values, calibration.covariance, count, method="eigh")
-    machining, lever = model.arm.machining, float(np.mean(model.arm.lengths))
-    return deviated_draws(model, count, generator, machining.translation, machining.rotation, lever)
+    model = for_design(model)
+    if (covariance := offered(model, "covariance", "uncertain")) is not None:
+        return generator.multivariate_normal(model.values, covariance, count, method="eigh")
+    return deviated_draws(model, count, generator, *offered(model, "machining", "uncertain"))
 
 
 def deviated_draws(
-    model: InformationModel, count: int, generator: np.random.Generator, length: float, angle: float, arm: float
+    model: DesignModel, count: int, generator: np.random.Generator, length: float, angle: float, arm: float
 ) -> Array:
     """(count, p) parameter vectors: independent normal deviations from the best known values, within physical bounds.
 
@@ -109,6 +136,4 @@ def ensemble_problem(problem: DesignProblem, draws: Array, kind: str = "average"
         raise InputError("uncertain: the model is one of several arms already, allowed: the model of one arm")
     model = EnsembleModel(problem.model, draws)
     criterion: Criterion = (Average if kind == "average" else Worst)(len(model.draws))
-    numbers = range(1, len(model.draws) + 1)
-    of_draws = {f"{name} [draw {k}]": deviation for k in numbers for name, deviation in problem.deviations.items()}
-    return replace(problem, model=model, criterion=criterion, deviations=of_draws)
+    return replace(problem, model=model, criterion=criterion, deviations=model.of_draws(problem.deviations))

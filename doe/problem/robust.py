@@ -10,22 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.criteria import Criterion, I
-from doe.problem.candidates import listed_candidates
-from doe.problem.feasible import random_postures
-from doe.problem.prior import NEEDS_SIGMA
-from doe.problem.problem import DesignProblem
-from doe.problem.spatial import arm_model_of, measuring_every_point
-from doe.problem.touching import touches
+from doe.problem.model import offered, offers
+from doe.problem.postures import listed_candidates, random_and_at_limits, random_postures
+from doe.problem.problem import NEEDS_SIGMA, DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.gap.library.library_prior import LibraryPrior, library_prior
-from identification.model import Model
-from identification.model.positions import of_positions, tip_jacobian
 
 # reasons: doe/README.md, "Robust designs"
 FASTEST = 24.0  # order of the fastest wave of an error curve that a plan is to show
@@ -34,23 +29,19 @@ LIBRARY = "library-prior"  # what its criterion promises is of a fit with `armca
 CHOICES = 2000  # postures to choose from where none are listed
 
 
-def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) -> LibraryPrior:
+def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) -> Any:
     """What a problem's model may lack of what postures can show; what order, time and temperature show is left out.
 
-    names : of effects, None: all. Raises `InputError` for another model than an arm's, unknown names, no sigma.
+    names : of effects, None: all. Raises `InputError` for a model that does not know, unknown names, no sigma.
     """
-    if (model := arm_model_of(problem.model)) is None:
-        raise InputError(f"robust: {type(problem.model).__name__}, allowed: the model of one arm")
-    if model.sigma is None:
+    missing = offered(problem.model, "missing_effects", "robust")
+    if problem.model.sigma is None:
         raise InputError(f"--robust {NEEDS_SIGMA}")
-    return library_prior(model.arm, names=names, fastest=FASTEST)
+    return missing(names, FASTEST)
 
 
 def robust_problem(
-    problem: DesignProblem,
-    missing: LibraryPrior | None = None,
-    criterion: Criterion | None = None,
-    poses: Array | None = None,
+    problem: DesignProblem, missing: Any = None, criterion: Criterion | None = None, poses: Array | None = None
 ) -> DesignProblem:
     """The same design space for an arm that may have these effects too.
 
@@ -59,15 +50,10 @@ def robust_problem(
     poses : (k, n) where the tip is needed, None: the `workspace`
     """
     added = missing_effects(problem) if missing is None else missing
-    arm_model = arm_model_of(problem.model)
-    noise = float(np.hypot(problem.model.sigma or 0.0, added.prior.own_error))
-    model = replace(Model(replace(added.arm, sigma=noise)), known=None if arm_model is None else arm_model.known)
-    deviations = {**problem.deviations, **added.prior.deviations}
-    wide = replace(problem, model=measuring_every_point(model), deviations=deviations, fit=LIBRARY)
+    model, deviations, beyond = offered(problem.model, "with_effects", "robust")(added)
+    wide = replace(problem, model=model, deviations={**problem.deviations, **deviations}, fit=LIBRARY)
     poses = workspace(wide) if poses is None else poses
-    levers = of_positions(model).joint_levers(poses)
-    waves = float(np.mean(np.einsum("kdj,j->k", levers**2, added.faster)))
-    wide = replace(wide, beyond=waves + levers.shape[1] * added.prior.own_error**2)
+    wide = replace(wide, beyond=beyond(poses))
     return replace(wide, criterion=average_error(wide, poses) if criterion is None else criterion)
 
 
@@ -79,14 +65,11 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     Fast waves give a criterion thousands of local optima over all postures, none much better than the next: a list has
     enough of them to choose from. No proof over a random list says anything of all postures: it is `sampled`.
     """
-    if problem.choices is not None:
-        return problem if also is None else replace(problem, choices=np.concatenate([problem.choices, also]))
-    generator = np.random.default_rng(0)
-    anywhere, others = (random_postures(problem, CHOICES // 2, generator) for _ in range(2))
-    nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
-    at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
-    parts = [anywhere, at_limits[problem.feasible(at_limits)], *([] if also is None else [also])]
-    return replace(problem, choices=np.concatenate(parts), sampled=True)
+    sampled = problem.choices is None
+    choices = random_and_at_limits(problem, CHOICES, np.random.default_rng(0)) if sampled else problem.choices
+    assert choices is not None
+    listed = choices if also is None else np.concatenate([choices, also])
+    return replace(problem, choices=listed, sampled=sampled or problem.sampled)
 
 
 def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:
@@ -95,15 +78,16 @@ def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:
 
 
 def tip_jacobians(problem: DesignProblem, poses: ArrayLike) -> Array:
-    """(k, d, p) scaled Jacobians of the measured points' positions at poses (k, n), whatever is read of them."""
-    if (model := arm_model_of(problem.model)) is None or of_positions(model) is model:
-        return problem.scaled_jacobians(poses)
-    return tip_jacobian(model, poses) / model.scales
+    """(k, P, c, p) scaled Jacobians of the positions of P measured points at poses (k, n), whatever is read of them; of
+    a model that knows no tip what is measured, as of one point."""
+    if not offers(problem.model, "tip_jacobian"):
+        return problem.scaled_jacobians(poses)[:, None]
+    return np.asarray(offered(problem.model, "tip_jacobian", "tip")(poses) / problem.model.parameters.scales)
 
 
 def workspace(problem: DesignProblem) -> Array:
     """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints, as
     where a probe is to touch something."""
-    if problem.choices is not None and not touches(arm_model_of(problem.model)):
+    if problem.choices is not None and not getattr(problem.model, "tied", False):
         return listed_candidates(problem, problem.choices).postures
     return random_postures(problem, POSES, np.random.default_rng(0))

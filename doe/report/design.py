@@ -20,8 +20,8 @@ from doe.discrimination.t_optimal import NextPostures
 from doe.plan.expected_accuracy import ExpectedDeviations, over_draws
 from doe.plan.plan import Plan
 from doe.plan.replicate_spacing import distance_to_keep
+from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
-from doe.problem.spatial import COLLISIONS
 from doe.solvers.solver import LONG_PLAN
 from identification.arm import Arm
 from identification.arrays import Array

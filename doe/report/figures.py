@@ -14,14 +14,13 @@ from matplotlib.ticker import MaxNLocator
 
 from doe.advise import Advice
 from doe.problem.problem import DesignProblem
-from doe.problem.spatial_constraints import circle_across
 from doe.report.page import check_picture
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.files.io import write_whole
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 from identification.model import Model
-from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox, circle_across
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
 MANY = 500  # more stick figures only cover each other; more points are drawn smaller, as pixels in vector formats

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from doe.criteria.criterion import surrogate, values_after_adding
 from doe.plan.replicate_spacing import distance_to_keep
-from doe.problem.candidates import listed_candidates
-from doe.problem.feasible import random_grid
+from doe.problem.postures import listed_candidates, random_grid
 from doe.problem.problem import MANY, DesignProblem, information_of_each
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array

@@ -13,7 +13,7 @@ import numpy as np
 
 from doe.plan.ascent import PlanAscent
 from doe.plan.rounding import rounded_plan
-from doe.problem.feasible import random_postures
+from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange, ListBatch
 from doe.solvers.ipopt import Climber, Ipopt, polishes

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from doe.problem.feasible import random_postures
+from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange, Fedorov
 from doe.solvers.ipopt import Ipopt

@@ -9,8 +9,7 @@ import numpy as np
 from doe.design import Design
 from doe.plan.expected_accuracy import plan_jacobians
 from doe.plan.replicate_spacing import allowed_value, replicates_allowed
-from doe.problem.candidates import listed_candidates
-from doe.problem.feasible import random_postures
+from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError, JobError

@@ -22,7 +22,7 @@ from doe.design import Design
 from doe.plan.ascent import PlanAscent
 from doe.plan.plan import Plan
 from doe.plan.replicate_spacing import allowed_value, separated, spread_free_joints
-from doe.problem.feasible import random_postures
+from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Fedorov
 from doe.solvers.planar_theory import nearly_optimal, optimal_plans

@@ -22,12 +22,12 @@ from doe.jobs.row_table import Key, Row, RowTable, short_hash, with_columns
 from doe.jobs.tasks import run_tasks
 from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
-from doe.problem.spatial import refuse_contacts
 from doe.solvers import Solver, available_solvers, solve
 from identification.arm import Arm
 from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
+from identification.for_design import refuse_contacts
 from identification.model import Model
 from identification.progress import Progress, silent
 

@@ -115,7 +115,8 @@ def identification_document(
     full : False: of a spatial arm its Denavit-Hartenberg table, or the values that the measurements determine
     """
     rows = [row for row in result.corrected_values if row.parameter not in hidden]
-    dh = [CorrectedValue(**row) for row in data.get("dh_table", ())]
+    # of the class of the others: estimation, where it is defined, imports this module
+    dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
     if full:
         strict = [] if result.geometry is None else result.geometry.strict_table
         sections = [corrected_section("Corrected values", rows, result.geometry is not None, *strict)]

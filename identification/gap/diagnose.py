@@ -97,8 +97,11 @@ def diagnose(
     return result if arm is given else of_first_session(result, given)
 
 
-def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None) -> None:
-    """Raise `InputError` for data that do not fit the arm or lack what its effects need."""
+def check_input(arm: object, measurements: Measurements, holdout: Measurements | None) -> None:
+    """Raise `InputError` for what is no arm, and data that do not fit the arm or lack what its effects need."""
+    if not isinstance(arm, Arm):
+        chain = "whose chain says where effects act, which no other model does"
+        raise InputError(f"arm: {type(arm).__name__}, allowed: an Arm, {chain}")
     check_measurements(Model(arm), measurements)
     touching = arm.chain.instrument.contact  # contacts have no positions
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):

@@ -204,7 +204,7 @@ class SpatialChain(ByValue):
     @cached_property
     def every_parameter(self) -> ParameterSet:
         """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
-        and six errors, in the plane the lengths of the links and the offsets, and last those of the instrument itself."""
+        and six errors, in the plane lengths of links and offsets of joints, and last those of the instrument itself."""
         if self.planar:
             return chain_parameters(self.lengths)
         parameters = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)

@@ -18,7 +18,7 @@ import pytest
 from doe.bounds.column_generation import column_generation
 from doe.bounds.relaxation import relax
 from doe.jobs.isolated import call
-from doe.problem.candidates import PostureList
+from doe.problem.postures import PostureList
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch

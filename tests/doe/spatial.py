@@ -83,6 +83,7 @@ class SpatialModel:
     sigma: float | None = 0.1
     known: tuple[float, ...] = ()
     dimension: int = 3
+    space: int = 3
     closed_form: None = None
     prior = MappingProxyType[str, float]({})
     effects: tuple[()] = ()
@@ -135,15 +136,8 @@ class SpatialModel:
     def values(self) -> Array:
         return np.array(self.known) if self.known else np.zeros(len(self.names))
 
-    @property
-    def neutral_conditions(self) -> Array:
-        return np.zeros(3 + self.joints)
-
-    @cached_property
-    def jacobian_function(self) -> ca.Function:
-        q, c, p = (ca.SX.sym(name, k) for name, k in (("q", self.joints), ("c", 3 + self.joints), ("p", self._size)))
-        position = self._symbolic(q, p)[-1]
-        return ca.Function("spatial", [q, c, p], ca.cse([position, ca.jacobian(position, p)]))
+    def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        return self._symbolic(q, p)[-1]
 
     @property
     def _size(self) -> int:
@@ -154,13 +148,15 @@ class SpatialModel:
 
     @cached_property
     def _compiled(self) -> Any:
-        return vectorize(self.jacobian_function)
+        q, p = ca.SX.sym("q", self.joints), ca.SX.sym("p", self._size)
+        position = self._symbolic(q, p)[-1]
+        return vectorize(ca.Function("spatial", [q, p], ca.cse([position, ca.jacobian(position, p)])))
 
     def linearize(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Any = None
     ) -> tuple[Array, Array]:
         values = self.values if parameters is None else np.asarray(parameters, dtype=float)
-        position, jacobian = self._compiled(postures, self.neutral_conditions, values[..., None, :])
+        position, jacobian = self._compiled(postures, values[..., None, :])
         return position[..., 0], jacobian
 
     def position(self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Any = None) -> Array:

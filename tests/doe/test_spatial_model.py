@@ -21,7 +21,7 @@ from doe.bounds.planar_theorem import closed_form_bound
 from doe.bounds.relaxation import relax
 from doe.design import score_plan
 from doe.discrimination.design import discrimination_design
-from doe.discrimination.effect_library import EffectLibrary
+from doe.discrimination.misidentification import EffectLibrary
 from doe.discrimination.swaps import CLOUD, pool_of
 from doe.discrimination.t_optimal import RivalPredictions, t_optimal
 from doe.plan.order import ordered, travel

@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from doe.jobs.row_table import Row
-from doe.problem.feasible import random_postures
+from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
-from doe.problem.spatial import without_prior
 from doe.studies.monte_carlo.specification import points
 from identification.arrays import Array
 from identification.errors import JobError
 from identification.estimation import estimate_batch, estimate_each
 from identification.estimation.batch import sessions
 from identification.files.arm import arm_from_tables
+from identification.for_design import without_prior
 from identification.information import covariance, covariances
 from identification.kinematics.counting import in_columns, in_joints
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, orientation_transform

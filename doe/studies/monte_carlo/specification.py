@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doe.plan.plan import Plan
-from doe.problem.spatial import with_points, without_prior
 from doe.solvers import SOLVERS
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
 from identification.effects import library
 from identification.errors import InputError, nearest
+from identification.for_design import with_points, without_prior
 from identification.kinematics.parameters import GEOMETRY
 from identification.model import Model
 

@@ -10,8 +10,8 @@ import pytest
 from doe.bounds.approximate_design import ApproximateDesign
 from doe.bounds.equivalence import largest_sensitivity
 from doe.plan.plan import Plan
-from doe.problem.candidates import grid
-from doe.problem.prior import PriorInformation
+from doe.problem.postures import grid
+from doe.problem.problem import PriorInformation
 from identification.status import Status
 from tests.doe.arms import FOUR, problem
 

@@ -13,7 +13,7 @@ from numpy.polynomial import Polynomial, legendre
 from doe.bounds import column_generation as module
 from doe.bounds.column_generation import column_generation, continuous_design
 from doe.criteria import A, Criterion, D, Ds, E, I
-from doe.problem.candidates import PostureList, grid, listed_candidates
+from doe.problem.postures import PostureList, grid, listed_candidates
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.errors import JobError

@@ -17,7 +17,7 @@ from doe.bounds.equivalence import (
     sensitivity,
 )
 from doe.bounds.planar_theorem import closed_form_log_det
-from doe.problem.candidates import PostureList
+from doe.problem.postures import PostureList
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
@@ -37,7 +37,7 @@ def test_sensitivity_is_the_trace() -> None:
     plan = generator.uniform(FOUR.lower, FOUR.upper, (12, 4))
     information = case.information(plan)
     found = sensitivity(case, information, plan)
-    for value, jacobian in zip(found, case.model.jacobian(plan) / case.model.scales, strict=True):
+    for value, jacobian in zip(found, case.model.jacobian(plan) / case.model.parameters.scales, strict=True):
         assert value == pytest.approx(np.trace(np.linalg.solve(information, jacobian.T @ jacobian)))
     assert np.mean(found) == pytest.approx(case.parameters)  # sum_i w_i d_i = tr(M^-1 M) = p for every design
 

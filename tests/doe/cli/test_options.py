@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from doe.cli import main
 from doe.cli.common import Answer, CommonOptions, check_outputs, verb
-from doe.cli.options import FOLDER, File, FilePath, Names, Picture, WholeNumbers, written
+from doe.cli.options import FOLDER, File, FilePath, Names, WholeNumbers, written
 from identification.errors import InputError
 
 
@@ -117,23 +117,6 @@ def test_every_output_file_is_checked_before_the_work(verb: click.Command, name:
     assert there.read_text() == "mine"
 
 
-def test_verbs_that_write_files_are_all_there() -> None:
-    verbs = {verb.name for verb, _ in WRITTEN}
-    assert verbs == {
-        "design",
-        "score",
-        "advise",
-        "relax",
-        "simulate",
-        "identify",
-        "diagnose",
-        "discriminate",
-        "compensate",
-        "validate",
-        "report",
-    }
-
-
 def test_every_file_of_a_verb_is_read_or_written() -> None:
     """By its name, so that no new option stands on the wrong side."""
     names = {True: set[str](), False: set[str]()}
@@ -144,12 +127,3 @@ def test_every_file_of_a_verb_is_read_or_written() -> None:
                 names[parameter.type.written].add(str(parameter.name))
     assert names[True] == {"out", "picture", "aliases", "report", "curves", "urdf"}
     assert not names[True] & names[False]
-
-
-def test_a_picture_is_made_only_when_asked_for() -> None:
-    def never() -> Any:
-        raise AssertionError
-
-    written({None: never}, force=False)
-    assert any(getattr(parameter.type, "picture", False) for parameter in main.commands["score"].params)
-    assert Picture.__metadata__[0].picture  # type: ignore[attr-defined]

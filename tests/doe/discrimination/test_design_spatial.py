@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doe.discrimination.design import discrimination_design, off_the_limits, turning
-from doe.discrimination.effect_library import effect_library
+from doe.discrimination.misidentification import effect_library
 from doe.discrimination.swaps import CLOUD, pool_of
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm, Gravity
@@ -54,7 +54,7 @@ def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
     problem = DesignProblem.of(Model(arm), choices=choices)
     found = discrimination_design(problem, arm, RUNS, loss=LOSS)
     library = effect_library(arm)
-    inner = library.shown_by_postures if points == 1 else library.shown_by_postures.model  # type: ignore[attr-defined]
+    inner = library.shown_by_postures.model  # type: ignore[attr-defined]
     cloud = stacked(columns(inner, pool_of(problem, CLOUD, np.random.default_rng(0)), points))
     of_choices = columns(inner, choices, points)
     scale = np.sqrt(len(cloud) / (3.0 * points) / 10.0)  # all of the list stand for random postures

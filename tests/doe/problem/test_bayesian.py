@@ -80,9 +80,9 @@ def test_derivatives_by_differences(criterion: Average | SoftWorst) -> None:
 @pytest.mark.parametrize("criterion", [Average(3), SoftWorst(3)])
 def test_adding_a_run_ranks_as_the_value_does(criterion: Average | SoftWorst) -> None:
     generator = np.random.default_rng(6)
-    model = ensemble_problem(DesignProblem.of(MODEL), DRAWS).model
+    ensemble = ensemble_problem(DesignProblem.of(MODEL), DRAWS)
     postures = generator.uniform(ARM.lower, ARM.upper, (20, 3))
-    jacobians = model.jacobian(postures) / model.parameters.scales
+    jacobians = ensemble.scaled_jacobians(postures)
     information = np.einsum("kda,kdb->ab", jacobians[:10], jacobians[:10])
     direct = np.array([float(criterion.value(information + b.T @ b)) for b in jacobians[10:]])
     surrogate = criterion.values_after_adding(information[None], jacobians[None, 10:])[0]

@@ -14,7 +14,7 @@ from doe.bounds.continuous import ContinuousSet
 from doe.criteria import A, D
 from doe.design import score
 from doe.problem.bayesian import EnsembleModel
-from doe.problem.candidates import PostureList
+from doe.problem.postures import PostureList
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import average_error, missing_effects, robust_problem, with_choices, workspace
 from doe.solvers import solve
@@ -151,7 +151,7 @@ def test_choices_are_the_workspace() -> None:
 def test_bad_input_is_said() -> None:
     with pytest.raises(InputError, match=r"^--robust needs the instrument's scatter"):
         robust_problem(DesignProblem.of(Model(Arm(LENGTHS))))
-    with pytest.raises(InputError, match="EnsembleModel, allowed: the model of one arm"):
+    with pytest.raises(InputError, match="robust: EnsembleModel has no missing_effects, allowed: a model with it"):
         robust_problem(replace(PLAIN, model=EnsembleModel(PLAIN.model, np.zeros((2, 4)))))
     with pytest.raises(InputError, match="deviations: joint_offset:1 has 0"):
         replace(PLAIN, deviations={"joint_offset:1": 0.0})

@@ -12,10 +12,10 @@ from doe.bounds.bound import Bound
 from doe.problem.bayesian import ensemble_problem, prior_draws
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import tip_jacobians
-from doe.problem.spatial import OFF_AXIS, EveryPoint, designed, with_center, with_points
 from doe.solvers import Gradient, solve
 from identification.arm import Arm
 from identification.errors import InputError
+from identification.for_design import OFF_AXIS, ArmModel, with_center, with_points
 from identification.instruments import Distance, Sphere
 from identification.kinematics.frames import pose
 from identification.model import Model
@@ -77,7 +77,7 @@ def test_every_point_is_measured_at_every_posture() -> None:
     tools = {"1": REFLECTOR, "2": np.array([-50.0, 20.0, 80.0])}
     arm = Arm(replace(CHAIN, tools=tools), sigma=0.05)
     problem = six_axis(arm)
-    assert isinstance(problem.model, EveryPoint)
+    assert isinstance(problem.model, ArmModel)
     assert problem.model.dimension == 6
     blocks = problem.model.jacobian(POSTURES[:3])
     np.testing.assert_allclose(blocks, problem.scaled_jacobians(POSTURES[:3]) * problem.model.parameters.scales)
@@ -90,11 +90,11 @@ def test_every_point_is_measured_at_every_posture() -> None:
 
 def test_uncertain_arms_keep_their_prior() -> None:
     problem = six_axis()
-    placed, _, _ = designed(Model(SIX_AXIS))
+    placed = ArmModel.of(SIX_AXIS).placed()
     draws = prior_draws(placed, 2, np.random.default_rng(0))
     uncertain = ensemble_problem(problem, draws)
     assert uncertain.parameters == 78
-    each = [replace(problem, model=replace(placed, known=None)).objective(POSTURES)]
+    each = [replace(problem, model=placed).objective(POSTURES)]
     assert uncertain.objective(POSTURES) == pytest.approx(2.0 * each[0], rel=1e-2)
 
 

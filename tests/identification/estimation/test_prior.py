@@ -7,9 +7,9 @@ import pytest
 
 from identification.arm import EffectSpec
 from identification.errors import InputError
-from identification.estimation.prior import Prior, effective_count
+from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem, damped_gauss_newton
-from identification.information import covariance
+from identification.information import covariance, effective_count
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, plan
@@ -44,14 +44,13 @@ def _ridge(columns: np.ndarray, beyond: np.ndarray, sigma: float) -> tuple[np.nd
 def test_problem_with_a_prior_is_ridge_regression() -> None:
     model, columns = _linear_model()
     measurements, beyond = _measured(columns)
-    problem = Problem.of(model, measurements, np.full(M, SIGMA**-2))
-    plain, problem = problem, Problem(**{**vars(problem), "prior": Prior(DEVIATIONS)})
+    plain, problem = (Problem.of(model, measurements, SIGMA, prior=prior) for prior in (None, Prior(DEVIATIONS)))
     found = damped_gauss_newton(problem).parameters[0]
     mean, posterior = _ridge(columns, beyond, SIGMA)
     np.testing.assert_allclose(found, mean, rtol=1e-9, atol=1e-12)
-    _, jacobian = problem.linearize_at(found)
-    assert jacobian.shape == (2 * M + 3, 6)
-    np.testing.assert_allclose(covariance(jacobian, model.scales), posterior, rtol=1e-9, atol=1e-15)
+    _, jacobian = problem.linearize(found[None], np.arange(1))
+    assert jacobian.shape == (1, 2 * M + 3, 6)
+    np.testing.assert_allclose(covariance(jacobian[0], model.scales), posterior, rtol=1e-9, atol=1e-15)
     assert np.max(np.abs(damped_gauss_newton(plain).parameters[0] - mean)) > 0.01  # it does something
 
 
@@ -59,7 +58,7 @@ def test_effective_count_without_data_of_a_parameter() -> None:
     """One parameter known by the prior only, one by both equally, one by the data only: 0 + 1/2 + 1."""
     jacobian = np.diag([0.0, 2.0, 3.0])
     rows = np.array([[5.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-    assert effective_count(jacobian, rows) == pytest.approx(1.5)
+    assert effective_count(jacobian, rows, np.ones(3)) == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize("deviation", [0.0, -1.0, np.inf, np.nan])

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from doe.plan.plan import Plan
-from doe.problem.spatial import without_prior
 from doe.studies.monte_carlo import Fitted, Study, Truth, load_study, run_study
 from doe.studies.monte_carlo.replications import in_api_units, in_file_units, true_values
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
 from identification.files.arm_text import dump_arm
+from identification.for_design import without_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Conditions
 from identification.model import Model

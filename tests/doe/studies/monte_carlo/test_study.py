@@ -17,6 +17,7 @@ from doe.cli.study import command
 from doe.jobs.row_table import frame_of
 from doe.jobs.workers import processes
 from doe.plan.plan import Plan
+from doe.report.studies import cell_table
 from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled_rows, run_study
 from doe.studies.monte_carlo.replications import Cell
 from identification.arm import Arm, EffectSpec
@@ -25,6 +26,7 @@ from identification.estimation import BatchFit, estimate_each
 from identification.measurements import Conditions
 from identification.model import Model
 from identification.workspace import WorkspaceBox
+from tests.spoil import check, message_of
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 PAPER = Truth("paper", [1.5, -0.6, -0.4, 0.7], np.radians([0.5, -0.5, 0.7, -0.3]).tolist())
@@ -284,36 +286,36 @@ def test_file_is_read(folder: Path) -> None:
     assert len(plan) == 7
 
 
+def test_a_key_that_is_spoilt_is_named(folder: Path) -> None:
+    check(load_study, folder / "study.toml")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "found"),
     [
         ('plans = ["dft"', 'plans = ["dtf"', "did you mean 'dft'"),
-        ("replications = 50", "replicatons = 50", "replicatons: unknown key, did you mean 'replications'"),
-        ("replications = 50", "replications = 0", "replications: found 0, allowed: a whole number >= 1"),
-        ("replications = 50", f"replications = 1{23 * '0'}", "allowed: a whole number >= 1, at most 1,000,000,000"),
-        ("replications = 50", "replications = 1000000\nblock = 1", "block: found 1, allowed: at least 10 for"),
-        ("replications = 50", "sigma_mm = []", "sigma_mm: found 0 values, allowed: numbers > 0 [mm], at least one"),
-        ("replications = 50", "sigma_mm = [nan]", "sigma_mm[1]: found nan, allowed: numbers > 0 [mm]"),
-        ("runs = [5]", "runs = [1000000000000]", "runs[1]: found 1000000000000, allowed: whole numbers >= 1, at most"),
-        ("runs = [5]", "runs = [5, 2.5]", r"runs[2]: found 2.5, allowed: whole numbers >= 1"),
-        ("runs = [5]", "", "runs: is missing"),
+        ("replications = 50", "replications = 0", "replications: found 0"),
+        ("replications = 50", f"replications = 1{23 * '0'}", "at most 1,000,000,000"),
+        ("replications = 50", "replications = 1000000\nblock = 1", "block: found 1"),
+        ("replications = 50", "sigma_mm = []", "sigma_mm: found 0 values"),
+        ("replications = 50", "sigma_mm = [nan]", "sigma_mm[1]: found nan"),
+        ("runs = [5]", "runs = [1000000000000]", "runs[1]: found 1000000000000"),
+        ("runs = [5]", "runs = [5, 2.5]", "runs[2]: found 2.5"),
         ("length_errors_mm = [1.0,", "length_errors_mm = [1.0, 2.0,", "found 3 values for 2 links"),
-        ("length_errors_mm", "lengths_errors_mm", "did you mean 'length_errors_mm'"),
-        ("joint = 2", "joint = 3", "truths[1].effects: encoder_eccentricity at joint 3, allowed: 1 to 2"),
+        ("joint = 2", "joint = 3", "truths[1].effects: encoder_eccentricity at joint 3"),
         ("encoder_eccentricity", "encoder_excentricity", "did you mean 'encoder_eccentricity'"),
         ('"encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01', '"link_bending"', "needs gravity"),
-        ('name = "base"', "", "models[1].name: is missing, allowed: a text"),
         ("arm.toml", "other.toml", "no such file"),
     ],
 )
 def test_bad_file_is_one_line(folder: Path, old: str, new: str, found: str) -> None:
     assert old in GOOD
     (folder / "study.toml").write_text(GOOD.replace(old, new))
-    with pytest.raises(InputError) as caught:
-        load_study(folder / "study.toml")
-    assert found in str(caught.value)
-    assert "study.toml" in str(caught.value)
-    assert "\n" not in str(caught.value)
+    message = message_of(load_study, folder / "study.toml")
+    assert message is not None
+    assert found in message
+    assert "study.toml" in message
+    assert "\n" not in message
 
 
 def test_noise_is_needed() -> None:
@@ -396,3 +398,9 @@ def test_unknown_study_has_the_nearest_name() -> None:
     done = CliRunner().invoke(command, ["papr"])
     assert done.exit_code == 2
     assert "did you mean 'paper'" in done.output
+
+
+def test_a_cell_without_a_fit_has_no_figures() -> None:
+    row = dict.fromkeys(("mean_error", "std", "expected_std", "coverage", "rms_mm"))
+    row |= {"fits": 0, "failed": 3, "parameter": "length_error:1", "unit": "mm"}
+    assert cell_table("arm, plan", [row]).title.endswith("0 fits, 3 failed, RMS - mm")

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from doe.problem.candidates import Grid, PostureList, chunks, grid, listed_candidates, well_spread
+from doe.problem.postures import Grid, PostureList, chunks, grid, listed_candidates, well_spread
 from identification.arrays import Array
 from identification.errors import InputError
 from tests.doe.arms import FOUR, OFFSET, problem

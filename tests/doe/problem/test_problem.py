@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.problem.prior import PriorInformation
+from doe.problem.problem import PriorInformation
 from identification.errors import InputError
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 

@@ -1,11 +1,11 @@
-"""Finite sets of allowed postures: a grid over the joint limits or a list, made chunk by chunk.
+"""Which postures may be chosen: random ones that satisfy the constraints, however few there are, grids and lists.
 
 A grid of a million postures is three short axes, not an array: postures exist only while a chunk is visited.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import prod
 from typing import Protocol
@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from doe.problem.constraints import Constraint
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array, readonly
 from identification.errors import InputError
@@ -21,8 +22,112 @@ Index = NDArray[np.int64]
 CHUNK = 8192  # postures; the Jacobians of a chunk stay in the processor's cache, which is fastest
 MOST = 2**27  # candidates of a grid: a number for each fits into memory
 OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, from rounding in a file in degrees
+BATCH = 4096
+TRIES = 8  # batches without a single feasible posture before they are searched for
+CLIMBS = 60  # rounds of that search
+SOME = "constraints that leave some"  # postures
 
 
+# -- random postures ---------------------------------------------------------------------------------------------------
+def random_postures(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
+    """(count, n) uniform over the feasible set within the joint limits; near its known points where it is tiny.
+
+    Raises `InputError` naming the constraints that exclude everything.
+    """
+
+    def anywhere(size: int) -> Array:
+        return generator.uniform(problem.lower, problem.upper, (size, problem.joints))
+
+    if not problem.constraints:
+        return anywhere(count)
+    return fill(problem, count, anywhere, generator)
+
+
+def random_and_at_limits(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
+    """(at most count, n) random feasible postures, of half of them each joint at a limit with probability one half."""
+    anywhere, others = (random_postures(problem, count // 2, generator) for _ in range(2))
+    nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
+    at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
+    return np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
+
+
+def random_grid(problem: DesignProblem, grid: Array, count: int, generator: np.random.Generator) -> Array:
+    """(count, n) random feasible postures on the grid (n, L); joints that play no part stay in the middle."""
+
+    def on_grid(size: int) -> Array:
+        postures = np.tile((problem.lower + problem.upper) / 2.0, (size, 1))
+        for joint in problem.searched_joints:
+            postures[:, joint] = grid[joint, generator.integers(grid.shape[1], size=size)]
+        return postures
+
+    return fill(problem, count, on_grid, generator) if problem.constraints else on_grid(count)
+
+
+def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], generator: np.random.Generator) -> Array:
+    """(count, n) feasible postures of those that `draw(size)` makes, or near them where they are too rare."""
+    feasible, seen = np.empty((0, problem.joints)), []
+    for _ in range(TRIES):
+        drawn = draw(max(BATCH, count))
+        seen.append(drawn)
+        feasible = np.concatenate([feasible, drawn[problem.feasible(drawn)]])
+        if len(feasible) >= count:
+            return feasible[:count]
+    if not len(feasible):
+        feasible = led_inside(problem, np.concatenate(seen), generator)
+    near = vary(problem, feasible[generator.integers(len(feasible), size=count)], generator)
+    return np.concatenate([feasible, near])[:count]
+
+
+def led_inside(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
+    """Feasible postures near the least infeasible of many, by random steps that reduce by how much they are so."""
+
+    def shortfall(postures: Array) -> Array:
+        """(m,) sum over the constraints of how far a posture is from satisfying them; 0 where it does."""
+        return np.sum([np.maximum(-c.margin(postures), 0.0).sum(axis=1) for c in problem.constraints], axis=0)
+
+    best = postures[np.argsort(shortfall(postures))[:64]]
+    miss, width = shortfall(best), problem.upper - problem.lower
+    for k in range(CLIMBS):
+        trials = problem.clip(best + generator.standard_normal((16, *best.shape)) * 0.2 * 0.85**k * width)
+        values = shortfall(trials.reshape(-1, problem.joints)).reshape(len(trials), -1)
+        better = values.min(axis=0) < miss
+        best[better] = trials[np.argmin(values, axis=0), np.arange(len(best))][better]
+        miss[better] = values.min(axis=0)[better]
+    feasible = best[problem.feasible(best)]
+    if not len(feasible):
+        raise infeasible(tuple(problem.constraints), np.concatenate([postures, best]))
+    return feasible
+
+
+def vary(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
+    """Each posture moved at random as far as it stays feasible: steps are shortened until it does."""
+    steps = generator.standard_normal(postures.shape) * (problem.upper - problem.lower) * 0.2
+    moved, waiting = np.array(postures), np.arange(len(postures))
+    for k in range(12):
+        trial = problem.clip(postures[waiting] + steps[waiting] * 0.5**k)
+        fits = problem.feasible(trial)
+        moved[waiting[fits]] = trial[fits]
+        waiting = waiting[~fits]
+    return moved
+
+
+def infeasible(constraints: tuple[Constraint, ...], postures: Array) -> InputError:
+    """The diagnosis when none of these (many, well spread) postures satisfies all constraints: which exclude all."""
+    fits = np.array([np.all(c.margin(postures) >= 0.0, axis=1) for c in constraints])
+    names = [f"constraint {k + 1} ({c.kind})" for k, c in enumerate(constraints)]
+    alone = [name for name, fit in zip(names, fits, strict=True) if not fit.any()]
+    if alone:
+        conflict = f"no posture within the joint limits satisfies {' nor '.join(alone)}"
+        return InputError(f"constraints: {conflict}, allowed: {SOME}")
+    for k in range(len(names)):
+        for other in range(k):
+            if not np.any(fits[k] & fits[other]):
+                conflict = f"no posture satisfies {names[other]} and {names[k]} together"
+                return InputError(f"constraints: {conflict}, allowed: {SOME}")
+    return InputError(f"constraints: no posture satisfies all of {', '.join(names)} together, allowed: {SOME}")
+
+
+# -- grids and lists ---------------------------------------------------------------------------------------------------
 class Candidates(Protocol):
     """N allowed postures, counted from 0."""
 

@@ -1,4 +1,4 @@
-"""Postures that touch: on the surface by an independent chain, nothing of the arm inside; plans chosen from them."""
+"""What an arm offers to designs: points by an independent chain, postures that touch, nothing of the arm inside."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.problem import touching
+from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import workspace
-from doe.problem.touching import clear_of_surface, heights, touching_postures
 from doe.solvers import solve
+from identification import for_design
 from identification.arm import Arm, Calibration
+from identification.conditions import Conditions
 from identification.errors import InputError
+from identification.for_design import ArmModel
 from identification.instruments import Plane, Sphere
 from identification.instruments.sphere import RADIUS
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose, rotation_to_z
 from identification.kinematics.spatial import BASE, TOOL
 from identification.model import Model
@@ -41,7 +44,7 @@ def arm_of(kind: str, **changes: object) -> Arm:
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(touching, "CHOICES", 150)
+    monkeypatch.setattr(for_design, "CHOICES", 150)
 
 
 @pytest.mark.usefixtures("few")
@@ -67,13 +70,13 @@ def test_choices_touch_and_nothing_is_inside(kind: str) -> None:
 @pytest.mark.usefixtures("few")
 def test_a_stylus_that_passes_through_does_not_touch() -> None:
     arm = arm_of("plane")
-    model, q = Model(arm), DesignProblem.of(Model(arm)).choices
+    model, q = ArmModel.of(arm), DesignProblem.of(Model(arm)).choices
     assert q is not None
-    assert clear_of_surface(model, q).all()
-    assert np.abs(heights(model, q)).max() < 1e-6
+    assert model.clear_of_surface(q).all()
+    assert np.abs(model.heights(q)).max() < 1e-6
     assert arm.chain is not None
     over = replace(arm.chain, base=pose(rotation=np.diag([1.0, -1.0, -1.0])) @ arm.chain.base)  # from below
-    assert not clear_of_surface(Model(replace(arm, chain=over)), q).any()
+    assert not ArmModel.of(replace(arm, chain=over)).clear_of_surface(q).any()
 
 
 @pytest.mark.usefixtures("few")
@@ -114,6 +117,37 @@ def test_a_calibration_says_the_radius() -> None:
     chain = replace(arm.chain, instrument=Sphere())
     found = Model(replace(arm, chain=chain, calibration=Calibration({RADIUS: BALL})))
     problem = DesignProblem.of(found)
-    expected = touching_postures(Model(arm), DesignProblem.of(Model(arm)))
+    expected = DesignProblem.of(Model(arm)).choices
+    assert expected is not None
     assert problem.choices is not None
     np.testing.assert_allclose(problem.choices, expected, atol=1e-6)
+
+
+SHORT = chain_of([DHRow(0.0, np.pi / 2, 200.0), DHRow(-300.0, 0.0, 0.0), DHRow(-250.0, 0.1, 40.0)])
+TOOLS = {"a": np.array([50.0, 0.0, 20.0]), "b": np.array([-40.0, 30.0, 10.0])}
+MODEL = Model(Arm(replace(SHORT, tools=TOOLS), sigma=0.05))
+POSTURES = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 3))
+
+
+def test_the_points_are_stacked_in_numbers_and_in_symbols() -> None:
+    offer = ArmModel(MODEL)
+    assert (offer.joint_types, offer.sigma, offer.dimension) == (MODEL.joint_types, MODEL.sigma, 6)
+    each = [MODEL.jacobian(POSTURES, None, Conditions(marker=np.full(4, float(k)))) for k in range(2)]
+    expected = np.concatenate(each, axis=1)
+    np.testing.assert_allclose(offer.jacobian(POSTURES), expected, atol=1e-9)
+    np.testing.assert_allclose(offer.tip_jacobian(POSTURES).reshape(4, 6, -1), expected, atol=1e-9)
+    problem = DesignProblem(MODEL, np.full(3, -2.0), np.full(3, 2.0))
+    np.testing.assert_allclose(problem.scaled_jacobians(POSTURES), expected / MODEL.scales, atol=1e-9)
+
+
+def test_an_ensemble_has_a_block_for_each_draw() -> None:
+    draws = 1e-3 * np.random.default_rng(1).standard_normal((2, len(MODEL.names)))
+    one = Model(Arm(replace(SHORT, tools={"a": TOOLS["a"]}), sigma=0.05))
+    draws = draws[:, : len(one.names)]
+    problem = DesignProblem(EnsembleModel(one, draws), np.full(3, -2.0), np.full(3, 2.0))
+    jacobian, p = problem.scaled_jacobians(POSTURES), len(one.names)
+    for k, draw in enumerate(draws):
+        own = jacobian[:, 3 * k : 3 * k + 3, p * k : p * (k + 1)]
+        np.testing.assert_allclose(own, one.jacobian(POSTURES, draw) / one.scales, atol=1e-9)
+    assert not jacobian[:, :3, p:].any()
+    assert not jacobian[:, 3:, :p].any()
