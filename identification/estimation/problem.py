@@ -328,7 +328,7 @@ def starts(problem: Problem) -> Array:
     """
     best_known = np.tile(problem.start, (len(problem.positions), 1))
     chain = problem.model.arm.chain if isinstance(problem.model, Model) else None
-    if not chain.planar:
+    if chain is not None:
         own = {parameter.name for parameter in chain.instrument.parameters}
         if numbers := [k for k, name in enumerate(problem.model.names) if name in own]:
             return _with_instrument(problem, best_known, chain.instrument, numbers)

@@ -110,7 +110,7 @@ class Predicted(NamedTuple):
         """By a model;  there : conditions of the rows"""
         left = fitted.position_residuals(holdout, there)[:, POINT]
         measured, chain, axes = holdout.positions[:, POINT], fitted.model.arm.chain, None
-        if chain.instrument.reads_positions:
+        if not chain.planar and chain.instrument.reads_positions:
             sizes = widths(chain)
             first = sum([*sizes.values()][: [*sizes].index("tool")])
             levers = fitted.model.place_levers(holdout.postures, fitted.values, there)[0]
