@@ -13,7 +13,15 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.prior import WIDTHS, ZERO_WIDTHS, LinearizedProblem, Prior, Widths, likeliest
+from identification.estimation.prior import (
+    WIDTHS,
+    ZERO_WIDTHS,
+    LinearizedProblem,
+    Prior,
+    Widths,
+    effective_count,
+    likeliest,
+)
 from identification.estimation.problem import Problem, weighting
 from identification.gap.library.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
@@ -144,6 +152,19 @@ def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
             kept.append((low <= truth[:4]) & (truth[:4] <= high))
     assert np.mean(held) == pytest.approx(0.95, abs=4 * 0.034)
     assert np.mean(plain) < 0.8
+
+
+def test_effective_count_without_data_of_a_parameter() -> None:
+    """One parameter known by the prior only, one by both equally, one by the data only: 0 + 1/2 + 1."""
+    jacobian = np.diag([0.0, 2.0, 3.0])
+    rows = np.array([[5.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    assert effective_count(jacobian, rows) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("deviation", [0.0, -1.0, np.inf, np.nan])
+def test_wrong_deviation(deviation: float) -> None:
+    with pytest.raises(InputError, match="prior: length_error:1"):
+        Prior({"length_error:1": deviation})
 
 
 def test_fewer_rows_than_parameters_are_enough() -> None:
