@@ -1,22 +1,16 @@
-"""`estimate`: checks the data, chooses the method, and states what is estimable and how well.
+"""`estimate`: poses the problem, solves it, and states what is estimable, how sure it is, and what is doubtful.
 
-Least squares with a normal prior of some parameters, against noise that the data may show to be larger than sigma.
-
-The minimum is the mode of the posterior. What the noise amounts to decides how far the data may move what has a prior:
-it is the variance of the largest marginal likelihood, the parameters without a prior integrated out (restricted maximum
-likelihood, H. D. Patterson, R. Thompson 1971), and no less than a sigma that is given.
-
-From a solution of a least-squares problem to an `Identification`: what is estimable, how sure, what is doubtful.
-
-Fits again and again without the rows that the last fit does not explain, until it explains all that are left.
+With a normal prior of some parameters the minimum is the mode of the posterior. What the noise amounts to decides how
+far the data may move what has a prior: it is the noise of the largest marginal likelihood (`prior.likeliest`), and no
+less than a sigma that is given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,17 +18,18 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arm import Machining
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
-from identification.estimation.doubts import doubts, far_rows, with_contradictions
-from identification.estimation.expected_tip import turns_measured
-from identification.estimation.levenberg_marquardt import ITERATIONS, Index, LeastSquares, Solution, levenberg_marquardt
+from identification.estimation.doubts import Contradiction, doubts, far_rows
+from identification.estimation.expected_tip import flange_turns
+from identification.estimation.levenberg_marquardt import ITERATIONS, Index, Solution, levenberg_marquardt
 from identification.estimation.outlying import limit_of, outlying, robust_squares, together
-from identification.estimation.prior import LinearizedProblem, Prior, Widths, effective_count, likeliest, widened
-from identification.estimation.problem import METHODS, Noise, Problem, check_measurements, starts, weighting
+from identification.estimation.prior import Prior, contradicted, likeliest
+from identification.estimation.problem import METHODS, LinearProblem, Problem, check_measurements, starts
 from identification.estimation.result import Identification
-from identification.estimation.uncertainty import FittedRows, Uncertainty, uncertainty
+from identification.estimation.uncertainty import WhiteRows, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, identifiability_of, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.joint_range import joint_range
+from identification.kinematics.parameters import JOINT_OFFSET
 from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
 from identification.model import Model
@@ -44,6 +39,12 @@ from identification.status import Status
 from identification.threads import single_thread
 
 LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
+FIRST = 2  # steps before the noise is estimated again: the model is nearly linear
+ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
+STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
+UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
+NEAR = 0.5  # of the limit: rows this near are tested with their leverage, which is small where rows are many
+MANY = 20  # equations for each parameter
 
 
 def estimate(
@@ -79,57 +80,28 @@ def estimate(
             raise InputError(f"method: {method} for a spatial arm held by a prior, allowed: gauss_newton")
         return estimate_with_prior(model, measurements, Prior(prior), sigma, weights)
     filed, model = as_filed(model, measurements), placed_model(model, measurements)
-    noise = weighting(model, measurements, sigma, weights)
-    problem = Problem.of(model, measurements, noise.weights)
+    problem = Problem.of(model, measurements, sigma, weights)
     chosen = method or ("linear" if problem.exact_form else "gauss_newton")
     if chosen not in METHODS:
         raise InputError(f"method: unknown name {chosen!r}, {nearest(chosen, METHODS)}")
-    solution, decomposed, problem = _solve(problem, chosen, noise)
-    fit = _result(problem, measurements, chosen, solution, decomposed, noise)
+
+    def solved(problem: Problem) -> tuple[Solution, Array, Spectrum]:
+        solution = METHODS[chosen](problem)
+        if not (status := solution.status[0]).succeeded:
+            raise JobError(f"{chosen}: {status.value} Nothing damps this method; gauss_newton may do better.")
+        residuals, jacobians = problem.linearize(solution.parameters, np.arange(1))
+        return solution, residuals[0], spectrum(jacobians[0], model.scales, problem.tolerance)
+
+    solution, residual, decomposed = solved(problem)
+    # once more without the combinations whose standard deviation turns out too large to mean anything
+    dof = residual.size - decomposed.rank
+    deviation = problem.sigma or (float(np.sqrt(np.sum(residual**2) / dof)) if dof > 0 else 0.0)
+    useful = max(RANK_TOLERANCE, deviation / (np.sqrt(len(measurements)) * LARGEST_SHARE * model.reach))
+    if decomposed.truncated(min(useful, 0.1)).rank != decomposed.rank:
+        problem = replace(problem, tolerance=min(useful, 0.1))
+        solution, _, decomposed = solved(problem)
+    fit = identification(problem, measurements, chosen, solution, decomposed, decomposed.rank)
     return fit if filed is None else replace(fit, residuals_before=filed)
-
-
-def _solution(problem: Problem, method: str) -> Solution:
-    solution = METHODS[method](problem)
-    if not solution.status[0].succeeded:
-        raise JobError(f"{method}: {solution.status[0].value} Nothing damps this method; gauss_newton may do better.")
-    return solution
-
-
-def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:
-    """Fits; and fits again without the combinations whose standard deviation turns out too large to mean anything."""
-    solution = _solution(problem, method)
-    residuals, jacobian = problem.linearize_at(solution.parameters[0])
-    decomposed = spectrum(jacobian, problem.model.scales, problem.tolerance)
-    dof = residuals.size - decomposed.rank
-    sigma = noise.sigma or (float(np.sqrt(np.sum(residuals**2) / dof)) if dof > 0 else 0.0)
-    reach = problem.model.reach
-    useful = max(RANK_TOLERANCE, sigma / (np.sqrt(len(problem.weights)) * LARGEST_SHARE * reach))
-    if decomposed.truncated(min(useful, 0.1)).rank == decomposed.rank:
-        return solution, decomposed, problem
-    problem = replace(problem, tolerance=min(useful, 0.1))
-    solution = _solution(problem, method)
-    jacobian = problem.linearize_at(solution.parameters[0])[1]
-    return solution, spectrum(jacobian, problem.model.scales, problem.tolerance), problem
-
-
-def _result(
-    problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, noise: Noise
-) -> Identification:
-    rows, has_sigma = FittedRows.of(problem, data, solution.parameters[0], decomposed.rank), noise.sigma is not None
-    made = uncertainty(rows, decomposed, known=has_sigma, reliance=noise.reliance)
-    scale = float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
-    scatter = scale if noise.sigma is None or scale is None else noise.sigma * scale
-    return identification(
-        problem, data, method, solution, decomposed, noise, Spread(made, scatter, rows.squares, round(rows.freedom))
-    )
-
-
-FIRST = 2  # steps before the noise is estimated again: the model is nearly linear
-ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
-STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
-ROUNDED = 1e-14  # of the largest singular value: below it is rounding
-UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 
 
 @single_thread()
@@ -154,122 +126,170 @@ def estimate_with_prior(
     model, zeros = placed_with_zeros(model, measurements)
     prior = replace(prior, deviations={**model.prior, **prior.deviations})
     check_measurements(model, measurements, prior)
-    noise = weighting(model, measurements, sigma, weights)
-    whole = replace(Problem.of(model, measurements, noise.weights), prior=prior)
-    problem, solution, widths, jacobian = _solved(whole, noise, zeros)
-    parameters = solution.parameters[0]
-    decomposed = _decomposed(jacobian, problem)
-    effective = float(np.sum(np.square(jacobian @ decomposed.root)))  # as `effective_count`, whose decomposition it is
-    if decomposed.rank < len(parameters):
-        effective = effective_count(jacobian, problem.prior_rows)
-    dof = round(model.dimension * np.count_nonzero(problem.weights) - effective)
-    rows = FittedRows.of(problem, measurements, parameters, effective)
-    has_sigma = noise.sigma is not None
-    made = uncertainty(rows, decomposed, known=has_sigma, reliance=noise.reliance, noise=problem.noise)
-    spread = Spread(made, problem.noise * (noise.sigma or 1.0), float(problem.squares(parameters)[0]), dof)
-    fit = identification(problem, measurements, "gauss_newton", solution, decomposed, noise, spread)
-    fit = replace(fit, prior=problem.prior, machining_factor=widths.machining if model.prior else None)
-    fit = replace(fit, doubts=(*fit.doubts, *far_from_drawing(model.arm.machining, widths)))
+    problem, solution, widths, jacobian = _with_likeliest_noise(
+        Problem.of(model, measurements, sigma, weights, prior), zeros
+    )
+    decomposed = spectrum(jacobian, model.scales, problem.tolerance, problem.prior_rows)
+    determined = float(np.sum(np.square(jacobian @ decomposed.root)))  # tr J (J^T J + R^T R)^-1 J^T
+    fit = identification(problem, measurements, "gauss_newton", solution, decomposed, determined)
+    far = (*fit.doubts, *far_from_drawing(model.arm.machining, *widths))
+    fit = replace(fit, prior=problem.prior, machining_factor=widths[0] if model.prior else None, doubts=far)
     if prior.earlier is None:
         return fit
+    names, noise, jacobian = contradicted(problem, fit.parameters)
+    least = replace(problem, noise=min(noise, problem.noise))  # that is there without the earlier calibration
+    seen = spectrum(jacobian, model.scales, problem.tolerance, least.prior_rows).covariance
+    fit = replace(fit, covariance_seen=least.noise**2 * seen)
+    if not names:
+        return fit
+    earlier = prior.earlier
+    others = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
+    held = replace(model, known={**model.fixed, **others})
+    free = estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
+    before = earlier.conditioned_on(others)
+    return replace(fit, contradictions=tuple(Contradiction.of(name, before, free, names[name]) for name in names))
 
-    def again(values: Mapping[str, float]) -> Identification:
-        held = replace(model, known={**model.fixed, **values})
-        return estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
 
-    return with_contradictions(fit, problem, noise, again)
+def without_outliers(
+    fit: Callable[[Measurements], Identification], measurements: Measurements
+) -> tuple[Identification, tuple[int, ...]]:
+    """The fit to the rows that are no outliers of it, and the numbers (from 1) of the rows left out: again and again
+    without the rows that the last fit does not explain, until it explains all that are left.
 
+    fit : `lambda rows: estimate(model, rows)`, say; it is called with fewer rows each time, and once more than the
+        rounds that find an outlier
 
-def _decomposed(jacobian: Array, problem: Problem) -> Spectrum:
-    """Of a Jacobian (N, p) and the rows of the prior: what a proper prior holds is determined, however much more exact
-    the rows of the data are; what counts as zero is a share of the least that it holds, as long as that is no rounding.
+    A gravity that the model lacks makes outliers, too, so look at the rows that were left out. Raises what `fit` does.
     """
-    rows, scales = problem.prior_rows, problem.model.scales
-    held = np.any(rows != 0.0, axis=0)
-    decomposed = spectrum(np.concatenate([jacobian, rows]), scales, problem.tolerance, held)
-    sizes = np.linalg.svd(rows / decomposed.lengths, compute_uv=False)
-    least = np.min(sizes, initial=np.inf, where=sizes > ROUNDED * np.max(sizes, initial=0.0))
-    return decomposed.truncated(float(np.clip(0.1 * least / decomposed.values[0], ROUNDED, problem.tolerance)))
+    kept = np.arange(len(measurements))
+    while True:
+        fitted = fit(measurements.rows(kept))
+        if not fitted.outlier_rows:
+            left_out = np.setdiff1d(np.arange(len(measurements)), kept)
+            return fitted, tuple((left_out + 1).tolist())
+        kept = np.delete(kept, np.array(fitted.outlier_rows) - 1)
 
 
-def far_from_drawing(machining: Machining, widths: Widths) -> list[str]:
-    """What is doubtful about an arm whose errors are so many times those of its machining."""
-    rotation = f"{np.degrees(machining.rotation):g} deg"
-    width, zeros, sizes = widths.machining, widths.zeros, f"{machining.translation:g} mm and {rotation}"
-    ask = "; are units, order and signs of joints and coordinates right? armcal check tells" if width >= UNUSUAL else ""
-    of_lengths = (
-        f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large{ask}"
-    )
-    why = f"taken as {width * zeros:g} times as large, as where a motor was changed or a drawing counts from elsewhere"
-    of_zeros = f"zeros of joints are farther from the drawing than [machining] says ({rotation}): {why}"
-    return [sentence for factor, sentence in ((width, of_lengths), (zeros, of_zeros)) if factor != 1.0]
-
-
-def _solved(problem: Problem, noise: Noise, zeros: Mapping[str, float]) -> tuple[Problem, Solution, Widths, Array]:
-    """The problem with the noise that was found, its solution, the widths of the machining's sizes, and the Jacobian
-    without the prior; in turns until the noise stays.
+# -- noise and fit in turns --------------------------------------------------------------------------------------------
+def _with_likeliest_noise(
+    problem: Problem, zeros: Mapping[str, float]
+) -> tuple[Problem, Solution, tuple[float, float], Array]:
+    """The problem with the likeliest noise and prior, its solution, the widths of the machining's sizes (of all, and
+    those of joint zeros besides), and the Jacobian without the prior; in turns until the noise stays.
 
     zeros : parameters to start from elsewhere than at the best known values
     """
-    sigma_holds, linearized = noise.reliance == "given", _Linearizations(replace(problem, prior=None))
+    model, holds = problem.model, problem.reliance == "given"
+    made: dict[bytes, LinearProblem] = {}
 
-    def solved(at: Array, most: int) -> tuple[Problem, Solution, Widths]:
-        scale, widths = likeliest(LinearizedProblem.of(problem, at, *linearized.at(at)), noise, sigma_holds)
-        posed = replace(problem, noise=scale, prior=widened(problem, widths))
-        return posed, levenberg_marquardt(replace(linearized.with_prior(posed), iterations=most), at[None]), widths
+    def about(x: Array) -> LinearProblem:
+        """Each made once: fits of other noise pass through the same points."""
+        if (key := x.tobytes()) not in made:
+            made[key] = problem.linearized(x)
+        return made[key]
 
-    parameters = problem.model.parameters
-    elsewhere, values = [p.name in zeros for p in parameters], parameters.vector(zeros, default=0.0)
-    start = np.where(elsewhere, values, starts(problem)[0])
-    posed, solution, widths = solved(start, ITERATIONS if sigma_holds else FIRST)
+    def solved(at: Array, most: int) -> tuple[Problem, Solution, tuple[float, float]]:
+        noise, (width, zero_width) = likeliest(about(at))
+        offsets = {p.name for p in model.parameters if p.kind == JOINT_OFFSET}
+        factors = {name: width * (zero_width if name in offsets else 1.0) for name in model.prior}
+        prior = None if problem.prior is None else problem.prior.widened(factors)
+        posed = replace(problem, noise=noise, prior=prior)
+        rows = posed.prior_rows
+
+        def linearize(x: Array, _: Index) -> tuple[Array, Array]:
+            data, left = about(x[0]), rows @ (posed.prior_center - x[0])
+            return np.concatenate([data.residual, left])[None], np.concatenate([data.jacobian, rows])[None]
+
+        least = replace(posed.least_squares, linearize=linearize, iterations=most)
+        return posed, levenberg_marquardt(least, at[None]), (width, zero_width)
+
+    elsewhere = [p.name in zeros for p in model.parameters]
+    start = np.where(elsewhere, model.parameters.vector(zeros, default=0.0), starts(problem)[0])
+    posed, solution, widths = solved(start, ITERATIONS if holds else FIRST)
     most = ITERATIONS
-    for _ in range(0 if sigma_holds else ROUNDS):
+    for _ in range(0 if holds else ROUNDS):
         before, steps = posed.noise, solution.iterations
         posed, solution, widths = solved(solution.parameters[0], most)
         solution = replace(solution, iterations=solution.iterations + steps)
         if most == 0 or abs(posed.noise - before) <= STEADY * before:
             break
         most = 0 if solution.status[0] is Status.iteration_limit else ITERATIONS  # the noise there, no further steps
-    return posed, solution, widths, linearized.at(solution.parameters[0])[1]
+    return posed, solution, widths, about(solution.parameters[0]).jacobian
 
 
-@dataclass
-class _Linearizations:
-    """Triangles of a problem without its prior, each made once: fits of other noise pass through the same points."""
-
-    problem: Problem
-    by_point: dict[bytes, tuple[Array, Array]] = field(default_factory=dict)
-
-    def at(self, x: Array) -> tuple[Array, Array]:
-        """(N,) residuals and (N, p) Jacobian at x (p,)."""
-        if (key := x.tobytes()) not in self.by_point:
-            residuals, jacobians = self.problem.least_squares.linearize(x[None], np.arange(1))
-            self.by_point[key] = residuals[0], jacobians[0]
-        return self.by_point[key]
-
-    def with_prior(self, problem: Problem) -> LeastSquares:
-        """The same problem with the prior."""
-        rows = problem.prior_rows
-
-        def linearize(x: Array, _: Index) -> tuple[Array, Array]:
-            residual, jacobian = self.at(x[0])
-            left = rows @ (problem.prior_center - x[0])
-            return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
-
-        return replace(problem.least_squares, linearize=linearize)
+def far_from_drawing(machining: Machining, width: float, zeros: float) -> list[str]:
+    """What is doubtful about an arm whose errors are so many times those of its machining, and its zeros besides."""
+    rotation = f"{np.degrees(machining.rotation):g} deg"
+    sizes, sentences = f"{machining.translation:g} mm and {rotation}", []
+    if width != 1.0:
+        ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
+        sentences.append(
+            f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large"
+            f"{ask if width >= UNUSUAL else ''}"
+        )
+    if zeros != 1.0:
+        sentences.append(
+            f"zeros of joints are farther from the drawing than [machining] says ({rotation}): taken as "
+            f"{width * zeros:g} times as large, as where a motor was changed or a drawing counts from elsewhere"
+        )
+    return sentences
 
 
-CLEAR = 0.5  # of the limit: rows this near are tested with their leverage, which is small where rows are many
-MANY = 20  # equations for each parameter
+# -- from a solution to a result ---------------------------------------------------------------------------------------
+def identification(
+    problem: Problem,
+    data: Measurements,
+    method: str,
+    solution: Solution,
+    decomposed: Spectrum,
+    determined: float,
+) -> Identification:
+    """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit.
 
-
-class Spread(NamedTuple):
-    """How sure a fit is: its intervals, standard deviation of one coordinate [mm], weighted squares, what is left."""
-
-    uncertainty: Uncertainty
-    scatter: float | None
-    squares: float
-    freedom: int
+    determined : how many combinations of parameters the data determine, a prior the rest
+    """
+    model, parameters, has_sigma = problem.model, solution.parameters[0], problem.sigma is not None
+    rows, noise = WhiteRows.of(problem, data, parameters, determined), None if problem.prior is None else problem.noise
+    made = uncertainty(rows, decomposed, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
+    scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
+    scatter = None if scale is None else scale * (problem.sigma or 1.0)
+    dof = round(rows.freedom)
+    identifiability = identifiability_of(decomposed, model.names, model.scales)
+    before, after = as_it_was(problem), problem.residuals(parameters)[0]
+    sentences, implausible = doubts(model, parameters, identifiability.identifiable, before, after, data)
+    unexplained = unexplained_by_fit(problem, parameters, after)
+    structure = together(unexplained, data.postures, data.posture_numbers)
+    outlier = unexplained & ~structure
+    used = np.flatnonzero(problem.weights > 0.0)
+    first = used[np.unique(data.repeat_numbers[used], return_index=True)[1]]
+    chain = model.arm.chain if hasattr(model, "arm") else None
+    of_both = chain is not None and not {BASE, TOOL} & chain.known
+    status = Status.not_identifiable if identifiability.combinations else solution.status[0]
+    return Identification(
+        model=model,
+        parameters=parameters,
+        covariance=made.covariance,
+        identifiable=identifiability.identifiable,
+        not_identifiable=identifiability.combinations,
+        sigma=problem.sigma if has_sigma else scatter,
+        sigma_known=has_sigma,
+        chi2=rows.squares if has_sigma else None,
+        dof=dof,
+        residuals_before=before,
+        residuals_after=after,
+        method=method,
+        status=Status.implausible if implausible else status,
+        iterations=int(solution.iterations[0]),
+        provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
+        uncertainty=made,
+        scatter=scatter,
+        doubts=(*sentences, *far_rows(after, outlier, structure)),
+        flange_turns=flange_turns(chain, data) if chain is not None and of_both else None,
+        postures=data.postures[first],
+        determined=float(len(used) * after.shape[1] - dof),
+        outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
+        unexplained_rows=tuple((np.flatnonzero(structure) + 1).tolist()),
+    )
 
 
 def as_it_was(problem: Problem) -> Array:
@@ -301,53 +321,6 @@ def as_filed(model: Model, data: Measurements) -> Array | None:
     return np.asarray(data.positions - model.position(data.postures, model.values, data.conditions))
 
 
-def identification(
-    problem: Problem,
-    data: Measurements,
-    method: str,
-    solution: Solution,
-    decomposed: Spectrum,
-    noise: Noise,
-    spread: Spread,
-) -> Identification:
-    """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit."""
-    model, parameters, has_sigma = problem.model, solution.parameters[0], noise.sigma is not None
-    identifiability = identifiability_of(decomposed, model.names, model.scales)
-    before, after = as_it_was(problem), problem.residuals(parameters)[0]
-    doubtful = doubts(model, parameters, identifiability.identifiable, before, after, data)
-    unexplained = unexplained_by_fit(problem, parameters, after)
-    structure = together(unexplained, data.postures, data.posture_numbers)
-    outlier = unexplained & ~structure
-    used = np.flatnonzero(problem.weights > 0.0)
-    first = used[np.unique(data.repeat_numbers[used], return_index=True)[1]]
-    status = Status.not_identifiable if identifiability.combinations else solution.status[0]
-    return Identification(
-        model=model,
-        parameters=parameters,
-        covariance=spread.uncertainty.covariance,
-        identifiable=identifiability.identifiable,
-        not_identifiable=identifiability.combinations,
-        sigma=noise.sigma if has_sigma else spread.scatter,
-        sigma_known=has_sigma,
-        chi2=spread.squares if has_sigma else None,
-        dof=spread.freedom,
-        residuals_before=before,
-        residuals_after=after,
-        method=method,
-        status=Status.implausible if doubtful.implausible else status,
-        iterations=int(solution.iterations[0]),
-        provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
-        uncertainty=spread.uncertainty,
-        scatter=spread.scatter,
-        doubts=(*doubtful.sentences, *far_rows(after, outlier, structure)),
-        flange_turns=turns_measured(model, data),
-        postures=data.postures[first],
-        determined=float(len(used) * after.shape[1] - spread.freedom),
-        outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
-        unexplained_rows=tuple((np.flatnonzero(structure) + 1).tolist()),
-    )
-
-
 def unexplained_by_fit(problem: Problem, parameters: Array, residual: Array) -> NDArray[np.bool_]:
     """(m,) rows that the model does not explain, where enough equations are left to tell.
 
@@ -358,28 +331,9 @@ def unexplained_by_fit(problem: Problem, parameters: Array, residual: Array) -> 
     p, d = len(parameters), white.shape[1]
     if white.size - p + len(problem.prior_rows) <= p:
         return unexplained
-    if white.size > MANY * p and robust_squares(np.sum(white**2, axis=1), d).max() < CLEAR * limit_of(d):
+    if white.size > MANY * p and robust_squares(np.sum(white**2, axis=1), d).max() < NEAR * limit_of(d):
         return unexplained
     columns = problem.jacobian(parameters).reshape(len(used), -1)[used].reshape(white.size, p)
     held = problem.prior_rows
     unexplained[used] = outlying(white, columns, held, held @ (problem.prior_center - parameters))
     return unexplained
-
-
-def without_outliers(
-    fit: Callable[[Measurements], Identification], measurements: Measurements
-) -> tuple[Identification, tuple[int, ...]]:
-    """The fit to the rows that are no outliers of it, and the numbers (from 1) of the rows left out.
-
-    fit : `lambda rows: estimate(model, rows)`, say; it is called with fewer rows each time, and once more than the
-        rounds that find an outlier
-
-    A gravity that the model lacks makes outliers, too, so look at the rows that were left out. Raises what `fit` does.
-    """
-    kept = np.arange(len(measurements))
-    while True:
-        fitted = fit(measurements.rows(kept))
-        if not fitted.outlier_rows:
-            left_out = np.setdiff1d(np.arange(len(measurements)), kept)
-            return fitted, tuple((left_out + 1).tolist())
-        kept = np.delete(kept, np.array(fitted.outlier_rows) - 1)

@@ -1,14 +1,13 @@
-"""How far a fitted arm's tip may be from where it is computed: the covariance of the parameters, at the tip.
+"""How far a fitted arm's tip may be from where it is computed, what a fit leaves of postures that it has not seen, and
+why it is uncertain.
 
-Where base and measured point cannot be told apart: the flange turned too little.
+Base and measured point cannot be told apart where the flange turned too little:
 
     y_i = B (p_i + R_i t) + b
 
 A shift of the point t along v and the shift of the base that follows it move measured points by B (R_i - mean R) v and
 no more. Its mean square is v^T (I - (mean R)^T mean R) v: zero along every v where the flange keeps one orientation,
 and along the axis where it turns about one only, however many rows there are.
-
-What a fit leaves of postures that it has not seen: each left out in turn, without a second fit.
 """
 
 from __future__ import annotations
@@ -17,11 +16,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.kinematics.spatial import BASE, TOOL, SpatialChain
+from identification.estimation.uncertainty import decomposed_groups
+from identification.information import ALONE, product_inverse
+from identification.kinematics.spatial import TOOL, SpatialChain
 from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import tip_frames
@@ -36,8 +36,12 @@ if TYPE_CHECKING:
 POSES = 1000  # random postures that stand for the joint limits
 FEW = "too few measurements"  # the beginning of that sentence
 SHARE = 0.5  # of the drawing's own error
+TOGETHER = "base and tool cannot be told apart"  # the beginning of that sentence
+HARDLY = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
+CAUSE = 2.0  # times less uncertain with the tool given: it is the reason
 
 
+# -- the covariance of the parameters, at the tip ----------------------------------------------------------------------
 @single_thread()  # the same bits, whatever the number of threads
 def expected_tip(model: Model, parameters: Array, covariance: Array, postures: Array) -> float:
     """Root mean square over postures of the expected distance [mm]: the square root of the mean of trace(J C J^T).
@@ -67,23 +71,23 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     G. Wahba, "Generalized cross-validation", 1979), repeats counted once; and in the box of the angles measured it is
     hardly less, whatever few rows say.
     """
-    arm, postures_measured = getattr(fit.model, "arm", None), fit.postures
+    arm, postures = getattr(fit.model, "arm", None), fit.postures
     if not isinstance(arm, Arm) or fit.not_identifiable or not np.all(np.isfinite(fit.covariance)):
         return None
-    if arm.chain is not None and not arm.chain.instrument.places and len(postures_measured) < FEWEST:
+    if arm.chain is not None and not arm.chain.instrument.places and len(postures) < FEWEST:
         return None
 
-    def over(postures: Array) -> float:
-        return float(np.hypot(expected_tip(fit.model, fit.parameters, fit.covariance, postures), own_error(fit)))
+    def over(low: Array, high: Array) -> float:
+        tip = expected_tip(fit.model, fit.parameters, fit.covariance, working_postures(low, high))
+        return float(np.hypot(tip, own_error(fit)))
 
     if not measured:
-        return over(working_postures(arm.lower, arm.upper))
-    numbers = len(postures_measured) * fit.residuals_after.shape[1]
+        return over(arm.lower, arm.upper)
+    numbers = len(postures) * fit.residuals_after.shape[1]
     share = max(numbers - fit.determined, 1.0) / numbers
-    few = postures_measured[:: max(len(postures_measured) // POSES, 1)]
+    few = postures[:: max(len(postures) // POSES, 1)]
     among = expected_tip(fit.model, fit.parameters, fit.covariance, few) / float(np.sqrt(share))
-    among = float(np.hypot(among, own_error(fit)))
-    return min(among, over(working_postures(postures_measured.min(axis=0), postures_measured.max(axis=0))))
+    return min(float(np.hypot(among, own_error(fit))), over(postures.min(axis=0), postures.max(axis=0)))
 
 
 def own_error(fit: Identification) -> float:
@@ -91,7 +95,7 @@ def own_error(fit: Identification) -> float:
     model = fit.model
     if fit.prior is None or not isinstance(getattr(model, "arm", None), Arm):
         return 0.0
-    return fit.prior.own_error * float(np.sqrt(2 if model.arm.chain is None else 3))
+    return fit.prior.own_error * float(np.sqrt(model.arm.dimension))
 
 
 def size_left_open(arm: Arm) -> str:
@@ -130,11 +134,7 @@ def hardly_determined(fit: Identification) -> list[str]:
     return []
 
 
-TOGETHER = "base and tool cannot be told apart"  # the beginning of that sentence
-HARDLY = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
-CAUSE = 2.0  # times less uncertain with the tool given: it is the reason
-
-
+# -- base and tool -----------------------------------------------------------------------------------------------------
 def flange_turns(chain: SpatialChain, measurements: Measurements) -> Array:
     """(3,) root mean square motion of a point 1 mm from the flange's center that its base follows [mm], by the axes
     along which it is, the least first. Each session has a base of its own."""
@@ -145,16 +145,8 @@ def flange_turns(chain: SpatialChain, measurements: Measurements) -> Array:
     return np.asarray(np.sqrt(np.linalg.eigvalsh(square / len(turns)).clip(min=0.0)))
 
 
-def turns_measured(model: object, measurements: Measurements) -> Array | None:
-    """`flange_turns` of a fit of both base and tool; None for others."""
-    arm = getattr(model, "arm", None)
-    if arm is None or arm.chain is None or {BASE, TOOL} & arm.chain.known:
-        return None
-    return flange_turns(arm.chain, measurements)
-
-
 def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> list[str]:
-    """The sentence that names it, where it is what leaves a fit uncertain; else none.
+    """The sentence that base and measured point cannot be told apart, where that is what leaves a fit uncertain.
 
     tip : expected error of the tip [mm] with a covariance (p, p); None: something is not identifiable at all
     """
@@ -163,17 +155,14 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
     arm = fit.model.arm
     assert arm.chain is not None
     tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
-    if not tools:
-        return []
-    if tip is None and all(fit.identifiable[tools]):
+    if not tools or (tip is None and all(fit.identifiable[tools])):
         return []
     if tip is not None:
         across = fit.covariance[:, tools]
-        within = np.linalg.pinv(fit.covariance[np.ix_(tools, tools)], hermitian=True)
-        if CAUSE * tip(fit.covariance - across @ within @ across.T) > tip(fit.covariance):  # with the tools known
+        with_tools = fit.covariance - across @ product_inverse(fit.covariance[np.ix_(tools, tools)]) @ across.T
+        if CAUSE * tip(with_tools) > tip(fit.covariance):
             return []
-    anywhere = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSES, arm.links))
-    able = flange_turns(arm.chain, Measurements(anywhere, np.zeros((POSES, 3))))
+    able = flange_turns(arm.chain, Measurements(working_postures(arm.lower, arm.upper), np.zeros((POSES, 3))))
     if able[0] <= HARDLY:  # all its axes are parallel
         return []
     how = "by 45 deg and more, or give [tool]"
@@ -185,16 +174,15 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
     return [f"{TOGETHER}: {kept}. Measure postures that turn it about another axis, too, {how}"]
 
 
-ALONE = 1e-9  # of 1: what is left of a posture that alone determines something
-
-
+# -- postures left out -------------------------------------------------------------------------------------------------
 @single_thread()
 def left_out_residuals(fit: Identification, measurements: Measurements) -> Array | None:
     """(m, d) each posture's positions less where a fit to all other postures puts them [mm].
 
-    With the leverages H_g of the rows of a posture the residuals without them are (I - H_g)^-1 r_g: exact for a model
-    that is linear in its parameters, and to first order for any other (R. D. Cook, S. Weisberg, "Residuals and
-    Influence in Regression", 1982, section 2.2). The noise of one measurement is in it.
+    With the leverages H_g = Q_g Q_g^T of the rows of a posture the residuals without them are (I - H_g)^-1 r_g =
+    r_g + Q_g (I - Q_g^T Q_g)^-1 Q_g^T r_g: exact for a model that is linear in its parameters, and to first order for
+    any other (R. D. Cook, S. Weisberg, "Residuals and Influence in Regression", 1982, section 2.2). The noise of one
+    measurement is in it.
 
     measurements : the rows of the fit; copies do not count, and get what is left of the row they copy
 
@@ -210,15 +198,16 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
     rows = weights[:, None, None] * jacobian[kept]
     m, d, p = rows.shape
     prior = np.zeros((0, p)) if fit.prior is None else fit.prior.rows(fit.model.parameters, fit.scatter or 0.0)
-    leverage = _orthonormal(np.concatenate([rows.reshape(-1, p), prior]))[: m * d].reshape(m, d, -1)
+    whole = np.concatenate([rows.reshape(-1, p), prior])
+    whole /= np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
+    basis = np.linalg.qr(whole)[0][: m * d].reshape(m, d, -1)
     residuals = weights[:, None] * fit.residuals_after[kept]
-    without = np.empty_like(residuals)
-    for group in _groups(measurements.posture_numbers[kept]):
-        block = leverage[group].reshape(-1, leverage.shape[-1])
-        left = np.eye(len(block)) - block @ block.T
-        if np.linalg.eigvalsh(left)[0] < ALONE:
-            return None
-        without[group] = np.linalg.solve(left, residuals[group].ravel()).reshape(-1, d)
+    postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
+    leverages, vectors, scores = decomposed_groups(basis, residuals, postures)
+    if leverages.max() > 1.0 - ALONE:
+        return None
+    pull = (vectors @ (scores / (1.0 - leverages))[:, :, None])[:, :, 0]
+    without = residuals + np.einsum("mdr,mr->md", basis, pull[postures])
     return np.asarray((without / weights[:, None])[np.cumsum(kept)[measurements.originals] - 1])
 
 
@@ -226,15 +215,3 @@ def left_out_rms(fit: Identification, measurements: Measurements) -> float | Non
     """Root mean square distance [mm] of `left_out_residuals`, copies not counted; None as there."""
     residuals = left_out_residuals(fit, measurements)
     return None if residuals is None else rms_distance(residuals[np.unique(measurements.originals)][:, POINT])
-
-
-def _orthonormal(rows: Array) -> Array:
-    """(N, p) columns of the same span, orthonormal."""
-    sizes = np.maximum(np.linalg.norm(rows, axis=0), np.finfo(float).tiny)
-    return np.asarray(np.linalg.qr(rows / sizes)[0])
-
-
-def _groups(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Row numbers of each posture, from the number of each row's (m,)."""
-    order = np.argsort(numbers, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1)

@@ -1,10 +1,9 @@
 """Covariance of estimates: from a sigma that the residuals do not contradict, from their scatter, or robustly.
 
-Covariance of estimates that holds where the model is incomplete: clustered sandwich, corrected for few rows.
-
-Rows are grouped so that what is left unexplained may be of any size and any correlation within a group, and is
-independent between groups. With the whitened Jacobian J_g and residuals r_g of group g, B = (J^T J)^-1 and the leverage
-H_gg = J_g B J_g^T (B. A. Pustejovsky, E. Tipton, 2018: CR2, after R. M. Bell, D. F. McCaffrey, 2002)
+The robust one holds where the model is incomplete (clustered sandwich, corrected for few rows). Rows are grouped so
+that what is left unexplained may be of any size and any correlation within a group, and is independent between groups.
+With the whitened Jacobian J_g and residuals r_g of group g, B = (J^T J)^-1 and the leverage H_gg = J_g B J_g^T
+(B. A. Pustejovsky, E. Tipton, 2018: CR2, after R. M. Bell, D. F. McCaffrey, 2002)
 
     cov = B [ sum_g J_g^T A_g r_g r_g^T A_g J_g ] B,     A_g = (I - H_gg)^(-1/2),
 
@@ -13,8 +12,6 @@ estimates are those of the posterior's mode, B = (J^T J + R^T R)^-1, and the pri
 being the variance of white noise: its part of the errors is as the prior says. Intervals are Student's, with the
 degrees of freedom of the chi-square that has the same first two moments as the variance (Satterthwaite), for each
 parameter its own.
-
-95 % confidence intervals of estimates, from standard deviations.
 """
 
 from __future__ import annotations
@@ -30,20 +27,24 @@ from scipy.special import chdtrc, fdtrc, ndtri, stdtrit
 from identification.arm import Calibration
 from identification.arrays import Array
 from identification.estimation.problem import Problem
-from identification.information import Spectrum
+from identification.information import ALONE, Spectrum
 from identification.kinematics.parameters import ParameterSet
 from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Covariance and intervals"
 BELIEVED = (0.1, 0.99)  # p-values of chi2 between which intervals rely on the sigma that is given
 LEVEL = 0.01  # of misfit that is said, of lack of fit and of serial correlation
+NORMAL_99 = 2.3263478740408408  # one-sided, of `LEVEL`
 FEWEST = 2.0  # degrees of freedom: with no more, Student's t has no variance
 STRETCHES = 40  # of a session whose rows are correlated; Student's quantile is then within 4 % of the normal one
+TINY = 1e-15  # leverages below it are rounding
+LARGE = 200  # groups, and combinations: of more, what two groups share through the fit is left out of the freedom
+FREEDOM = "interval_dof"  # key of a calibration's provenance
 
 
 @dataclass(frozen=True)
-class FittedRows:
-    """m rows of d whitened coordinates with what a fit left of them.
+class WhiteRows:
+    """What a fit leaves of m rows of d whitened coordinates, and the linear model about it.
 
     jacobian : (m, d, p);  residual : (m, d);  rank : number of combinations estimated, with a prior by the data alone
     sequence : (m,) row numbers in the order of measurement
@@ -60,8 +61,8 @@ class FittedRows:
     pull: Array | None = None
 
     @classmethod
-    def of(cls, problem: Problem, data: Measurements, parameters: Array, rank: float) -> FittedRows:
-        """The rows of weight above zero, linear about parameters (p,)."""
+    def of(cls, problem: Problem, data: Measurements, parameters: Array, rank: float) -> WhiteRows:
+        """Of the rows of weight above zero, linear about parameters (p,)."""
         kept = problem.weights > 0.0
         position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
         residual = problem.root_weights * (problem.positions[0] - position)
@@ -73,14 +74,6 @@ class FittedRows:
         prior = problem.prior_rows
         pull = prior.T @ (prior @ (problem.prior_center - parameters)) if len(prior) else None
         return cls(weighted[kept], residual[kept], rank, sequence, postures, repeats, pull)
-
-    def unbounded(self, root: Array) -> FittedRows:
-        """The rows with the residuals that the linear model leaves without bounds: an active bound hides what is behind
-        it, and residuals that the parameters could explain would count as misfit."""
-        columns = self.jacobian @ root
-        slope = np.einsum("mdr,md->r", columns, self.residual)
-        slope += 0.0 if self.pull is None else root.T @ self.pull
-        return replace(self, residual=self.residual - columns @ slope)
 
     @property
     def freedom(self) -> float:
@@ -143,17 +136,17 @@ class Uncertainty:
 
 
 def uncertainty(
-    rows: FittedRows,
+    rows: WhiteRows,
     decomposed: Spectrum,
     *,
-    known: bool,
+    sigma_given: bool,
     reliance: str | None = None,
     doubtful: bool = False,
     noise: float | None = None,
 ) -> Uncertainty:
     """The covariance that holds, and the degrees of freedom of its intervals.
 
-    known : the rows are divided by a sigma that is given
+    sigma_given : the rows are divided by a sigma that is given
     reliance : `given` or `estimated`: what the intervals rely on, whatever the residuals say; None: the sigma given as
         long as chi2 does not contradict it, that of the rows and that of what the rows of each posture have in common;
         else the scatter, robustly where postures have several rows or something is left unexplained
@@ -165,14 +158,14 @@ def uncertainty(
     if trusted and rows.several:
         squares, freedom = rows.of_postures(decomposed.root)
         trusted = freedom < 1.0 or float(chdtrc(freedom, squares)) >= BELIEVED[0]
-    if known and (reliance == "given" or (reliance is None and trusted)):
+    if sigma_given and (reliance == "given" or (reliance is None and trusted)):
         return Uncertainty("given", plain, np.full(len(plain), np.inf))
     variance = noise**2 if noise else rows.squares / rows.freedom if rows.freedom > 0 else np.nan
     freedom = rows.freedom if noise is None else max(rows.freedom, 1.0)
     if reliance is None and p is not None:
-        misfit = doubtful or (known and p < BELIEVED[0] and noise is None)
-        if rows.several or not (known and p > BELIEVED[1]):
-            robust = _robust(rows, decomposed, misfit, variance)
+        misfit = doubtful or (sigma_given and p < BELIEVED[0] and noise is None)
+        if rows.several or not (sigma_given and p > BELIEVED[1]):
+            robust = _robust(rows, decomposed.root, misfit, variance)
             if robust is not None:
                 return robust
         if rows.several:  # too few postures for a sandwich: what their rows have in common, as one row each
@@ -182,53 +175,45 @@ def uncertainty(
     return Uncertainty("scatter", variance * plain, np.full(len(plain), float(freedom)))
 
 
-def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool, variance: float) -> Uncertainty | None:
-    """The widest sandwich over postures or stretches of time; None with too few rows, where nothing asks for it, and
-    where the rows determine no parameter."""
-    root = decomposed.root
+def _robust(rows: WhiteRows, root: Array, misfit: bool, variance: float) -> Uncertainty | None:
+    """The widest sandwich over rows, postures or, where rows are correlated in time, stretches of time; None with too
+    few rows, where nothing asks for it, and where the rows determine no parameter.
+
+    root : (p, rank), as of `WhiteRows.of_postures`;  variance : of white noise
+    """
     if not root.shape[1]:
         return None
-    rows = rows.unbounded(root)
+    # an active bound hides what is behind it, and residuals that the parameters could explain would count as misfit: so
+    # those that the linear model leaves without bounds
+    columns = rows.jacobian @ root
+    slope = np.einsum("mdr,md->r", columns, rows.residual) + (0.0 if rows.pull is None else root.T @ rows.pull)
+    rows = replace(rows, residual=rows.residual - columns @ slope)
     length = correlated(rows, root)
     if not (misfit or rows.several or length > 1 or lack_of_fit(rows.residual, rows.repeats, rows.rank)[1] < LEVEL):
         return None
-    sandwiches = [
-        (kind, groups, made) for kind, groups, made in _made(rows, root, length, variance) if made is not None
-    ]
-    if not sandwiches:
+
+    kind, groups, groupings = "postures" if rows.several else "rows", rows.postures, []
+    while True:
+        made = sandwich(rows.jacobian, rows.residual, root, groups, variance)
+        enough = made is not None and made.freedom.min() >= FEWEST
+        groupings += [(kind, groups, made)] if made is not None and enough else []
+        if length <= 1 or (kind == "stretches" and enough):
+            break
+        kind, groups, length = "stretches", stretches(rows.sequence, length), length // 2
+    plain = np.sum(root**2, axis=1)
+
+    def width(made: Sandwich) -> float:
+        """Mean logarithm of the variances over those of white noise."""
+        ratio = np.diag(made.covariance)[plain > 0.0] / plain[plain > 0.0]
+        return float(np.mean(np.log(np.maximum(ratio, np.finfo(float).tiny))))
+
+    if not groupings:
         return None
-    kind, groups, widest = max(sandwiches, key=lambda one: _size(one[2], root))
+    kind, groups, widest = max(groupings, key=lambda each: width(each[2]))
     return Uncertainty("sandwich", widest.covariance, widest.freedom, kind, int(groups.max()) + 1)
 
 
-def _made(
-    rows: FittedRows, root: Array, length: int, variance: float
-) -> list[tuple[str, NDArray[np.int64], Sandwich | None]]:
-    """Sandwiches over rows or postures and, where rows are correlated in time, over stretches of time."""
-    kind = "postures" if rows.several else "rows"
-    sandwiches = [(kind, rows.postures, _enough(rows, root, rows.postures, variance))]
-    while length > 1:
-        groups = stretches(rows.sequence, length)
-        if (made := _enough(rows, root, groups, variance)) is not None:
-            return [*sandwiches, ("stretches", groups, made)]
-        length //= 2
-    return sandwiches
-
-
-def _enough(rows: FittedRows, root: Array, groups: NDArray[np.int64], variance: float) -> Sandwich | None:
-    made = sandwich(rows.jacobian, rows.residual, root, groups, variance)
-    return made if made is not None and made.freedom.min() >= FEWEST else None
-
-
-def _size(made: Sandwich, root: Array) -> float:
-    """Mean logarithm of the variances over those of white noise; the order of sandwiches by width."""
-    plain = np.sum(root**2, axis=1)
-    seen = plain > 0.0
-    ratio = np.diag(made.covariance)[seen] / plain[seen]
-    return float(np.mean(np.log(np.maximum(ratio, np.finfo(float).tiny))))
-
-
-def correlated(rows: FittedRows, root: Array) -> int:
+def correlated(rows: WhiteRows, root: Array) -> int:
     """Number of successive rows to be taken together: 1 where what they say of the parameters is uncorrelated.
 
     The lag-1 correlation of the scores Q_i^T r_i, with its standard error if their signs were random. The length is
@@ -243,9 +228,6 @@ def correlated(rows: FittedRows, root: Array) -> int:
     rho, m = min(float(products.sum() / np.sum(scores**2)), 0.99), len(scores)
     carlstein = m ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0)
     return int(np.ceil(max(carlstein, m / STRETCHES)))
-
-
-NORMAL_99 = 2.3263478740408408  # one-sided, of `LEVEL`
 
 
 def stretches(sequence: NDArray[np.int64], length: int) -> NDArray[np.int64]:
@@ -277,11 +259,7 @@ def lack_of_fit(residual: Array, repeats: NDArray[np.int64], rank: float) -> tup
     return ratio, float(fdtrc(fit_freedom, freedom, ratio))
 
 
-TINY = 1e-15  # leverages below it are rounding
-LARGE = 200  # groups, and combinations: of more, what two groups share through the fit is left out of the freedom
-ALONE = 1e-8  # a group whose leverage is nearer to one than this determines a combination by itself
-
-
+# -- the sandwich -----------------------------------------------------------------------------------------------------
 class Sandwich(NamedTuple):
     """covariance : (p, p);  freedom : (p,) degrees of freedom of each variance, infinite where it is zero by force."""
 
@@ -302,9 +280,8 @@ def sandwich(
     if leverages.max() > 1.0 - ALONE:
         return None
     factors = 1.0 / np.sqrt(1.0 - np.maximum(leverages, 0.0))
-    corrected = (
-        root @ (vectors @ (factors * scores)[:, :, None])[:, :, 0].T
-    )  # (p, G): what each group adds to the estimates
+    # (p, G): what each group adds to the estimates
+    corrected = root @ (vectors @ (factors * scores)[:, :, None])[:, :, 0].T
     held = np.eye(root.shape[1]) - np.einsum("mdr,mds->rs", columns, columns, optimize=True)  # R^T R; without it zero
     held = root @ held @ root.T
     held_variances = np.maximum(np.diag(held), 0.0)
@@ -356,9 +333,7 @@ def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array, he
     return float((first + held) ** 2 / second) if second > 0.0 else float("inf")
 
 
-FREEDOM = "interval_dof"  # key of a calibration's provenance
-
-
+# -- intervals --------------------------------------------------------------------------------------------------------
 def quantile_95(freedom: ArrayLike) -> Array:
     """Half the width of a 95 % interval in standard deviations, of the shape of `freedom`.
 

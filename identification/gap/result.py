@@ -21,7 +21,7 @@ from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
 from identification.document import Document
 from identification.documents import diagnosis as words
-from identification.estimation.uncertainty import FittedRows, freedom_kept, limits_95, uncertainty
+from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.confirmation import Confirmation, Gap, Offered
 from identification.gap.curve import Curve
 from identification.gap.detectability import Beside, Detectability, OrderRange, Size
@@ -146,8 +146,8 @@ def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: 
     model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
     jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
     tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
-    table = FittedRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, rows.repeat_numbers)
-    sure = uncertainty(table, spectrum(jacobian, model.scales), known=sigma is not None, doubtful=doubtful)
+    table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, rows.repeat_numbers)
+    sure = uncertainty(table, spectrum(jacobian, model.scales), sigma_given=sigma is not None, doubtful=doubtful)
     effects = model.effects[len(model.effects) - added :]  # the arm's own come first
     names = {p.name for effect in effects for p in effect.parameters}
     deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit

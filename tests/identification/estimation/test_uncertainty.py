@@ -15,7 +15,7 @@ from identification.estimation import estimate
 from identification.estimation.doubts import copied_rows
 from identification.estimation.expected_tip import left_out_rms
 from identification.estimation.uncertainty import (
-    FittedRows,
+    WhiteRows,
     correlated,
     lack_of_fit,
     quantile_95,
@@ -29,14 +29,12 @@ from identification.model import Model
 from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan
 
 
-def fitted(
-    columns: np.ndarray, values: np.ndarray, postures: np.ndarray | None = None
-) -> tuple[FittedRows, np.ndarray]:
+def fitted(columns: np.ndarray, values: np.ndarray, postures: np.ndarray | None = None) -> tuple[WhiteRows, np.ndarray]:
     """Rows (m, p) of one coordinate, fitted to values (m,), and (p, rank) root of the covariance."""
     residual = values - columns @ np.linalg.lstsq(columns, values)[0]
     m, p = columns.shape
     numbers = np.arange(m) if postures is None else postures
-    rows = FittedRows(columns[:, None, :], residual[:, None], p, np.arange(m), numbers, numbers)
+    rows = WhiteRows(columns[:, None, :], residual[:, None], p, np.arange(m), numbers, numbers)
     return rows, spectrum(columns, np.ones(p)).root
 
 
@@ -141,7 +139,7 @@ def test_rows_that_are_correlated_in_time_are_taken_in_stretches() -> None:
     rng, variances = np.random.default_rng(10), []
     for _ in range(60):
         rows, root = fitted(columns, autoregression(rng, m, rho))
-        found = uncertainty(rows, spectrum(columns, np.ones(2)), known=False)
+        found = uncertainty(rows, spectrum(columns, np.ones(2)), sigma_given=False)
         assert (found.kind, found.clusters) == ("sandwich", "stretches")
         assert found.count == m // correlated(rows, root)
         variances.append(np.diag(found.covariance))
@@ -194,7 +192,8 @@ def test_at_an_active_bound_the_robust_interval_is_that_without_it() -> None:
     decomposed = spectrum(columns, np.ones(2))
     assert correlated(bounded, root) > 1  # what the bound leaves looks like correlation in time
     found, without = (
-        uncertainty(rows, decomposed, known=True) for rows in (bounded, replace(free, residual=2.0 * free.residual))
+        uncertainty(rows, decomposed, sigma_given=True)
+        for rows in (bounded, replace(free, residual=2.0 * free.residual))
     )
     assert found.kind == without.kind == "sandwich"
     np.testing.assert_allclose(4.0 * found.covariance, without.covariance, rtol=1e-10)

@@ -13,16 +13,8 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.prior import (
-    WIDTHS,
-    ZERO_WIDTHS,
-    LinearizedProblem,
-    Prior,
-    Widths,
-    effective_count,
-    likeliest,
-)
-from identification.estimation.problem import Problem, weighting
+from identification.estimation.prior import WIDTHS, ZERO_WIDTHS, Prior, likeliest
+from identification.estimation.problem import LinearProblem, Problem
 from identification.gap.library.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -154,13 +146,6 @@ def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
     assert np.mean(plain) < 0.8
 
 
-def test_effective_count_without_data_of_a_parameter() -> None:
-    """One parameter known by the prior only, one by both equally, one by the data only: 0 + 1/2 + 1."""
-    jacobian = np.diag([0.0, 2.0, 3.0])
-    rows = np.array([[5.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-    assert effective_count(jacobian, rows) == pytest.approx(1.5)
-
-
 @pytest.mark.parametrize("deviation", [0.0, -1.0, np.inf, np.nan])
 def test_wrong_deviation(deviation: float) -> None:
     with pytest.raises(InputError, match="prior: length_error:1"):
@@ -227,12 +212,12 @@ def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing(
     sizes = SPATIAL.parameters.vector(SPATIAL.prior, 0.0)
     # 20 mm: so large that the rows once leave the machining's errors open, and ten times do not
     misfit = 400.0 * generator.standard_normal(len(jacobian))
-    problem = replace(Problem.of(SPATIAL, data, np.full(1000, 0.05**-2)), prior=Prior(SPATIAL.prior))
+    problem = Problem.of(SPATIAL, data, prior=Prior(SPATIAL.prior))
 
     def width(times: float, copies: int) -> float:
         target, columns = (np.concatenate([a] * copies) for a in (misfit + jacobian @ (times * sizes), jacobian))
-        linear = LinearizedProblem.of(problem, zero, target, columns)._replace(equations=3000 * copies)
-        return likeliest(linear, weighting(SPATIAL, data, None, None), sigma_holds=False)[1][0]
+        copied = replace(problem, weights=np.ones(1000 * copies))
+        return likeliest(LinearProblem(copied, zero, target, columns))[1][0]
 
     once = [width(times, 1) for times in (0.5, 1.0, 1.2, 1.4, 1.6, 2.0, 4.0)]
     assert once[0] == 1.0 < once[-1]
@@ -257,12 +242,12 @@ def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[
         left = float(np.linalg.slogdet(covariance)[1] + residual @ np.linalg.solve(covariance, residual))
         return left + 4.0 * sum(width != 1.0 for width in widths)
 
-    problem = replace(Problem.of(SPATIAL, data, np.full(len(data), 0.05**-2)), prior=Prior(SPATIAL.prior))
-    linear = LinearizedProblem.of(problem, zero, residual / 0.05, jacobian / 0.05)
-    noise = weighting(SPATIAL, data, 0.05, None)
+    linear = LinearProblem(
+        Problem.of(SPATIAL, data, 0.05, prior=Prior(SPATIAL.prior)), zero, residual / 0.05, jacobian / 0.05
+    )
     expected = min(product(WIDTHS, ZERO_WIDTHS), key=minus_log)
     assert (expected[0] > 1.0, expected[1] > 1.0) == (factors[0] > 1.0, factors[1] > 1.0)
-    assert likeliest(linear, noise, sigma_holds=True) == (1.0, Widths(*expected))
+    assert likeliest(linear) == (1.0, expected)
 
 
 @pytest.mark.parametrize("degrees", [20.0, 110.0])
