@@ -78,7 +78,7 @@ def compensate(
     turned = _orientations(arm, orientations, targets is None)
     scale = None if turned is None else arm.reach  # which an angle of a pose counts times
     arm = in_own_frame(arm)
-    if arm.chain is not None:
+    if not arm.chain.planar:
         arm = replace(arm, chain=replace(arm.chain, angle_scale=scale))
     nominal_arm = Model(drawn_arm(arm))
     goals = _goals(nominal_arm, targets, nominal_postures)
@@ -139,10 +139,10 @@ def tolerance_of(arm: Arm) -> float:
 def _orientations(arm: Arm, orientations: ArrayLike | None, as_nominal: bool) -> Array | None:
     """(k, 3, 3) wanted, (0, 3, 3) where they follow from nominal postures, None where any will do."""
     if orientations is not None:
-        if arm.chain is None:
+        if arm.chain.planar:
             raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
         return np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
-    poses = as_nominal and arm.chain is not None and arm.chain.angle_scale is not None
+    poses = as_nominal and arm.chain.angle_scale is not None
     return np.zeros((0, 3, 3)) if poses else None
 
 
@@ -150,9 +150,9 @@ def drawn_arm(arm: Arm) -> Arm:
     """The nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
     one turned by the offset of joint 1, and a spatial one with its points."""
     chain, stands = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset")
-    if chain is not None and arm.calibration is not None:
+    if not chain.planar and arm.calibration is not None:
         chain = standing_in(chain, arm.calibration.values)
-    if chain is not None or not stands:
+    if not chain.planar or not stands:
         return replace(arm, effects=(), calibration=None, chain=chain)
     values = Model(arm).best_known
     return replace(arm, effects=stands, calibration=Calibration({name: values.get(name, 0.0) for name in BASE}))

@@ -75,7 +75,7 @@ def test_frames_in_space_by_scipy() -> None:
     root = generator.standard_normal((5, 5)) * factors[:, None]
     values = generator.standard_normal(5) * factors
     found = Calibration(dict(zip(FREE, values.tolist(), strict=True)), FREE, root @ root.T)
-    rows = by_name(corrected_values(Arm.of_chain(CHAIN), found))
+    rows = by_name(corrected_values(Arm(CHAIN), found))
     origin = CHAIN.joints[1].origin
     drawn = Rotation.from_matrix(origin[:3, :3])
 
@@ -112,7 +112,7 @@ def test_corrected_angles_are_near_the_drawing_and_make_the_rotation(
     turned[:3, :3] = Rotation.from_euler("xyz", drawn).as_matrix()
     joints = (CHAIN.joints[0], replace(CHAIN.joints[1], origin=turned), CHAIN.joints[2])
     found = Calibration(dict(zip(FREE[3:], errors, strict=True)), FREE[3:], np.diag([1e-8, 1e-8]))
-    rows = by_name(corrected_values(Arm.of_chain(replace(CHAIN, joints=joints)), found))
+    rows = by_name(corrected_values(Arm(replace(CHAIN, joints=joints)), found))
     real = turned[:3, :3] @ Rotation.from_euler("XYZ", [*errors, 0.0]).as_matrix()
     upright = abs(np.degrees(np.arcsin(np.clip(turned[2, 0], -1.0, 1.0)))) > 85.0
     keys = ("rx", "ry", "rz") if upright else ("roll", "pitch", "yaw")
@@ -150,7 +150,7 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
 def test_frames_have_the_prior_of_what_they_are_made_of() -> None:
     """The origin of a frame along one axis is one translation, of the size of the machining."""
     generator = np.random.default_rng(5)
-    model = Model(Arm.of_chain(CHAIN, sigma=0.05))
+    model = Model(Arm(CHAIN, sigma=0.05))
     q = generator.uniform(-2.0, 2.0, (40, 3))
     points = model.position(q) + generator.normal(0.0, 0.05, (40, 3))
     found = estimate(model, Measurements(q, points))
@@ -164,7 +164,7 @@ def test_a_calibrated_file_marks_the_values_that_its_fit_marked() -> None:
     """The prior is that of the machining, in the fit as in the file; of a fit without a prior nothing is marked."""
     generator = np.random.default_rng(5)
     chain = replace(CHAIN, base=np.eye(4), tools={"1": np.array([60.0, 20.0, 30.0])})
-    model, q = Model(Arm.of_chain(chain, sigma=0.05)), generator.uniform(-2.0, 2.0, (25, 3))
+    model, q = Model(Arm(chain, sigma=0.05)), generator.uniform(-2.0, 2.0, (25, 3))
     sizes = model.parameters.vector(model.prior, 0.0)
     truth = 0.5 * sizes * generator.standard_normal(len(sizes))
     rows = Measurements(q, model.position(q, truth) + 0.05 * generator.standard_normal((25, 3)))
