@@ -227,4 +227,4 @@ def test_contacts_have_no_unit(instrument: Instrument) -> None:
     """What a touch probe reads is the same in all rows, whatever postures touch: no unit is suspected."""
     arm = Arm.of_chain(replace(CHAIN, instrument=instrument))
     postures = np.random.default_rng(6).uniform(-2.0, 2.0, (60, 3))
-    assert data_warnings(Measurements(postures, np.full((60, 1), instrument.radius or 0.0)), arm) == []
+    assert data_warnings(Measurements(postures, np.full((60, 1), instrument.touched)), arm) == []
