@@ -62,7 +62,7 @@ def without_values(truth: Arm) -> list[str]:
     from identification.effects import build_all
 
     calibrated = {} if truth.calibration is None else truth.calibration.effects
-    built = zip(build_all(truth.effects, truth.links, truth.lengths, truth.dimension), truth.effects, strict=True)
+    built = zip(build_all(truth.effects, truth.chain), truth.effects, strict=True)
     return [
         f"{effect.key} has no value and does nothing; it has {', '.join(p.toml_key for p in effect.parameters)}"
         for effect, spec in built

@@ -42,7 +42,7 @@ def command(
     arm = load_arm(model)
     check_calibrated(arm, str(model))
     validation = validate(arm, read_measurements(data, arm), refit)
-    beyond = arm.chain is not None and mostly_outside(arm, validation.measurements.postures)
+    beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
     data_of = validation.to_json()
     actions = validation_actions(is_better(data_of), refit, str(model), str(data), beyond=beyond)
     answer = Answer(data_of, [replace(validation.document(), actions=actions)])

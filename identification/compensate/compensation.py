@@ -73,13 +73,13 @@ def compensate(
     """
     check_calibrated(arm)
     nominal = None if postures is None else _checked("postures", postures, arm.links)
-    if orientations is not None and arm.chain is None:
+    if orientations is not None and arm.chain.planar:
         raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
-    as_nominal = targets is None and arm.chain is not None and arm.chain.angle_scale is not None
+    as_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     turned = None if orientations is None else np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
     poses = turned is not None or as_nominal
     arm = in_own_frame(arm)
-    if arm.chain is not None:  # what an angle of a pose counts times
+    if not arm.chain.planar:  # what an angle of a pose counts times
         arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if poses else None))
     drawing, model, familiar, enough = Model(drawn_arm(arm)), Model(arm), familiar_range(arm), tolerance_of(arm)
     if targets is not None:
@@ -142,9 +142,9 @@ def drawn_arm(arm: Arm) -> Arm:
     """The nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
     one turned by the offset of joint 1, and a spatial one with its points."""
     chain, stands = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset")
-    if chain is not None and arm.calibration is not None:
+    if not chain.planar and arm.calibration is not None:
         chain = standing_in(chain, arm.calibration.values)
-    if chain is not None or not stands:
+    if not chain.planar or not stands:
         return replace(arm, effects=(), calibration=None, chain=chain)
     values = Model(arm).best_known
     return replace(arm, effects=stands, calibration=Calibration({name: values.get(name, 0.0) for name in BASE}))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Arm
+from identification.arm import DIAGNOSED, Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.joint_range import range_of
@@ -16,7 +16,6 @@ from identification.kinematics.turns import turned_into
 from identification.measurements import Measurements
 from identification.model import Model
 
-DIAGNOSED = "armcal diagnose"  # `source` of its calibrations
 QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
 READ = np.radians(1e-6)  # what the digits of a file take from an angle
 ROOM = 0.02  # of a joint's range at either end, left for the corrections of a posture

@@ -76,7 +76,7 @@ def test_frames_in_space_by_scipy() -> None:
     root = generator.standard_normal((5, 5)) * factors[:, None]
     values = generator.standard_normal(5) * factors
     found = Calibration(dict(zip(FREE, values.tolist(), strict=True)), FREE, root @ root.T)
-    rows = by_name(corrected_values(Arm.of_chain(CHAIN), found))
+    rows = by_name(corrected_values(Arm(CHAIN), found))
     origin = CHAIN.joints[1].origin
     drawn = Rotation.from_matrix(origin[:3, :3])
 
@@ -97,7 +97,7 @@ def test_angles_stay_near_the_drawing() -> None:
     """A frame drawn at a yaw of 180 deg that turns by 0.1 deg is at 180.1, not at -179.9."""
     found = Calibration({"rotation_z:3": np.radians(0.1)}, ("rotation_z:3",), np.array([[1e-6]]))
     chain = chain_of([DHRow(10.0, 0.0, 5.0), DHRow(10.0, 0.0, 5.0), DHRow(10.0, 0.0, 5.0, offset=np.pi)])
-    row = by_name(corrected_values(Arm.of_chain(chain), found))["joint 3 yaw"]
+    row = by_name(corrected_values(Arm(chain), found))["joint 3 yaw"]
     assert (row.nominal, row.corrected) == (pytest.approx(180.0), pytest.approx(180.1))
     assert row.std == pytest.approx(np.degrees(1e-3))
 
@@ -122,7 +122,7 @@ def test_corrected_angles_are_near_the_drawing_and_make_the_rotation(
     turned[:3, :3] = Rotation.from_euler("xyz", drawn).as_matrix()
     joints = (CHAIN.joints[0], replace(CHAIN.joints[1], origin=turned), CHAIN.joints[2])
     found = Calibration(dict(zip(FREE[3:], errors, strict=True)), FREE[3:], np.diag([1e-8, 1e-8]))
-    rows = by_name(corrected_values(Arm.of_chain(replace(CHAIN, joints=joints)), found))
+    rows = by_name(corrected_values(Arm(replace(CHAIN, joints=joints)), found))
     real = turned[:3, :3] @ Rotation.from_euler("XYZ", [*errors, 0.0]).as_matrix()
     upright = abs(np.degrees(np.arcsin(np.clip(turned[2, 0], -1.0, 1.0)))) > 85.0
     keys = ("rx", "ry", "rz") if upright else ("roll", "pitch", "yaw")
@@ -142,7 +142,7 @@ def test_of_a_frame_in_gimbal_lock_the_turns_from_the_drawing_are_given() -> Non
     turned[:3, :3] = Rotation.from_euler("xyz", [-HALF, HALF, 0.0]).as_matrix()
     joints = (CHAIN.joints[0], replace(CHAIN.joints[1], origin=turned), CHAIN.joints[2])
     found = Calibration({"rotation_x:2": 1e-3, "rotation_y:2": 2e-3}, FREE[3:], np.diag([1e-8, 1e-8]))
-    rows = by_name(corrected_values(Arm.of_chain(replace(CHAIN, joints=joints)), found))
+    rows = by_name(corrected_values(Arm(replace(CHAIN, joints=joints)), found))
     assert {"joint 2 roll", "joint 2 pitch", "joint 2 yaw"}.isdisjoint(rows)
     for axis, value in (("rx", 1e-3), ("ry", 2e-3)):
         row = rows[f"joint 2 {axis}"]
@@ -182,7 +182,7 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
 def test_frames_have_the_prior_of_what_they_are_made_of() -> None:
     """The origin of a frame along one axis is one translation, of the size of the machining."""
     generator = np.random.default_rng(5)
-    model = Model(Arm.of_chain(CHAIN, sigma=0.05))
+    model = Model(Arm(CHAIN, sigma=0.05))
     q = generator.uniform(-2.0, 2.0, (40, 3))
     points = model.position(q) + generator.normal(0.0, 0.05, (40, 3))
     found = estimate(model, Measurements(q, points))
@@ -196,7 +196,7 @@ def test_a_calibrated_file_marks_the_values_that_its_fit_marked() -> None:
     """The prior is that of the machining, in the fit as in the file; of a fit without a prior nothing is marked."""
     generator = np.random.default_rng(5)
     chain = replace(CHAIN, base=np.eye(4), tools={"1": np.array([60.0, 20.0, 30.0])})
-    model, q = Model(Arm.of_chain(chain, sigma=0.05)), generator.uniform(-2.0, 2.0, (25, 3))
+    model, q = Model(Arm(chain, sigma=0.05)), generator.uniform(-2.0, 2.0, (25, 3))
     sizes = model.parameters.vector(model.prior, 0.0)
     truth = 0.5 * sizes * generator.standard_normal(len(sizes))
     rows = Measurements(q, model.position(q, truth) + 0.05 * generator.standard_normal((25, 3)))

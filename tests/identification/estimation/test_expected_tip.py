@@ -146,7 +146,7 @@ def test_what_is_not_identifiable_has_no_expected_error() -> None:
 )
 def test_where_more_postures_do_not_show_the_size(instrument: Instrument, said: str) -> None:
     """An arm twice as large touches planes, and spheres twice as large, at the same postures."""
-    found = size_left_open(Arm.of_chain(replace(CHAIN, instrument=instrument)))
+    found = size_left_open(Arm(replace(CHAIN, instrument=instrument)))
     assert found.endswith(said)
     assert bool(found) == bool(said)
     assert size_left_open(limited()) == ""

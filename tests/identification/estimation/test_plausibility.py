@@ -123,7 +123,7 @@ def six_axes(m: int = 80, spread: float = 0.5) -> Measurements:
 
 
 def test_swapped_columns_are_said_where_the_fit_hides_them() -> None:
-    good, model = six_axes(), Model(Arm.of_chain(CHAIN))
+    good, model = six_axes(), Model(Arm(CHAIN))
     found = estimate(model, good)
     assert found.status is Status.converged
     order = [0, 1, 2, 4, 3, 5]

@@ -236,7 +236,7 @@ REFLECTORS = {
 def short_arm(sigma: float | None) -> Model:
     """Made so well that its positions are linear in the errors, to 0.001 mm."""
     chain = replace(chain_of([DHRow(*row) for row in SHORT]), tools=REFLECTORS)
-    return Model(replace(Arm.of_chain(chain, sigma=sigma), machining=Machining(0.2, np.radians(0.1))))
+    return Model(replace(Arm(chain, sigma=sigma), machining=Machining(0.2, np.radians(0.1))))
 
 
 def reflectors(

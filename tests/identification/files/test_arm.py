@@ -111,7 +111,7 @@ def test_every_documented_key_is_read(tmp_path: Path) -> None:
     arm = load(tmp_path, FULL)
     degree = np.pi / 180.0
     expected = Arm(
-        lengths=[260.0, 180.0, 120.0, 100.0],
+        chain=[260.0, 180.0, 120.0, 100.0],
         lower=degree * np.array([-180.0, -120.0, -100.0, -90.0]),
         upper=degree * np.array([180.0, 120.0, 60.0, 90.0]),
         sigma=0.1,
@@ -139,7 +139,7 @@ def test_every_documented_key_is_read(tmp_path: Path) -> None:
 
 
 def test_what_is_left_out_has_its_default(tmp_path: Path) -> None:
-    same(Arm(lengths=[260.0, 180.0]), load(tmp_path, PLAIN))
+    same(Arm([260.0, 180.0]), load(tmp_path, PLAIN))
     arm = load(tmp_path, PLAIN + "[gravity]\nacceleration_m_s2 = [0, -9.81]\nlink_masses_kg = [1, 0]\n")
     assert arm.gravity is not None
     assert arm.gravity.center_of_mass.tolist() == [0.5, 0.5]
@@ -368,7 +368,7 @@ def arms(draw: st.DrawFn) -> Arm:
     )
     masses, center = (draw(arrays(float, n, elements=st.floats(0, 1))) for _ in range(2))
     return Arm(
-        lengths=lengths,
+        chain=lengths,
         lower=lower,
         upper=lower + draw(arrays(float, n, elements=st.floats(0.1, 7.0))),
         sigma=draw(st.none() | st.floats(1e-6, 10)),

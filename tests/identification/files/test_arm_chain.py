@@ -356,7 +356,7 @@ def test_committed_arm_of_the_ur10() -> None:
     rows += [(0.0, 90.0, 163.941), (0.0, -90.0, 115.7), (0.0, 0.0, 92.2)]
     chain = chain_of([DHRow(a, float(np.radians(alpha)), d) for a, alpha, d in rows])
     postures: Array = np.random.default_rng(0).uniform(-3.0, 3.0, (5, 6))
-    np.testing.assert_array_equal(Model(arm).position(postures), Model(Arm.of_chain(chain)).position(postures))
+    np.testing.assert_array_equal(Model(arm).position(postures), Model(Arm(chain)).position(postures))
 
 
 def test_examples_of_the_page_load(tmp_path: Path) -> None:

@@ -228,4 +228,4 @@ def test_real_measurements() -> None:
     data = load_measurements(UR10, 3)
     assert len(data) == 2773
     assert data.given == {"order", "temperature"}
-    assert data_warnings(data, Arm(lengths=[612.0, 572.3, 115.7])) == []
+    assert data_warnings(data, Arm([612.0, 572.3, 115.7])) == []

@@ -15,7 +15,7 @@ from identification.files.measurement import load_measurements, measurement_text
 from identification.files.target import commands_text, load_targets
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 
-ARM = Arm.of_chain(chain_of([DHRow(300.0, 0.0, 10.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))]))
+ARM = Arm(chain_of([DHRow(300.0, 0.0, 10.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))]))
 PLAIN = "q1_deg,q2_mm,x_mm,y_mm,z_mm,marker\n30,50,1,2,3,top\n-90,7.5,4,5,6,side\n"
 
 

@@ -128,7 +128,7 @@ def test_each_fault_has_its_sentence() -> None:
     assert "look like radians" in units
     (copied,) = inspect(ARM, good.rows([*range(40), 5])).problems
     assert copied.startswith("1 row is an exact copy of another (of 41 rows): the first row 41 of row 6")
-    (wrong,) = inspect(replace(ARM, lengths=np.array([500.0, 100.0, 200.0])), good).problems
+    (wrong,) = inspect(replace(ARM, chain=np.array([500.0, 100.0, 200.0])), good).problems
     assert wrong.startswith("the drawing is")
 
 
@@ -221,7 +221,7 @@ def test_a_point_on_the_last_axis_does_not_show_its_sign(second: bool) -> None:
     seen = np.where((marker == "far")[:, None], far, near) if second else near
     seen = seen + generator.normal(0.0, 0.5, seen.shape)
     data = Measurements(q * [1.0, 1.0, -1.0], seen) if not second else Measurements(q, seen, marker=marker)
-    found = inspect(Arm.of_chain(chain_of([DHRow(*row) for row in rows])), data)
+    found = inspect(Arm(chain_of([DHRow(*row) for row in rows])), data)
     assert found.problems == ()
     notes = [note for note in found.notes if "do not show" in note]
     assert len(notes) == (0 if second else 1)
@@ -244,7 +244,7 @@ def test_the_drawing_leaves_the_same_in_check_identify_and_validate() -> None:
 
     best = least_squares(left, [0.1, -0.4, 2.0, 2000.0, -500.0, 700.0, *tool], xtol=1e-14, ftol=1e-14)
     drawing = pytest.approx(np.sqrt(2.0 * best.cost / len(q)), rel=1e-7)
-    arm = Arm.of_chain(chain_of([DHRow(*row) for row in ROWS]))
+    arm = Arm(chain_of([DHRow(*row) for row in ROWS]))
     fitted = estimate(Model(arm), rows)
     assert inspect(arm, rows).drawing == drawing
     assert fitted.rms_before == drawing
@@ -257,7 +257,7 @@ def test_two_reflectors_changed_for_half_of_the_rows() -> None:
     q, marker = generator.uniform(-2.0, 2.0, (80, 3)), np.array(["a", "b"])[np.arange(80) % 2]
     one, two = (points(q, np.array(tool)) for tool in ([60.0, 15.0, 40.0], [60.0, -15.0, 40.0]))
     seen = np.where((marker == "b")[:, None], two, one) + generator.normal(0.0, 0.05, (80, 3))
-    arm = Arm.of_chain(chain_of([DHRow(*row) for row in ROWS]))
+    arm = Arm(chain_of([DHRow(*row) for row in ROWS]))
     assert inspect(arm, Measurements(q, seen, marker=marker)).problems == ()
     swapped = np.where(np.arange(80) < 40, marker, np.where(marker == "a", "b", "a"))
     found = inspect(arm, Measurements(q, seen, marker=swapped))

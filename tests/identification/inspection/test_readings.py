@@ -300,7 +300,7 @@ def test_one_two_or_no_explanations() -> None:
 
 
 def test_of_an_elbow_arm_joints_two_to_four() -> None:
-    assert parallel_joints(Arm.of_chain(drawing())) == [(1, (1, 1, 1))]
+    assert parallel_joints(Arm(drawing())) == [(1, (1, 1, 1))]
 
 
 def test_in_the_plane_all_and_of_a_single_link_none() -> None:
@@ -311,10 +311,10 @@ def test_in_the_plane_all_and_of_a_single_link_none() -> None:
 def test_an_axis_that_points_the_other_way() -> None:
     """Half a turn about x between joints 1 and 2; a quarter to joint 3, and to joint 4 none."""
     rows = [DHRow(300.0, np.pi, 0.0), DHRow(200.0, np.pi / 2.0, 0.0), DHRow(100.0, 0.0, 0.0), DHRow(100.0, 0.0, 0.0)]
-    assert parallel_joints(Arm.of_chain(chain_of(rows))) == [(0, (1, -1)), (2, (1, 1))]
+    assert parallel_joints(Arm(chain_of(rows))) == [(0, (1, -1)), (2, (1, 1))]
 
 
 def test_a_sliding_joint_ends_a_run() -> None:
     slide = DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 300.0))
     rows = [DHRow(300.0, 0.0, 0.0), DHRow(200.0, 0.0, 0.0), slide, DHRow(100.0, 0.0, 0.0)]
-    assert parallel_joints(Arm.of_chain(chain_of(rows))) == [(0, (1, 1))]
+    assert parallel_joints(Arm(chain_of(rows))) == [(0, (1, 1))]
