@@ -37,9 +37,10 @@ def command(
     from identification.documents.use import is_better, validation_actions
     from identification.files.arm import load_arm
     from identification.validate import validate
-    from identification.validate.row_groups import mostly_outside
+    from identification.validate.row_groups import check_calibrated, mostly_outside
 
     arm = load_arm(model)
+    check_calibrated(arm, str(model))
     validation = validate(arm, read_measurements(data, arm), refit)
     beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
     data_of = validation.to_json()

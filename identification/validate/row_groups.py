@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from identification.arm import DIAGNOSED, Arm
 from identification.arrays import Array
+from identification.errors import InputError
 from identification.kinematics.joint_range import range_of
 from identification.kinematics.turns import turned_into
 from identification.measurements import Measurements
@@ -24,6 +25,13 @@ FEWEST = 3 * QUARTERS  # rows from which groups are formed
 def identified(arm: Arm) -> Mapping[str, Any]:
     """What the arm's calibration says of the data it comes from."""
     return {} if arm.calibration is None else arm.calibration.provenance
+
+
+def check_calibrated(arm: Arm, file: str | None = None) -> None:
+    """Raises `InputError` for an arm that has neither a calibration nor known effect values;  file : that it is from"""
+    if arm.calibration is None and not any(spec.values for spec in arm.effects):
+        lacks = "calibration: the arm has none" if file is None else f"{file}: has no [calibration]"
+        raise InputError(f"{lacks}, allowed: an arm file written by `armcal identify --out`")
 
 
 def extrapolation(arm: Arm, postures: Array) -> str | None:

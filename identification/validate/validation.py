@@ -30,7 +30,14 @@ from identification.measurements import POINT, Conditions, Measurements, distanc
 from identification.model import Model
 from identification.sessions import placing, with_sessions, without_sessions
 from identification.validate.reuse import fresh_points, placed_values, refit_model, refit_parameters
-from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
+from identification.validate.row_groups import (
+    check_calibrated,
+    data_hashes,
+    extrapolation,
+    identified,
+    row_groups,
+    seen_in_words,
+)
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis
@@ -183,8 +190,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     """
     if refit not in REFITS:
         raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
-    if arm.calibration is None and not any(spec.values for spec in arm.effects):
-        raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
+    check_calibrated(arm)
     check_validation(Model(arm), measurements)
     residuals, refitted, free = np.empty_like(measurements.positions), [], 0
     for rows in measurements.session_rows:
@@ -249,9 +255,8 @@ def _refitted(
     names = model.names
     if measurements.positions.size < len(names):
         allowed = f"allowed: at least {-(-len(names) // measurements.dimension)} rows in each session"
-        raise InputError(
-            f"measurements: too few for {len(names)} refitted parameters, {len(measurements)} in all, {allowed}"
-        )
+        file = measurements.provenance.get("file", "measurements")
+        raise InputError(f"{file}: too few for {len(names)} refitted parameters, {len(measurements)} in all, {allowed}")
     weights = np.ones(len(measurements)) if measurements.sigma is None else measurements.sigma**-2.0
     problem = Problem(model, measurements.postures, conditions, measurements.positions[None], weights)
     values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]

@@ -207,7 +207,7 @@ def test_temperature_counts_from_the_mean_of_the_identification() -> None:
     ("arm", "m", "refit", "sentence"),
     [
         (calibrated(), 9, "all", "refit: unknown name 'all'"),
-        (Arm(LENGTHS), 9, "base", "calibration: the arm has none, allowed: a file written by"),
+        (Arm(LENGTHS), 9, "base", "calibration: the arm has none, allowed: an arm file written by"),
         (calibrated(), 1, "base", "too few for 3 refitted parameters, 1 in all, allowed: at least 2 rows"),
         (Arm(LENGTHS[:2], calibration=Calibration.of([1, 1], [0, 0])), 9, "base", "found 4 joints, allowed: 2"),
     ],
