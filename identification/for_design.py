@@ -140,8 +140,8 @@ class ArmModel:
 
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""
-        chain = self._spatial
-        if chain is None:
+        chain = self.arm.chain
+        if chain.planar:
             return self
         tools = {name: place + offset for name, place in chain.tools.items()}
         return ArmModel(replace(self.model, arm=replace(self.arm, chain=replace(chain, tools=tools))))
@@ -153,15 +153,15 @@ class ArmModel:
         Raises `InputError` for contacts with a surface whose place is not known. Warns (`UserWarning`) of points that
         are assumed.
         """
-        if self._spatial is None:
+        if self.arm.chain.planar:
             return self
-        model = replace(self.model, arm=replace(self.arm, chain=with_points(self._spatial, contacts=True)))
+        model = replace(self.model, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
         return ArmModel(minimal(model) if model.sigma is None and model.prior else model)
 
     @property
     def tied(self) -> bool:
         """Whether the instrument allows some postures only, as a probe that touches a surface."""
-        return self._spatial is not None and self._spatial.instrument.contact
+        return self.arm.chain.instrument.contact
 
     def tied_postures(
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
@@ -173,8 +173,7 @@ class ArmModel:
         Raises `InputError` where there are hardly any, and for a sphere whose radius nobody knows. Warns
         (`UserWarning`) of what plans and bounds are of.
         """
-        chain = self._spatial
-        assert chain is not None
+        chain = self.arm.chain
         if unknown := [p for p in chain.instrument.parameters if self.model.best_known.get(p.name, 0.0) <= 0.0]:
             key = unknown[0].toml_key
             reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
@@ -196,13 +195,11 @@ class ArmModel:
 
     def heights(self, postures: Array) -> Array:
         """(m,) how far the measured point is above the surface [mm] at postures (m, n)."""
-        assert self._spatial is not None
-        return np.asarray(self.model.position(postures)[:, 0] - self._spatial.instrument.touched)
+        return np.asarray(self.model.position(postures)[:, 0] - self.arm.chain.instrument.touched)
 
     def _led_to_surface(self, postures: Array, units: Array) -> Array:
         """Postures (m, n) led to the surface by the shortest steps, most of them; limits apart."""
-        assert self._spatial is not None
-        q, touched, model = np.array(postures), self._spatial.instrument.touched, self.model
+        q, touched, model = np.array(postures), self.arm.chain.instrument.touched, self.model
         for _ in range(STEPS):
             conditions = model.condition_table(q, Conditions())
             distance, slopes = model.expressions.posture_jacobian(q, conditions, model.values[None])
@@ -215,8 +212,7 @@ class ArmModel:
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the
         surface that the point touches."""
-        chain = self._spatial
-        assert chain is not None
+        chain = self.arm.chain
         points = self.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3]
         # of a segment the nearest point to a sphere is that to its center, to a plane an end
         points = np.concatenate([points, nearest_on_segment(np.zeros(3), points[:, :-1], points[:, 1:])], axis=1)
@@ -228,7 +224,7 @@ class ArmModel:
     @property
     def points_read(self) -> int:
         """Number of measured points."""
-        return 1 if self._spatial is None else len(self._spatial.tools)
+        return len(self.arm.chain.tools)
 
     def jacobian(self, postures: ArrayLike) -> Array:
         """(m, d, p) derivative of the coordinates with respect to the parameters, at their best known values."""
@@ -324,7 +320,7 @@ class ArmModel:
     @property
     def planar(self) -> bool:
         """Whether it is a chain of links in a plane, of which Table I of the paper holds."""
-        return self._spatial is None
+        return self.arm.chain.planar
 
     @property
     def theorem_joints(self) -> tuple[int, ...] | None:
@@ -340,11 +336,6 @@ class ArmModel:
         """The arm."""
         return self.model.arm
 
-    @property
-    def _spatial(self) -> SpatialChain | None:
-        """The chain of a spatial arm, None in the plane."""
-        return self.arm.chain
-
 
 def for_design(model: Any) -> Any:
     """The `ArmModel` of the model of an arm; any other model as it is."""
@@ -353,14 +344,14 @@ def for_design(model: Any) -> Any:
 
 def without_prior(arm: Arm) -> Arm:
     """An arm with its measured points in place and a minimal set of parameters, as tests for effects see it."""
-    if arm.chain is None:
+    if arm.chain.planar:
         return arm
     return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
 
 
-def refuse_contacts(chain: SpatialChain | None) -> None:
+def refuse_contacts(chain: SpatialChain) -> None:
     """Raises `InputError` for a chain whose probe touches a surface, where postures have to be free."""
-    if chain is not None and chain.instrument.contact:
+    if chain.instrument.contact:
         reason = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
         raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 

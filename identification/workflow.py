@@ -118,7 +118,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
     calibrated = {} if true_arm.calibration is None else true_arm.calibration.effects
-    built = build_all(true_arm.effects, true_arm.links, true_arm.lengths, true_arm.dimension)
+    built = build_all(true_arm.effects, true_arm.chain)
     for effect, spec in zip(built, true_arm.effects, strict=True):
         if not effect.scatter and not any(p.short in spec.values or p.name in calibrated for p in effect.parameters):
             keys = ", ".join(p.toml_key for p in effect.parameters)
@@ -183,7 +183,7 @@ def identify_files(
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
-        if value is not None and loaded.dimension < 3:
+        if value is not None and loaded.chain.planar:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
@@ -328,7 +328,7 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
     """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
     from identification.model.minimal import PRACTICAL, minimal_of
 
-    readings, _ = ("", "") if model.arm.chain is None else model.arm.chain.instrument.size_is_open
+    readings, _ = model.arm.chain.instrument.size_is_open
     if readings:
         reduced = f"minimal for {readings}, which leave the size of the arm open"
         raise InputError(f"--parameters: found {reduced}, allowed: all, with the prior of [machining]")
@@ -576,11 +576,12 @@ def validate_files(
     from identification.files.arm import load_arm
     from identification.files.io import write_together
     from identification.validate import validate
-    from identification.validate.row_groups import mostly_outside
+    from identification.validate.row_groups import check_calibrated, mostly_outside
 
     arm = load_arm(model)
+    check_calibrated(arm, str(model))
     validation = validate(arm, load_sessions([data], arm), refit)
-    beyond = arm.dimension == 3 and mostly_outside(arm, validation.measurements.postures)
+    beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
     result = validation.to_json()
     actions = validation_actions(is_better(result), refit, str(model), str(data), beyond=beyond)
     if picture is not None:
@@ -616,10 +617,10 @@ def compensate_files(
     from identification.files.io import write_together
     from identification.files.target import commands_text, load_targets
     from identification.model import Model
+    from identification.validate.row_groups import check_calibrated
 
     arm = load_arm(calibrated)
-    if arm.calibration is None and not any(effect.values for effect in arm.effects):
-        raise InputError(f"{calibrated}: has no [calibration], allowed: an arm file written by `armcal identify --out`")
+    check_calibrated(arm, str(calibrated))
     wanted = load_targets(targets, arm)
     allowed = constraints(Model(arm)) if arm.constraints else ()
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)

@@ -46,7 +46,7 @@ class RelaxationOptions:
 
     def limits(self, solver: str) -> tuple[Callable[[], bool], float]:
         """What ends the weights, at half the time where they are checked, and the end of it all."""
-        from doe.bounds.relaxation import LARGEST
+        from doe.bounds.column_generation import LARGEST
 
         if self.seconds is not None and solver in LARGEST:
             reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
@@ -74,15 +74,15 @@ def command(
     out : Write the plan with weights (CSV).
     force : Overwrite an existing file.
     """
-    from doe.bounds.relaxation import relax
+    from doe.bounds.column_generation import relax
     from doe.cross_check import cross_check
-    from doe.plan.file import plan_text
-    from doe.problem.robust import with_choices
+    from doe.plan.plan import plan_text
+    from doe.problem.uncertain import with_choices
     from doe.report.design import cross_check_table, relax_document
     from identification.files.arm import load_arm
 
     loaded = load_arm(arm)
-    check_prior_runs(chosen, criterion, held=loaded.chain is not None and loaded.sigma is not None)
+    check_prior_runs(chosen, criterion, held=not loaded.chain.planar and loaded.sigma is not None)
     problem = design_problem(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )
@@ -117,7 +117,7 @@ def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, 
 
 def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array:
     """Levels of a grid, or (N, n) postures [rad]."""
-    from doe.plan.file import load_plan
+    from doe.plan.plan import load_plan
 
     if chosen.candidates is not None:
         return load_plan(chosen.candidates, problem.model.joint_types).postures

@@ -15,7 +15,7 @@ from identification.errors import InputError, JobError, nearest
 from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
-    from doe.jobs.workers import Workers
+    from doe.jobs.running import Workers
     from doe.studies.blind.score import BlindStudy
     from doe.studies.paper.study import PaperStudy
 
