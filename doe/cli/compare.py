@@ -55,10 +55,10 @@ def command(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs.row_table import RowTable
+    from doe.jobs.rows import RowTable
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
-    from doe.solvers.solvability import check_runs
+    from doe.solvers.solving import check_runs
     from doe.studies.comparison import Comparison, compare, compared_problem, summary
     from identification.files.arm import load_arm
 
@@ -86,14 +86,14 @@ def command(
 def rows_file(out: Path | None) -> Path | None:
     """The Parquet file of the rows: `out` itself if it names one, else a file in the folder `out`, which is created."""
 
-    from doe.jobs.row_table import made
+    from doe.jobs.rows import made
 
     return out if out is None or out.suffix == ".parquet" else made(out) / "rows.parquet"
 
 
 def write_results(out: Path, rows: polars.DataFrame) -> None:
     """Summary and pictures beside the rows."""
-    from doe.jobs.row_table import parquet
+    from doe.jobs.rows import parquet
     from doe.report.page import svg
     from doe.report.studies import profile_figure, time_figure
     from doe.studies.comparison import summary

@@ -66,10 +66,10 @@ def command(
     out : Write the plan (CSV).
     force : Overwrite an existing file.
     """
-    from doe.plan.file import plan_text
+    from doe.plan.accuracy import tip_beside_random
     from doe.plan.order import check_order
-    from doe.plan.tip_error import tip_beside_random
-    from doe.problem.robust import with_choices
+    from doe.plan.plan import plan_text
+    from doe.problem.uncertain import with_choices
     from doe.report.design import design_document, missing_lines
     from identification.documents.identification import identify_command
     from identification.files.arm import load_arm

@@ -22,7 +22,7 @@ from identification.files.io import PathLike, write_together
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from doe.jobs.workers import Workers as Pool
+    from doe.jobs.running import Workers as Pool
     from identification.arm import Arm
     from identification.arrays import Array
 
@@ -163,7 +163,7 @@ class JobOptions:
 
     def where(self) -> Pool:
         """The workers asked for. Raises `InputError` if the cluster does not answer."""
-        from doe.jobs.workers import chosen_workers
+        from doe.jobs.running import chosen_workers
 
         return chosen_workers(self.workers, self.cluster)
 
@@ -173,7 +173,7 @@ def one_thread_each() -> None:
 
     The matrices are small: more threads made it five times slower (measured), and the tasks use all cores already.
     """
-    from doe.jobs.isolated import SINGLE_THREAD
+    from doe.jobs.running import SINGLE_THREAD
 
     for name, number in SINGLE_THREAD.items():
         os.environ.setdefault(name, number)

@@ -81,11 +81,10 @@ def design_problem(
     import numpy as np
 
     from doe.criteria import NAMES
-    from doe.plan.file import load_plan
-    from doe.problem.bayesian import ensemble_problem, prior_draws
+    from doe.plan.plan import load_plan
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
-    from doe.problem.robust import missing_effects, robust_problem
+    from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem
     from identification.files.csv import read_table
     from identification.files.measurement_columns import read_postures
     from identification.model import Model
@@ -121,8 +120,8 @@ def design_problem(
 
 def _criterion(wanted: CriterionOptions, problem: DesignProblem) -> Criterion:
     from doe.criteria import criterion
-    from doe.plan.file import load_plan
-    from doe.problem.robust import tip_jacobians
+    from doe.plan.plan import load_plan
+    from doe.problem.uncertain import tip_jacobians
 
     poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, problem.model.joint_types).postures
     names = problem.model.parameters.names

@@ -42,7 +42,7 @@ class RelaxationOptions:
 
     def limits(self, solver: str) -> tuple[Callable[[], bool], float]:
         """What ends the weights, at half the time where they are checked, and the end of it all."""
-        from doe.bounds.relaxation import LARGEST
+        from doe.bounds.column_generation import LARGEST
 
         if self.seconds is not None and solver in LARGEST:
             reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
@@ -69,10 +69,10 @@ def command(
     out : Write the plan with weights (CSV).
     force : Overwrite an existing file.
     """
-    from doe.bounds.relaxation import relax
+    from doe.bounds.column_generation import relax
     from doe.cross_check import cross_check
-    from doe.plan.file import plan_text
-    from doe.problem.robust import with_choices
+    from doe.plan.plan import plan_text
+    from doe.problem.uncertain import with_choices
     from doe.report.design import cross_check_table, relax_document
     from identification.files.arm import load_arm
 
@@ -112,7 +112,7 @@ def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, 
 
 def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array:
     """Levels of a grid, or (N, n) postures [rad]."""
-    from doe.plan.file import load_plan
+    from doe.plan.plan import load_plan
 
     if chosen.candidates is not None:
         return load_plan(chosen.candidates, problem.model.joint_types).postures

@@ -28,7 +28,7 @@ def command(common: CommonOptions, arm: File, plan: File, *, truth: File, out: O
     """
     import numpy as np
 
-    from doe.plan.file import load_plan, load_plan_conditions
+    from doe.plan.plan import load_plan, load_plan_conditions
     from identification.files.arm import load_arm
     from identification.files.measurement import measurement_text
     from identification.simulate import simulate

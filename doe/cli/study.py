@@ -13,7 +13,7 @@ from doe.cli.options import Count, JobOptions, interruptible
 from identification.errors import InputError, JobError, nearest
 
 if TYPE_CHECKING:
-    from doe.jobs.workers import Workers
+    from doe.jobs.running import Workers
     from doe.studies.blind.score import BlindStudy
     from doe.studies.paper.study import PaperStudy
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from doe.plan.file import load_plan
-from doe.plan.plan import Plan
+from doe.plan.plan import Plan, load_plan
 from doe.report.design import design_verdict, plan_actions, plan_section
 from identification.arm import Arm
 from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number

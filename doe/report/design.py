@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 
 from doe.advise import Advice
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.bound import bound_in_words, postures_in_words
+from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.cross_check import CrossCheck
 from doe.design import BEST_KNOWN, Design, optimality_in_words
 from doe.discrimination.design import MOST_SEEN, DiscriminationDesign
 from doe.discrimination.misidentification import LAMBDA
 from doe.discrimination.t_optimal import NextPostures
-from doe.plan.expected_accuracy import ExpectedDeviations, over_draws
+from doe.plan.accuracy import ExpectedDeviations, over_draws
 from doe.plan.plan import Plan
-from doe.plan.replicate_spacing import distance_to_keep
+from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN

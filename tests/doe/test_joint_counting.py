@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from doe.plan.file import load_plan, load_plan_conditions, plan_text
-from doe.plan.plan import Plan
+from doe.plan.plan import Plan, load_plan, load_plan_conditions, plan_text
 from doe.problem.problem import DesignProblem
-from doe.studies.monte_carlo.file import load_study
+from doe.studies.monte_carlo.specification import load_study
 from identification.arm import Arm, Calibration
 from identification.compensate import compensate
 from identification.errors import InputError

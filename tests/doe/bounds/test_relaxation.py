@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds import convex_program, relaxation
-from doe.bounds.relaxation import LARGEST, relax
+from doe.bounds import column_generation as relaxation
+from doe.bounds import weights as convex_program
+from doe.bounds.column_generation import LARGEST, relax
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.postures import PostureList, grid
 from identification.errors import InputError, JobError

@@ -9,12 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.design import score
-from doe.plan.file import load_plan
-from doe.plan.plan import Plan
+from doe.plan.plan import Plan, load_plan
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import missing_effects, robust_problem
+from doe.problem.uncertain import missing_effects, robust_problem
 from doe.report.design import (
     accuracy,
     design_document,

@@ -11,7 +11,6 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, EffectSpec
-from identification.errors import InputError
 from identification.estimation import estimate
 from identification.inspection.inspection import inspect
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
@@ -97,13 +96,6 @@ def test_repeats_scatter_in_millimetres_or_are_not_said(unit: float) -> None:
     assert few["close_repeats_mm"] is None
 
 
-def test_as_few_numbers_as_unknowns_are_said() -> None:
-    """Three lengths and three zeros: three postures fit whatever they say."""
-    (few,) = inspect(ARM, data(3)).problems
-    assert few == "too few measurements: 6 numbers for 6 unknowns. Measure more postures"
-    assert inspect(ARM, data(12)).problems == ()
-
-
 @pytest.mark.parametrize(("step", "when"), [(1, "late"), (-1, "early")])
 def test_positions_beside_another_posture(step: int, when: str) -> None:
     good = data()
@@ -130,17 +122,6 @@ def test_each_fault_has_its_sentence() -> None:
     assert copied.startswith("1 row is an exact copy of another (of 41 rows): the first row 41 of row 6")
     (wrong,) = inspect(replace(ARM, chain=np.array([500.0, 100.0, 200.0])), good).problems
     assert wrong.startswith("the drawing is")
-
-
-def test_other_units_are_said_and_nothing_that_would_follow_from_them() -> None:
-    """Radians as degrees, and degrees as radians: neither a fit nor limits nor ranges of joints mean anything."""
-    good = data()
-    for change, unit in ((np.radians, "radians"), (np.degrees, "degrees")):
-        found = inspect(ARM, replace(good, postures=change(good.postures)))
-        assert len(found.problems) == 1
-        assert found.problems[0].startswith(f"the joint angles look like {unit}: ")
-        assert found.fit is None
-        assert not any("hardly" in note for note in found.notes)
 
 
 def test_scatter_beyond_sigma_is_a_note() -> None:
@@ -178,21 +159,6 @@ def test_what_the_data_cannot_say() -> None:
     few = inspect(ARM, data(m=2))
     assert few.fit is None
     assert "too few rows for a fit of the geometry" in few.problems
-
-
-def test_repeats_say_what_the_arm_scatters_by() -> None:
-    ten = data(m=10)
-    generator = np.random.default_rng(22)
-    noise = 0.05 * generator.standard_normal((40, 2))
-    again = Measurements(np.tile(ten.postures, (4, 1)), np.tile(ten.positions, (4, 1)) + noise)
-    found = inspect(ARM, again)
-    assert (found.rows, found.postures) == (40, 10)
-    assert found.floor.value == pytest.approx(0.05 * np.sqrt(2.0), rel=0.35)  # 30 degrees of freedom, 3 deviations
-
-
-def test_data_of_another_arm_are_refused() -> None:
-    with pytest.raises(InputError, match="3 joints for an arm of 2 links"):
-        inspect(Arm(LENGTHS[:2]), data())
 
 
 ROWS = ((0.0, np.pi / 2.0, 350.0), (-400.0, 0.0, 0.0), (-300.0, np.pi / 2.0, 0.0))  # a, alpha, d
