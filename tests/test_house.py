@@ -53,8 +53,6 @@ LAYERS = {
     "identification.files.measurement_columns": 2,
     "identification.files.target": 2,
     "identification.vectorize": 0,
-    "identification.model.compiled_parts": 3,
-    "identification.model.composition": 3,
     "identification.model.expressions": 3,
     "identification.model": 3,
     "identification.information": 4,
