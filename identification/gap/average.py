@@ -179,24 +179,27 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
     values = np.clip(mixed.mean[index], plain.parameters.lower, plain.parameters.upper)
     curves = tuple(_curve(held, mixed, b, at, values, plain) for b, at in mixed.places.values() if b.basis is not None)
-    every = (*specs, *(curve.spec for curve in curves))
-    model = Model(arm.with_effects(*arm.effects, *every))
+    entries = (*specs, *(curve.spec for curve in curves))
+    model = Model(arm.with_effects(*arm.effects, *entries))
     freedom = max(rows - round(mixed.effective), 1)
     of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
     spread[np.ix_(of_base, of_base)] = mixed.normal[np.ix_(index[of_base], index[of_base])]
-    jacobian = model.jacobian(held.rows.postures, values, held.rows.conditions)
-    spread /= max(_mean_trace(jacobian, spread), 1e-300)
     # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
     # measured as much more as the curves are uncertain, and what a file cannot have is there
+    jacobian = model.jacobian(held.rows.postures, values, held.rows.conditions)
     where = Where(held.at.model, held.at.values, held.rows.postures, held.rows.conditions)
     tables = [
         (b.columns(where), at) for b, at in mixed.places.values() if b.basis is not None and b.columns is not None
     ]
     of_curves = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in tables)])
+    whole, every = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
+    tall = whole.reshape(-1, whole.shape[2])
+    gram = tall.T @ tall / len(whole)  # of a covariance C the mean square distance is the sum of gram * C
+    inside = gram[: len(index), : len(index)]
+    spread /= max(float(np.sum(inside * spread)), 1e-300)
     covariance = beside_known(mixed.covariance, index, of_curves)
-    written = PredictingModel(model, values, covariance, every, curves, mixed.sigma, freedom, spread)
-    whole, both = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
-    more = _mean_trace(whole, mixed.covariance[np.ix_(both, both)]) - _mean_trace(jacobian, covariance)
+    written = PredictingModel(model, values, covariance, entries, curves, mixed.sigma, freedom, spread)
+    more = float(np.sum(gram * mixed.covariance[np.ix_(every, every)]) - np.sum(inside * covariance))
     lacking = held.noise_variance - found.noise_variance
     return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
 
@@ -213,11 +216,6 @@ def beside_known(covariance: Array, kept: Index, known: Index) -> Array:
     seen = values > VARIES
     across = covariance[np.ix_(kept, known)] / scale @ (vectors[:, seen] / np.sqrt(values[seen]))
     return covariance[np.ix_(kept, kept)] - across @ across.T
-
-
-def _mean_trace(columns: Array, covariance: Array) -> float:
-    """Mean over rows of tr(L C L^T)."""
-    return float(np.sum((columns @ covariance) * columns)) / len(columns)
 
 
 def _curve(found: Posterior, mixed: Mixture, block: Block, part: Index, values: Array, model: Model) -> Curve:

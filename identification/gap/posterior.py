@@ -15,7 +15,7 @@ from identification.gap.blocks import Linearized, linearized
 from identification.gap.evidence import State
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import Block, Hypothesis, HypothesisSet, with_further_orders
-from identification.gap.scatter import NoiseModel, log_likelihood, noises
+from identification.gap.scatter import NoiseModel, log_likelihoods, noises
 from identification.gap.search import MOVES, ROUNDING, Moments, Search, Walked, Weighed
 from identification.progress import Tell, say_nothing
 
@@ -137,16 +137,16 @@ def posterior(
     angle); the blocks and noises that are not unlikely there are then weighed with all rows.
     """
     if len(rows) <= MOST_ROWS:
-        return _walked(_climbed(library, rows, tell), rows, generator, tell)
-    some = np.sort(generator.permutation(len(rows))[:MOST_ROWS])
-    return _walked(_with_all_rows(_climbed(library, rows.pick(some), tell), rows, tell), rows, generator, tell)
+        return _walked(_climbed(library, rows, PASSES, tell), rows, generator, tell)
+    sample = rows.pick(np.sort(generator.permutation(len(rows))[:MOST_ROWS]))
+    return _walked(_with_all_rows(_climbed(library, sample, PASSES - 1, tell), rows, tell), rows, generator, tell)
 
 
-def _climbed(library: HypothesisSet, rows: Rows, tell: Tell) -> Climbed:
+def _climbed(library: HypothesisSet, rows: Rows, passes: int, tell: Tell) -> Climbed:
     """A likely set, linearized at itself and under its likeliest noise."""
     chosen: tuple[str, ...] = ()
     at, number = fit(library.base, rows), 0
-    for turn in range(PASSES):
+    for turn in range(passes):
         tell(f"pass {turn + 1}")
         wrong, every = _striking(rows, at), list(noises(rows, at))
         problem = linearized(library, at, every[number].rows, wrong)
@@ -155,7 +155,7 @@ def _climbed(library: HypothesisSet, rows: Rows, tell: Tell) -> Climbed:
         found = _with_noises(library, at, every, number, wrong, problem, search, top)
         likely = int(np.argmax(np.where(np.arange(len(every)) == number, found.scores + ROUNDING, found.scores)))
         settled = found.labels == chosen and likely == number
-        if turn == PASSES - 1:
+        if turn == passes - 1:
             break
         if not settled:
             chosen, number = found.labels, likely
@@ -172,11 +172,9 @@ def _climbed(library: HypothesisSet, rows: Rows, tell: Tell) -> Climbed:
 def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
     """The set of a sample, with the blocks and noises that are not unlikely there, in the problem of all rows."""
     tell("all rows")
-    near = {sample.problem.blocks[b].label for b in sample.search.near(sample.top)}
-    if not all(_holds(sample.problem.blocks[b]) for b in sample.top.blocks):
-        alone = _writable(sample)
-        near |= {alone.problem.blocks[b].label for b in alone.search.near(alone.top)}
-    labels = frozenset(near)
+    blocks, search = sample.problem.blocks, sample.search
+    writable = search.products.state([(b, size) for b, size in sample.top.key if _holds(blocks[b])])
+    labels = frozenset(blocks[b].label for b in {*search.near(sample.top), *search.near(writable)})
     least = sample.scores.max() - UNLIKELY
     chosen = sample.every[sample.noise]
     names = {chosen.name, *(n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least)}
@@ -213,15 +211,16 @@ def _with_noises(
 ) -> Climbed:
     """A set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and with
     the outlying rows of the set alone, which noise of another kind may need, too."""
-    first, there = _likelihoods(library, every, at, problem, top)
+    rows_only = search.products.state([(b, size) for b, size in top.key if problem.blocks[b].row])
+    sets = {one.key: one for one in (search.products.nothing, top, rows_only)}
     prior = np.array([n.prior for n in every])
-    offset = first - first[number] + prior
-    scores = np.maximum(offset, there - there[number] + search.log_odds(top) + prior)
-    if outlying := [(b, size) for b, size in top.key if problem.blocks[b].row]:
-        rows_only = search.products.state(outlying)
-        there = _likelihoods(library, every, at, problem, rows_only)[1]
-        scores = np.maximum(scores, there - there[number] + search.log_odds(rows_only) + prior)
-    return Climbed(library, at, every, number, wrong, problem, search, top, scores, offset)
+    each = [
+        likelihoods - likelihoods[number] + search.log_odds(one) + prior
+        for one, likelihoods in zip(
+            sets.values(), _likelihoods(library, every, at, problem, [*sets.values()]), strict=True
+        )
+    ]
+    return Climbed(library, at, every, number, wrong, problem, search, top, np.max(each, axis=0), each[0])
 
 
 def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
@@ -326,20 +325,13 @@ def _striking(rows: Rows, at: Fit) -> list[int]:
 
 
 def _likelihoods(
-    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, best: State
-) -> tuple[Array, Array]:
-    """(K,) log likelihood of each noise, with nothing missing, and with the best set."""
+    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, sets: Sequence[State]
+) -> list[Array]:
+    """Of each set (K,) log likelihoods of the noises, up to a constant."""
     rows = every[0].rows
-    own = library.own_places(at.model)
-    added = np.setdiff1d(np.arange(len(at.values)), own)
-    position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
-    left = rows.positions - position + jacobian[:, :, added] @ at.values[added]
-    plain = jacobian[:, :, own] / at.model.scales[own]
-    first = np.array([log_likelihood(n.rows, left, plain) for n in every])
-    if not best.blocks:
-        return first, first
-    columns = problem.columns_of(best.blocks)
-    sizes = np.sqrt(np.mean(np.square(columns), axis=(0, 1)))
-    wide = np.concatenate([plain, columns / np.where(sizes > 0.0, sizes, 1.0)], axis=2)
-    with_best = np.array([log_likelihood(n.rows, left, wide) for n in every])
-    return first, with_best
+    y, jacobian, base = library.as_base(at, rows)
+    plain = jacobian[:, :, base] / at.model.scales[base]
+    return [
+        log_likelihoods(every, y, np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2))
+        for one in sets
+    ]

@@ -43,7 +43,7 @@ def exact(search: Search) -> dict[tuple[int, ...], float]:
         if np.isfinite(prior := search.log_prior(blocks)):
             each = product(range(SIZES_OF_EACH), repeat=len(blocks))
             states = (search.products.state(list(zip(blocks, sizes, strict=True))) for sizes in each)
-            ratios = [search.products.ratio(state) for state in states]
+            ratios = [state.ratio for state in states]
             odds[blocks] = prior + logsumexp(ratios) - len(blocks) * np.log(SIZES_OF_EACH)
     total = logsumexp(list(odds.values()))
     return {blocks: float(np.exp(o - total)) for blocks, o in odds.items()}
