@@ -490,7 +490,6 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
     sets = [one for one in found.explanations if one.noise == number][:MOST]
     blocks = sorted({b for one in sets for b in one.weighed.blocks if not problem.blocks[b].row})
     part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
-    columns = [table[kept] @ root for table, root in zip(part.columns, part.roots, strict=True)]
     pairs = [
         [(local[b], size) for b, size in zip(one.weighed.blocks, one.weighed.sizes, strict=True) if b in local]
         for one in sets
@@ -499,31 +498,32 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
     whole = [problem.products.state([*zip(one.weighed.blocks, one.weighed.sizes, strict=True)]) for one in sets]
     priors = [np.log(o.probability) - state.ratio for o, state in zip(sets, whole, strict=True)]
     # the base's columns, orthonormal when white, and the others and y beside them: in mm, and white
-    own = jacobian[:, :, base]
-    basis, back = column_space_of(rows.whiten(own), model.scales[base])
-    table, rank = np.concatenate([own @ back, *columns, y[:, :, None]], axis=2), basis.shape[1]
-    white = rows.whiten(table)
-    inside = white[:, :rank].T @ white[:, rank:]
-    white[:, rank:] -= white[:, :rank] @ inside
-    table[:, :, rank:] -= table[:, :, :rank] @ inside
-    white, every = white.reshape(table.shape), white.T @ white
+    m, d = y.shape
+    basis, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])
+    own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, basis.shape[1]
+    columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
+    table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)
+    white = rows.whiten(table.reshape(m, d, -1))
+    inside = basis.T @ white[:, rank:]
+    white[:, rank:] -= basis @ inside
+    table[:, rank:] -= own @ inside
+    every, count, points = white.T @ white, table.shape[1] - rank - 1, np.zeros((m, d), dtype=bool)
+    points[:, POINT] = True
     # expected square of the noise of a row, for unit sigma
-    spread = np.eye(y.shape[1])[None] if rows.spread is None else rows.spread
+    spread = np.eye(d)[None] if rows.spread is None else rows.spread
     noise = float(np.sum(np.square(spread[:, POINT]))) / len(spread) * (1.0 + rows.shared)
-    before, after, expected = np.empty_like(y), np.empty_like(y), 0.0
-    count = table.shape[2] - rank - 1
+    before, after, expected = np.empty(m * d), np.empty(m * d), 0.0
     for fold in range(folds.max() + 1):
-        test = folds == fold
-        hidden = white[test].reshape(-1, table.shape[2])
-        others = every - hidden.T @ hidden
+        test = np.repeat(folds == fold, d)
+        others = every - white[test].T @ white[test]
         values, vectors = np.linalg.eigh(others[:rank, :rank])
         seen = values > RANK_TOLERANCE
         turn = vectors[:, seen] / np.sqrt(values[seen])
         inside = turn.T @ others[:rank, rank:]
         rest = others[rank:, rank:] - inside.T @ inside
-        freedom = max(np.count_nonzero(~test) * y.shape[1] - turn.shape[1], 1)
+        freedom = max(np.count_nonzero(~test) - turn.shape[1], 1)
         products = replace(
-            part.products, gram=rest[:-1, :-1], right=rest[:-1, -1], squares=rest[-1, -1], freedom=freedom
+            part.products, gram=rest[:-1, :-1], right=rest[:-1, -1], squares=float(rest[-1, -1]), freedom=freedom
         )
         states = [products.state(own_pairs) for own_pairs in pairs]
         shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
@@ -534,11 +534,12 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
             variance += share * state.squares / freedom
         mean = shares @ means
         covariance += (means - mean).T @ (shares[:, None] * (means - mean))
-        turned = table[test, :, :rank] @ turn
-        moved = table[test, :, rank:] - turned @ inside
-        before[test] = moved[:, :, -1]
-        after[test] = before[test] - moved[:, :, :-1] @ mean
-        moved, turned = moved[:, POINT, :-1], turned[:, POINT]
-        expected += float(np.sum((moved @ covariance) * moved))
-        expected += variance * (float(np.sum(np.square(turned))) + noise * np.count_nonzero(test))
-    return before[:, POINT], after[:, POINT], expected / len(y)
+        turned = table[test, :rank] @ turn
+        moved = table[test, rank:] - turned @ inside
+        before[test] = moved[:, -1]
+        after[test] = before[test] - moved[:, :-1] @ mean
+        at = points.ravel()[test]
+        expected += float(np.sum((moved[at, :-1].T @ moved[at, :-1]) * covariance))
+        expected += variance * (float(np.sum(np.square(turned[at]))) + noise * np.count_nonzero(test) / d)
+    before, after = before.reshape(m, d), after.reshape(m, d)
+    return before[:, POINT], after[:, POINT], expected / m

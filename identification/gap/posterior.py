@@ -16,7 +16,7 @@ from identification.gap.evidence import State
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import Block, Hypothesis, HypothesisSet, with_further_orders
 from identification.gap.scatter import NoiseModel, log_likelihoods, noises
-from identification.gap.search import MOVES, ROUNDING, Moments, Search, Walked, Weighed
+from identification.gap.search import ROUNDING, Moments, Search, Walked, Weighed
 from identification.progress import Tell, say_nothing
 
 # reasons: identification/README.md, "Constants"
@@ -257,26 +257,25 @@ def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: 
             problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong, labels)
             search = search_of(climbed.library, problem)
             there = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
-        moves = MOVES if k == climbed.noise else MOVES // 2
-        models.append((noise, *_near_walk(there, generator, moves), float(climbed.offset[k])))
+        models.append((noise, *_near_walk(there, generator), float(climbed.offset[k])))
     found = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
     lacking = sum(one.probability for one in found.explanations if not all(map(_holds, one.blocks)))
     if lacking < WRITTEN:
         return found
     alone = _writable(climbed)
     tell("what an arm file can have")
-    model = climbed.every[climbed.noise], *_near_walk(alone, generator, MOVES // 2), 0.0
+    model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
     return replace(found, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
 
 
-def _near_walk(climbed: Climbed, generator: np.random.Generator, moves: int) -> tuple[Linearized, Walked]:
+def _near_walk(climbed: Climbed, generator: np.random.Generator) -> tuple[Linearized, Walked]:
     """The problem with the blocks alone that are not negligible, and the walk there."""
     search, near = climbed.search, climbed.search.near(climbed.top)
     problem, place = climbed.problem.of(near), {b: i for i, b in enumerate(near)}
     total = search.total or float(np.sum(search.weights[search.counted]))
     walk = search_of(climbed.library, problem, total)
     start = walk.products.state([(place[b], size) for b, size in climbed.top.key])
-    return problem, walk.walk(start, generator, moves)
+    return problem, walk.walk(start, generator)
 
 
 def _mixture(

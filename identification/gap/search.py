@@ -35,7 +35,7 @@ TAIL = 3.0  # p(K) ~ K^-TAIL
 WRONG = 0.0005  # prior odds of a row to be outlying
 REST_ODDS = 0.1  # prior odds of the rest of the library
 NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
-MOVES = 1000  # effort: of the walk
+MOVES = 500  # effort: of the walk
 THIN = 32  # effort: columns of a set for each move of the walk that is not counted among the draws
 PAIRS = 10  # effort: of the climb, blocks that are tried in pairs
 LEAST = 1e-5  # probability of a set that is kept
@@ -192,12 +192,12 @@ class Search:
         order = np.argsort(shares, kind="stable")
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
 
-    def walk(self, top: State, generator: np.random.Generator, moves: int | None = None) -> Walked:
-        """The posterior, from a set to start from;  moves : steps, None: `MOVES`"""
-        moves, thin = moves or MOVES, 1 + len(top.places) // THIN
+    def walk(self, top: State, generator: np.random.Generator) -> Walked:
+        """The posterior, from a set to start from."""
+        thin = 1 + len(top.places) // THIN
         state, steps, odds = top, dict[Key, Array](), dict[Key, float]()
         visits, moments = Counter[Key](), (Moments(self.products), Moments(self.products))
-        for move in range(moves):
+        for move in range(MOVES):
             taken = int(generator.integers(len(state.key) + 1))
             left = state.without(state.blocks[taken] if taken < len(state.key) else None)
             visits[left.key] += 1
