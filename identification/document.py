@@ -1,5 +1,5 @@
 """What a result says, once: a document of paragraphs, tables, pictures and sections, of which terminal, notebook and
-page (doe/report/page.py) are renderings.
+page (doe/report/page.py) are renderings; and numbers as people read them.
 
 A paragraph is a string. Everything is ready text, taken to the letter: `[mm]` is no markup, `<b>` no element.
 """
@@ -8,18 +8,24 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from identification.html_tables import html_facts, html_lines, html_table, in_symbols
+from identification.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import RenderableType
 
+LONG = 24  # characters, from which a cell is text that may be broken
+SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
+PHONE = 38  # characters of a row, a space on both sides of each cell, that a phone shows
+FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
 MOST = 200  # rows of a table in HTML, where its text says that there may be more
 NUMBER = re.compile(r"[<>]? ?[-+–]?([\d.,]+(e[-+]?\d+)?)?( \*|%)?", re.IGNORECASE)  # or a dash in place of one
 
@@ -109,6 +115,10 @@ class Document:
         """The same with more at the end, before what to do next."""
         return replace(self, parts=[*self.parts, *parts])
 
+    def without_pictures(self) -> Document:
+        """The same for a notebook that is not to draw them."""
+        return replace(self, parts=_without_pictures(self.parts))
+
     def __str__(self) -> str:
         return as_text(self)
 
@@ -116,6 +126,27 @@ class Document:
         steps = "".join(html_lines([f"{action.text} {action.command}".strip()]) for action in self.actions)
         head = html_lines(map(in_symbols, [*self.warnings, *self.verdict]), strong=True)
         return head + "".join(html(part) for part in self.parts) + steps
+
+
+@dataclass
+class Answer:
+    """What a command answers.
+
+    data : the object of --json;  shown : documents and lines for people;  exit_code : 0 done, 1 the job failed
+    warnings : doubts that `shown` has too, for those who read `data`
+    failure : why files that were asked for are not there, beside an answer that holds all the same
+    """
+
+    data: dict[str, Any]
+    shown: list[Any]
+    exit_code: int = 0
+    warnings: Sequence[str] = ()
+    failure: InputError | None = None
+
+
+def _without_pictures(parts: Sequence[Part]) -> list[Part]:
+    sections = (replace(one, parts=_without_pictures(one.parts)) if isinstance(one, Section) else one for one in parts)
+    return [one for one in sections if not isinstance(one, Pictures)]
 
 
 Part: TypeAlias = str | Sheet | Facts | Pictures | PlanSteps | Section | Document
@@ -147,6 +178,20 @@ def html(part: Part, picture: Callable[[Figure], str] | None = None, name: str =
         head = f"<h2>{escape(part.title)}</h2>\n"
         return f"<details>\n<summary>{head}</summary>\n{inside}</details>\n" if part.folded else head + inside
     return part._repr_html_() if isinstance(part, Document) else ""
+
+
+def picture_bytes(figure: Figure, path: Path) -> bytes:
+    """The content of a picture file. Raises `InputError` for a name whose ending is no format."""
+    check_picture(path)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=path.suffix.lower().removeprefix("."), dpi=150)
+    return buffer.getvalue()
+
+
+def check_picture(path: Path) -> None:
+    """Raises `InputError` for the name of a picture file whose ending is no format."""
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")
 
 
 def html_image(figure: Figure) -> str:
@@ -224,3 +269,107 @@ def terminal_facts(facts: Facts) -> RenderableType:
     for row in facts.shown():
         shown.add_row(*map(Text, row))
     return shown
+
+
+# -- HTML, everything escaped ------------------------------------------------------------------------------------------
+def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Headings and rows of ready text; of class `wide` where a phone shows the cells of a row below each other, each
+    beside its heading."""
+    lines = [list(row) for row in rows]
+    wide = ' class="wide"' if len(headings) > 2 and characters_of_row(headings, lines) > PHONE else ""
+    kinds = [' class="text"' if any(len(row[k]) > LONG for row in lines) else "" for k in range(len(headings))]
+    pairs = [(kind, escape(heading)) for kind, heading in zip(kinds, headings, strict=True)]
+    head = "".join(f'<th scope="col"{kind}>{heading}</th>' for kind, heading in pairs)
+    kinds = [f'{kind} data-heading="{heading}"' if wide else kind for kind, heading in pairs]
+    cells = ((f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=True)) for row in lines)
+    body = "".join(f"<tr>{''.join(row)}</tr>\n" for row in cells)
+    return f"<table{wide}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
+
+
+def characters_of_row(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
+    """Characters that a row needs: of words where a cell may be broken, which headings, first cells and texts may."""
+    characters = 0
+    for k, heading in enumerate(headings):
+        cells = [row[k] for row in rows]
+        firm = [] if k == 0 else [len(cell) for cell in cells if len(cell) <= LONG]
+        words = [len(word) for text in (heading, *cells) for word in text.split()]
+        characters += 2 + max([*firm, *words], default=0)
+    return characters
+
+
+def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:
+    """A paragraph for each line."""
+    text = (f"<b>{escape(line)}</b>" if strong else escape(line) for line in lines)
+    return "".join(f"<p>{line}</p>\n" for line in text)
+
+
+def html_facts(rows: Iterable[tuple[str, str]]) -> str:
+    """Names and what is to be said of each, one below the other."""
+    style = 'style="text-align: left"'
+    pairs = ((escape(name), escape(text)) for name, text in rows)
+    lines = "".join(f'<tr><th scope="row" {style}>{name}</th><td {style}>{text}</td></tr>\n' for name, text in pairs)
+    return f"<table>\n<tbody>\n{lines}</tbody>\n</table>"
+
+
+def in_symbols(text: str) -> str:
+    """As books print it: `chi2` as χ², `->` as an arrow."""
+    for plain, symbol in SYMBOLS.items():
+        text = re.sub(plain, symbol, text)
+    return text
+
+
+# -- numbers as people read them ---------------------------------------------------------------------------------------
+def number(value: float | None, digits: int = 4) -> str:
+    """A number formatted for a table; a dash for None."""
+    return "-" if value is None or not math.isfinite(value) else f"{value:z.{digits}f}"  # no -0.0000
+
+
+def to_significant_digits(value: float | None, std: float | None) -> str:
+    """Rounded to the third significant digit of the standard deviation."""
+    if value is None:
+        return "-"
+    if not std:
+        return f"{value:.5g}"
+    digits = min(max(2 - math.floor(math.log10(abs(std))), 0), 12)
+    return f"{value:z.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
+
+
+def estimate_text(value: float | None, std: float | None, unit: str) -> str:
+    """A parameter or a limit of its interval: three significant digits of the standard deviation, in mm and deg no more
+    than five decimals."""
+    if value == 0.0:
+        return "0"
+    if not std:
+        return number(value)
+    if std < FINEST and unit not in ("mm", "deg"):
+        return "-" if value is None else f"{value:.3g}"
+    return to_significant_digits(value, max(std, FINEST))
+
+
+def in_a_sentence(value: float | None) -> str:
+    """A length to three significant digits, as people say it: `0.110`, `1.42`, `34`; a dash for None."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0.0:
+        return "0"
+    digits = min(max(2 - math.floor(math.log10(abs(value))), 0), 6)
+    return f"{value:z.{digits}f}"
+
+
+def unit_or_dash(unit: str) -> str:
+    """For a column of units: a dash where there is none."""
+    return "–" if unit == "1" else unit
+
+
+def as_sentence(clause: str) -> str:
+    """With a capital and a full stop."""
+    return f"{clause[:1].upper()}{clause[1:].rstrip('.')}."
+
+
+def of_joints(joints: Sequence[int]) -> str:
+    """`joint 2`, `joints 1 and 3`, `joints 1 to 5`."""
+    if len(joints) == 1:
+        return f"joint {joints[0]}"
+    if len(joints) > 2 and list(joints) == list(range(joints[0], joints[-1] + 1)):
+        return f"joints {joints[0]} to {joints[-1]}"
+    return f"joints {', '.join(map(str, joints[:-1]))} and {joints[-1]}"

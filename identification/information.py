@@ -1,9 +1,16 @@
 """The information matrix, and what a plan makes estimable before any data exist (paper, eq. 16-19, corrected).
 
-One rule decides every rank (`column_lengths` and `significant`): columns are scaled to unit length, one whose length,
-counted in mm at the tip (`Model.scales`), is nothing beside the longest is zero, and singular values below a share of
-the largest are zero. No choice of units can change whether a parameter is estimable. An information matrix holds the
-squares of the singular values, half their digits: `log_determinants` applies the rule to it, its share being rounding.
+One rule decides every rank, here and elsewhere (`column_lengths` and `significant`): columns are scaled to unit length,
+one whose length, counted in mm at the tip (`Model.scales`), is nothing beside the longest is zero, and values below a
+share of the largest are zero. No choice of units can change whether a parameter is estimable. Only the share differs,
+with what the values are of:
+
+    RANK_TOLERANCE     singular values of a Jacobian or another table: what data determine. Models are exact to 1e-13 or
+                       so, and what is a billion times less certain than the rest is of no use
+    PRODUCT_TOLERANCE  eigenvalues of a product: normal matrix, covariance, correlations. They are the squares, but
+                       rounded as the largest is: below this too few digits are left to divide by
+    rounding_share     either, where the question is whether a value is anything but rounding: what a prior holds, and
+                       determinants, which do not divide
 """
 
 from __future__ import annotations
@@ -16,7 +23,9 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array, readonly
 
-RANK_TOLERANCE = 1e-9  # singular values of columns of unit length below this share of the largest are zero
+RANK_TOLERANCE = 1e-9  # of the largest singular value
+PRODUCT_TOLERANCE = 1e-12  # of the largest eigenvalue: a rounding of 1e-15 of that leaves three digits
+ALONE = 1e-8  # of 1: rows with less than this left beside their leverage determine a combination by themselves
 CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
 EPS = float(np.finfo(float).eps)
 SHOWN = 0.02  # coefficients below this share of the largest are not shown, and such differences from 1 neither
@@ -43,16 +52,29 @@ def column_lengths(sizes: Array, scales: Array) -> tuple[Array, NDArray[np.bool_
 
 
 def significant(values: Array, tolerance: float = RANK_TOLERANCE) -> NDArray[np.bool_]:
-    """(..., r) which singular values of unit columns count: those above `tolerance` times the largest."""
+    """(..., r) which singular values or eigenvalues count: those above `tolerance` times the largest."""
     return values > tolerance * np.max(values, axis=-1, keepdims=True, initial=0.0)
+
+
+def rounding_share(p: int) -> float:
+    """The share of the largest below which values of p unit columns are nothing but rounding: of matrices that lack a
+    rank they come to 3 to 7 rounding units for p up to 60."""
+    return (8 + p) * EPS
+
+
+def product_inverse(product: Array, tolerance: float = PRODUCT_TOLERANCE) -> Array:
+    """(p, p) pseudo-inverse of a product: of a normal matrix or a covariance, whatever its units."""
+    sizes = np.sqrt(np.maximum(np.diagonal(product), 0.0))
+    lengths = np.where(sizes > 0.0, sizes, 1.0)
+    inverse = np.linalg.pinv(product / lengths / lengths[:, None], rcond=tolerance, hermitian=True)
+    return np.asarray(inverse / lengths / lengths[:, None])
 
 
 def log_determinants(information: Array) -> Array:
     """(...) log det of information matrices (..., p, p) of scaled parameters; -inf where the rule calls them singular.
 
-    Of unit columns an eigenvalue below (8 + p) times the rounding unit of the largest is nothing but rounding: of
-    matrices that lack a rank it comes to 3 to 7 units for p up to 60. The determinant of a matrix of trace p is at most
-    e times its smallest eigenvalue, and spares most matrices their eigenvalues.
+    The determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most matrices their
+    eigenvalues.
     """
     p = information.shape[-1]
     sizes = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
@@ -63,9 +85,9 @@ def log_determinants(information: Array) -> Array:
     unit = np.where(usable[..., None, None], scaled, np.eye(p))
     signs, logs = np.linalg.slogdet(unit)
     usable &= signs > 0
-    close = usable & (logs <= 1.0 + np.log(p * (8 + p) * EPS))
+    close = usable & (logs <= 1.0 + np.log(p * rounding_share(p)))
     if np.any(close):
-        usable[close] = np.all(significant(np.linalg.eigvalsh(unit[close]), (8 + p) * EPS), axis=-1)
+        usable[close] = np.all(significant(np.linalg.eigvalsh(unit[close]), rounding_share(p)), axis=-1)
     return np.where(usable, logs + 2.0 * np.sum(np.log(lengths), axis=-1), -np.inf)
 
 
@@ -144,23 +166,37 @@ class Spectrum:
         return self.estimable / self.values[: self.rank] / self.lengths[:, None]
 
 
-def spectrum(
-    jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, held: NDArray[np.bool_] | bool = False
-) -> Spectrum:
+def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, prior: Array | None = None) -> Spectrum:
     """Decomposes a Jacobian (m, d, p) or (rows, p), whose rows may carry weights.
 
     scales : (p,) `Model.scales` [mm/unit];  tolerance : of `significant`
-    held : (p,) columns that have a row of a prior, which is exact: they are not zero however short
+    prior : (r, p) rows of a prior, in the units of the others. What it holds is determined, however short its column
+        and however much more exact the rows of the data are: what counts as zero is a tenth of the least that it holds,
+        as long as that is no rounding
     """
     p = jacobian.shape[-1]
-    triangle = np.linalg.qr(jacobian.reshape(-1, p), mode="r")
+    rows = jacobian.reshape(-1, p)
+    triangle = np.linalg.qr(rows if prior is None else np.concatenate([rows, prior]), mode="r")
     sizes = np.linalg.norm(triangle, axis=0)
-    zero = column_lengths(sizes, scales)[1] & np.logical_not(held)
+    held = np.zeros(p, dtype=bool) if prior is None else np.any(prior != 0.0, axis=0)
+    zero = column_lengths(sizes, scales)[1] & ~held
     lengths = np.where(zero, scales, sizes)
-    _, singular_values, rows = np.linalg.svd(np.where(zero, 0.0, triangle / lengths), full_matrices=True)
+    _, singular_values, turned = np.linalg.svd(np.where(zero, 0.0, triangle / lengths), full_matrices=True)
     values = np.zeros(p)
     values[: singular_values.size] = singular_values
-    return Spectrum(lengths, values, rows.T, p).truncated(tolerance)
+    if prior is not None:
+        strengths = np.asarray(np.linalg.svd(prior / lengths, compute_uv=False), dtype=float)
+        least = np.min(strengths, initial=np.inf, where=significant(strengths, rounding_share(p)))
+        tolerance = float(np.clip(0.1 * least / values[0], rounding_share(p), tolerance))
+    return Spectrum(lengths, values, turned.T, p).truncated(tolerance)
+
+
+def effective_count(jacobian: Array, prior: Array, scales: Array) -> float:
+    """How many of p parameters the data determine, the prior the rest: tr J (J^T J + R^T R)^-1 J^T.
+
+    jacobian : (N, p) of the data alone;  prior : (r, p) its rows R, in the same units;  scales : (p,)
+    """
+    return float(np.sum(np.square(jacobian @ spectrum(jacobian, scales, prior=prior).root)))
 
 
 def covariance(jacobian: Array, scales: Array, sigma: float = 1.0) -> Array:
@@ -298,7 +334,7 @@ def _independent(vectors: list[Array], k: int) -> list[Array]:
     ordered = sorted(vectors, key=lambda v: (int(np.sum(np.abs(v) > TOUCHED)), float(np.sum(np.abs(v)))))
     chosen: list[Array] = []
     for vector in ordered:
-        clean = np.where(np.abs(vector) > 1e-9, vector, 0.0)
+        clean = np.where(np.abs(vector) > RANK_TOLERANCE, vector, 0.0)
         trial = np.array([v / np.linalg.norm(v) for v in (*chosen, clean)])
         if np.linalg.svd(trial, compute_uv=False)[-1] > 1e-6:
             chosen.append(clean)

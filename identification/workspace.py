@@ -79,3 +79,24 @@ class PostureCondition(Protocol):
     def margin(self, postures: Array) -> Array:
         """(m, k) margins [mm] of postures (m, n), satisfied where >= 0."""
         ...
+
+
+def distance_to_segment(point: Array, start: Array, end: Array) -> Array:
+    """(...) distance of points (..., d) from segments."""
+    return np.asarray(np.linalg.norm(nearest_on_segment(point, start, end) - point, axis=-1))
+
+
+def nearest_on_segment(point: Array, start: Array, end: Array) -> Array:
+    """(..., d) the points of segments that are nearest to points (..., d)."""
+    along = end - start
+    square = np.maximum(np.sum(along**2, axis=-1), 1e-300)
+    fraction = np.clip(np.sum((point - start) * along, axis=-1) / square, 0.0, 1.0)
+    return np.asarray(start + fraction[..., None] * along)
+
+
+def circle_across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) perpendicular to an axis and to each other."""
+    unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    one = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
+    one /= np.linalg.norm(one)
+    return one, np.cross(unit, one)

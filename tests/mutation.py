@@ -25,19 +25,18 @@ ESTIMATION = "tests/identification/estimation"
 MODEL = ["tests/identification/kinematics", "tests/identification/model/test_arm_model.py"]
 TESTED = {  # module -> tests that must notice
     "identification/information.py": ["tests/identification/test_information.py"],
-    "identification/kinematics/planar.py": MODEL,
-    "identification/kinematics/planar_linear.py": [
+    "identification/kinematics/closed_form.py": [
         *(f"{ESTIMATION}/test_{name}.py" for name in ("estimate", "batch", "estimate_each")),
-        "tests/identification/kinematics/test_planar_linear.py",
+        "tests/identification/kinematics/test_closed_form.py",
     ],
     "identification/kinematics/spatial.py": [*MODEL, "tests/identification/model/test_minimal.py"],
     "identification/estimation/levenberg_marquardt.py": [f"{ESTIMATION}/test_levenberg_marquardt.py"],
-    "identification/estimation/sandwich.py": [f"{ESTIMATION}/test_sandwich.py"],
-    "identification/estimation/with_prior.py": [f"{ESTIMATION}/test_with_prior.py"],
+    "identification/estimation/uncertainty.py": [f"{ESTIMATION}/test_sandwich.py"],
+    "identification/estimation/estimate.py": [f"{ESTIMATION}/test_with_prior.py"],
     "identification/gap/evidence.py": ["tests/identification/gap/test_evidence.py"],
     "identification/gap/search.py": ["tests/identification/gap/test_search.py"],
     "doe/bounds/planar_theorem.py": ["tests/doe/bounds/test_planar_theorem.py"],
-    "doe/bounds/equivalence.py": ["tests/doe/bounds/test_equivalence.py"],
+    "doe/bounds/certificate.py": ["tests/doe/bounds/test_certificate.py"],
     "doe/criteria/log_determinants.py": ["tests/doe/criteria"],
 }
 # arithmetic for other arithmetic, numbers, comparisons, logic; not what raises at once (shifts), nor annotations

@@ -1,7 +1,7 @@
 """Postures of the largest sensitivity within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
 
 All starts climb together (`identification.newton_ascent`), on exact first and second derivatives
-(`doe.problem.derivatives`). Constraints are kept by a logarithmic barrier, lowered step by step, so that a climb can
+(`doe.problem.problem`). Constraints are kept by a logarithmic barrier, lowered step by step, so that a climb can
 follow a wall. What it ends at is a numerical maximum; `doe.bounds.branch_and_bound` makes it a theorem where the model
 allows.
 """
@@ -15,10 +15,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.problem.derivatives import ConstraintDerivatives, JacobianDerivatives
-from doe.problem.feasible import random_postures
-from doe.problem.prior import PriorInformation
-from doe.problem.problem import DesignProblem, Stop, never
+from doe.problem.postures import random_postures
+from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives, PriorInformation, Stop, never
 from identification.arrays import Array
 from identification.newton_ascent import Rows, newton_ascent
 

@@ -14,21 +14,14 @@ cancels, and at least n + 1 runs are needed.
 
 from __future__ import annotations
 
-from typing import TypeGuard
-
 import numpy as np
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.criteria import D
-from doe.problem.problem import DesignProblem, InformationModel
+from doe.problem.model import offered, offers
+from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.model import Model
-
-
-def is_planar(model: InformationModel) -> TypeGuard[Model]:
-    """True for the model of a planar arm, the only one of which this module knows anything."""
-    return isinstance(model, Model) and model.arm.chain is None
 
 
 def applies(problem: DesignProblem) -> bool:
@@ -36,15 +29,13 @@ def applies(problem: DesignProblem) -> bool:
 
     Constraints and a list of allowed postures only shrink the design space: the bound stays valid, not always tight.
     """
-    model = problem.model
-    return is_planar(model) and model.linear_in_links and isinstance(problem.criterion, D) and problem.prior.empty
+    return offers(problem.model, "theorem_joints") and isinstance(problem.criterion, D) and problem.prior.empty
 
 
 def chain_joints(problem: DesignProblem) -> tuple[int, ...]:
-    """Joints (from 0) on which the value depends: all but the first, and the first too with a base offset."""
-    model = problem.model
-    offset = is_planar(model) and any(effect.name == "base_offset" for effect in model.effects)
-    return tuple(range(0 if offset else 1, problem.joints))
+    """Joints (from 0) on which the value depends where the theorem `applies`: all but the first, and the first too with
+    a base offset."""
+    return tuple(offered(problem.model, "theorem_joints", "closed form"))
 
 
 def closed_form_log_det(problem: DesignProblem) -> float:

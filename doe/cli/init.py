@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import verb
 from doe.cli.options import FilePath, Folder
-from identification.errors import InputError
+from identification.document import Answer
+from identification.errors import InputError, nearest
 from identification.files.io import PathLike, write_together
 
 
 @verb("armcal init --urdf robot.urdf --out calibration")
 def command(
-    common: CommonOptions,
     *,
     links: Annotated[str, "N|LENGTHS"] | None = None,
     robot: Annotated[Path, FilePath(), "--urdf"] | None = None,
     dh: Annotated[int, click.IntRange(1, 12), "N"] | None = None,
     base_link: str | None = None,
     tip_link: str | None = None,
-    instrument: Literal["distance", "sphere", "plane"] | None = None,
+    instrument: Annotated[str, "KIND"] | None = None,
     out: Folder = Path("."),
     force: bool = False,
 ) -> Answer:
@@ -36,11 +36,12 @@ def command(
     dh : A spatial arm from N Denavit-Hartenberg rows.
     base_link : Of the URDF file; left out: its root.
     tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
-    instrument : Of a spatial arm measured by a ball bar or draw wire, or by touching balls or planes.
+    instrument : Of a spatial arm without a tracker: distance (ball bar, draw wire), sphere, plane (touch probe).
     out : Folder; made if missing.
     force : Overwrite existing files.
     """
     from doe.report.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
+    from identification.instruments import KINDS
 
     sources = [name for name, value in (("--links", links), ("--urdf", robot), ("--dh", dh)) if value is not None]
     if len(sources) > 1:
@@ -50,6 +51,8 @@ def command(
             raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
     if instrument is not None and robot is None and dh is None:
         raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
+    if instrument is not None and instrument not in KINDS:
+        raise InputError(f"--instrument: found {instrument!r}, {nearest(instrument, KINDS)}")
     if robot is not None:
         files = urdf_files(robot, base_link, tip_link, instrument or "")
     else:

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from doe.design import Design
-from doe.plan.file import plan_text
-from doe.plan.plan import Plan
-from doe.problem.feasible import random_postures
+from doe.plan.plan import Plan, plan_text
+from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification.arm import Arm
@@ -32,7 +31,7 @@ from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.progress import Progress, silent
 from identification.validate import drawing_residuals
-from identification.validate.judgement import judged
+from identification.validate.validation import judged
 
 FRESH, TARGETS = 200, 50  # postures
 

@@ -14,16 +14,20 @@ distinguished by any plan, much smaller ones by none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, groupby
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from doe.problem.model import DesignModel
+from identification.arm import Arm
 from identification.arrays import Array
+from identification.for_design import ArmModel
 from identification.information import log_determinants
 
 # reasons: doe/README.md, "Misidentification"
@@ -31,6 +35,32 @@ LAMBDA = 8.0  # length on random postures at which plans differ
 UNSEEN = 1e-9  # fraction of its length off the base model below which no plan is judged by a direction
 RIDGE = 1e-12  # of a rival's length on random postures: keeps the inverse of a rival that a plan hides
 NEAR = 0.05  # the gradient is infinite where two effects are the same, d = 0
+
+
+@dataclass(frozen=True)
+class EffectLibrary:
+    """Rival effects: what a plan is to distinguish.
+
+    base : p, parameters of the model that is to be identified; they come first in the models below
+    shown_by_postures : the model with every effect that postures alone can show, K parameters more
+    bases : per effect (K, s), the combinations of the K scaled parameters that it may take
+    weights : (H,) how likely each effect is, in any unit
+    jacobian_by_order : postures (m, n) in their order -> (m, d, p + L) scaled sensitivities with the effects that the
+        order of measurement shows, as backlash and drift; None: there are none
+    preflight : postures (m, n) -> what measuring them could show of every effect; None: not needed
+    """
+
+    base: int
+    shown_by_postures: DesignModel
+    bases: Sequence[Array]
+    weights: Array
+    jacobian_by_order: Callable[[Array], Array] | None = None
+    preflight: Callable[[Array], Any] | None = None
+
+
+def effect_library(arm: Arm) -> EffectLibrary:
+    """The effects of the library that an arm can have, besides its own; without the rare ones."""
+    return EffectLibrary(*ArmModel.of(arm).rival_effects())
 
 
 @dataclass(frozen=True)

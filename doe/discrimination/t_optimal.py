@@ -15,6 +15,7 @@ candidates may be wrong: the bound is multiplied by their probability together.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Any
@@ -23,14 +24,14 @@ import numpy as np
 from scipy.special import ndtr
 
 from doe.plan.plan import Plan
-from doe.problem.feasible import random_postures
-from doe.problem.problem import DesignProblem, Stop, never
-from doe.problem.spatial import refuse_contacts
+from doe.problem.postures import random_postures
+from doe.problem.problem import NEEDS_SIGMA, DesignProblem, Stop, never
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.files.measurement_columns import posture_columns
-from identification.gap.result import Candidate, Diagnosis
+from identification.for_design import refuse_contacts
+from identification.gap.result import Diagnosis
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status
@@ -112,11 +113,33 @@ class RivalPredictions:
             model = Model(diagnosis.extended_arm(candidate))
             position, jacobian = model.linearize(postures, None, conditions)
             positions.append(position / diagnosis.sigma)
-            jacobians.append(jacobian @ _root(candidate, model) / diagnosis.sigma)
+            order = [candidate.calibration.parameter_names.index(name) for name in model.names]
+            if candidate.calibration.covariance is None:
+                raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
+            covariance = candidate.calibration.covariance[np.ix_(order, order)]
+            jacobians.append(jacobian @ _root(covariance, model.scales) / diagnosis.sigma)
         delta = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
         weights = np.array([candidate.probability or 0.0 for candidate in diagnosis.candidates])
         right = float(weights.sum()) or 1.0
         weights = np.exp(-0.5 * delta) if weights.sum() == 0.0 else weights
+        return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians, right)
+
+    @classmethod
+    def of_problems(
+        cls, rivals: Sequence[tuple[DesignProblem, Array, float]], postures: Array, right: float = 1.0
+    ) -> RivalPredictions:
+        """Of any models at postures (N, n), each in a problem, with the covariance (p, p) of its values, fitted to the
+        data at hand, and its -2 log odds, as the BIC is; sigma is that of the first."""
+        sigma = rivals[0][0].model.sigma
+        if sigma is None:
+            raise InputError(f"a comparison of models {NEEDS_SIGMA}")
+        positions, jacobians = [], []
+        for problem, covariance, _ in rivals:
+            position, jacobian = problem.predictions(postures)
+            positions.append(position / sigma)
+            jacobians.append(jacobian @ _root(covariance, problem.model.parameters.scales) / sigma)
+        delta = np.array([odds for _, _, odds in rivals])
+        weights = np.exp(-0.5 * (delta - delta.min()))
         return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians, right)
 
     def noncentrality(self, chosen: list[int]) -> tuple[Array, Array]:
@@ -227,11 +250,7 @@ def possible_conditions(
     return Conditions(payload, None, np.full(count, 0.5), directions)
 
 
-def _root(candidate: Candidate, model: Model) -> Array:
-    """(p, p) with root root^T the covariance of the candidate's parameters, in the model's order."""
-    order = [candidate.calibration.parameter_names.index(name) for name in model.names]
-    if candidate.calibration.covariance is None:
-        raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
-    covariance = candidate.calibration.covariance[np.ix_(order, order)]
-    values, vectors = np.linalg.eigh(covariance * np.outer(model.scales, model.scales))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / model.scales[:, None])
+def _root(covariance: Array, scales: Array) -> Array:
+    """(p, p) with root root^T the covariance (p, p) of parameters of these scales."""
+    values, vectors = np.linalg.eigh(covariance * np.outer(scales, scales))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / scales[:, None])

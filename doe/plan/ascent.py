@@ -17,8 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from doe.criteria.criterion import smooth
-from doe.problem.derivatives import ConstraintDerivatives, JacobianDerivatives
-from doe.problem.problem import DesignProblem, Stop, never
+from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives, Stop, never
 from identification.arrays import Array
 from identification.information import information_matrix
 

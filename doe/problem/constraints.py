@@ -1,26 +1,29 @@
 """What a posture must satisfy besides the joint limits. Each constraint is written twice, independently.
 
-`margin(postures)` is plain geometry in numpy, a signed distance [mm], satisfied where >= 0: plans are judged by it.
-`symbolic(q)` is a CasADi expression of the same sign, smooth where it can be: solvers climb along it.
-Links are thin and run from joint to joint, at the best known values of the model's parameters.
+`margin(postures)` is plain geometry in numpy, a signed distance [mm], satisfied where >= 0: plans are judged by it. It
+compares what may be the nearest points of a link, or finds the nearest by golden section, since a distance from a
+convex body is a convex function along a line. `symbolic(q)` is a CasADi expression of the same sign, smooth where it
+can be: solvers climb along it. Links are thin and run from joint to joint, at the best known values of the model's
+parameters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.problem.spatial_constraints import InView, OutsideCylinder
+from doe.problem.model import Offers, offered
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.for_design import for_design
 from identification.kinematics.parameters import REVOLUTE
-from identification.model import Model
 from identification.workspace import (
     ColumnLimits,
     KeepOutCircle,
@@ -28,9 +31,21 @@ from identification.workspace import (
     LineOfSight,
     PostureCondition,
     WorkspaceBox,
+    distance_to_segment,
 )
 
+# every plan in space says this, in words and as the key `collisions_checked`, until collisions are looked at
+COLLISIONS = (
+    "Collisions were not looked at, neither of the arm with itself nor with what is around it: try each posture "
+    "slowly, or let armcal design --candidates FILE choose from postures that you allow."
+)
 ANYWHERE = 1e6  # [mm] a side that the arm file leaves out
+LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
+POINTER = 100.0  # [mm] from the reflector to the point that tells where it looks
+GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+SECTIONS = 50  # of golden section: 1e-10 of a link
+PART = 1000  # postures at a time, whose sections stay in the processor's cache
+FLAT = 1e-9  # [mm] lengths that divide nothing
 
 
 class Constraint(PostureCondition, Protocol):
@@ -41,38 +56,22 @@ class Constraint(PostureCondition, Protocol):
         ...
 
 
-class ArmPoints(Protocol):
-    """Interface to a model for geometric constraints: the points of the arm."""
-
-    @property
-    def dimension(self) -> int:
-        """d, coordinates of a point."""
-        ...
-
-    def points(self, postures: ArrayLike) -> Array:
-        """(m, k, d) base, joints and tip [mm] at postures (m, n)."""
-        ...
-
-    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
-        """k points (d,), the same at one posture (n,)."""
-        ...
-
-
-def constraints_of(model: Model) -> tuple[Constraint, ...]:
-    """The constraints of the model's arm file, ready to be evaluated."""
-    made: list[Constraint] = []
-    for limit in model.arm.constraints:
+def constraints_of(model: Any) -> tuple[Constraint, ...]:
+    """The constraints that a model has, ready to be evaluated; none of one that has none."""
+    model, made = for_design(model), list[Constraint]()
+    for limit in getattr(model, "constraints", ()):
+        space = offered(model, "space", "constraints")
         if isinstance(limit, ColumnLimits):
             made.append(WithinColumn(limit, model.reach if model.joint_types[limit.joint - 1] == REVOLUTE else 1.0))
         elif isinstance(limit, WorkspaceBox):
-            sides = [limit.x, limit.y, limit.z or (-ANYWHERE, ANYWHERE)][: model.dimension]
+            sides = [limit.x, limit.y, limit.z or (-ANYWHERE, ANYWHERE)][:space]
             made.append(InsideBox(model, tuple(side[0] for side in sides), tuple(side[1] for side in sides)))
         elif isinstance(limit, KeepOutCylinder):
             made.append(OutsideCylinder(model, limit))
         elif isinstance(limit, KeepOutCircle):
             made.append(OutsideSphere(model, limit.center, limit.radius))
         elif isinstance(limit, LineOfSight):
-            made.append(InSight(model, limit) if model.dimension == 2 else InView(model, limit))
+            made.append(InSight(model, limit) if space == 2 else InView(model, limit))
     return tuple(made)
 
 
@@ -103,7 +102,7 @@ class WithinColumn:
 class InsideBox:
     """The tip stays between two corners (d,) [mm]."""
 
-    chain: ArmPoints
+    chain: Offers
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     kind: str = "workspace_box"
@@ -123,7 +122,7 @@ class InsideBox:
 class OutsideSphere:
     """Every link stays outside the circle of the plane, or the sphere of space [mm]."""
 
-    chain: ArmPoints
+    chain: Offers
     center: tuple[float, ...]
     radius: float
     kind: str = "keep_out_circle"
@@ -147,13 +146,13 @@ class InSight:
     For a plane: in space a thin link never crosses a line. Raises `InputError` for a chain of another dimension.
     """
 
-    chain: ArmPoints
+    chain: Offers
     sight: LineOfSight
     kind: str = "line_of_sight"
 
     def __post_init__(self) -> None:
-        if self.chain.dimension != 2:
-            raise InputError(f"line_of_sight: an arm in {self.chain.dimension} dimensions, allowed: a planar arm")
+        if self.chain.space != 2:
+            raise InputError(f"line_of_sight: an arm in {self.chain.space} dimensions, allowed: a planar arm")
 
     def margin(self, postures: Array) -> Array:
         """(m, n) arc to the edge of the cone, and signed distances of links 1..n-1 from the line of sight [mm]."""
@@ -172,6 +171,116 @@ class InSight:
         cone = ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(self.sight.half_angle) * ca.norm_2(view)
         gaps = [symbolic_gap(tracker, points[-1], a, b) for a, b in pairwise(points[:-1])]
         return ca.vertcat(cone, *gaps)
+
+
+@dataclass(frozen=True)
+class OutsideCylinder:
+    """Every link stays outside a cylinder with flat ends [mm]."""
+
+    model: Offers
+    cylinder: KeepOutCylinder
+    kind: str = "keep_out_cylinder"
+
+    def margin(self, postures: Array) -> Array:
+        """(m, k - 1) signed distance of every link from the cylinder [mm]."""
+        points = self.model.points(postures)
+        return np.concatenate([self._margin(points[k : k + PART]) for k in range(0, max(len(points), 1), PART)])
+
+    def _margin(self, points: Array) -> Array:
+        """The same of (m, k, 3) points of the arm."""
+        axis = np.subtract(self.cylinder.end, self.cylinder.start)
+        length = float(np.linalg.norm(axis))
+        heights = (points - self.cylinder.start) @ axis / length
+        offsets = points - self.cylinder.start - heights[..., None] * axis / length
+        height, rise = heights[:, :-1] - 0.5 * length, np.diff(heights, axis=1)
+        offset, turned = offsets[:, :-1], np.diff(offsets, axis=1)
+        square, slope, curvature = _dot(offset, offset), 2.0 * _dot(offset, turned), _dot(turned, turned)
+
+        def depth(share: Array) -> Array:
+            squares = square + share * (slope + share * curvature)
+            away = np.sqrt(np.maximum(squares, 0.0)) - self.cylinder.radius
+            beyond = np.abs(height + share * rise) - 0.5 * length
+            outside = np.hypot(np.maximum(away, 0.0), np.maximum(beyond, 0.0))
+            return np.where(np.maximum(away, beyond) > 0.0, outside, np.maximum(away, beyond))
+
+        return smallest(depth, rise.shape)
+
+    def symbolic(self, q: ca.SX) -> ca.SX:
+        """(k - 1,) the larger of: how far a link is beyond an end; (distance from the axis, of what lies between the
+        ends, squared, - radius^2) / (2 radius)."""
+        start = np.array(self.cylinder.start)
+        along = np.array(self.cylinder.end) - start
+        length, radius = float(np.linalg.norm(along)), self.cylinder.radius
+        axis, expressions = ca.DM(along / length), []
+        for a, b in pairwise(self.model.symbolic_points(q)):
+            start_along, end_along = ca.dot(a - ca.DM(start), axis), ca.dot(b - ca.DM(start), axis)
+            beyond = ca.fmax(ca.fmin(start_along, end_along) - length, -ca.fmax(start_along, end_along))
+            rise = end_along - start_along
+            rise = ca.if_else(ca.fabs(rise) < FLAT, FLAT, rise)
+            enters, leaves = -start_along / rise, (length - start_along) / rise
+            offset = a - ca.DM(start) - start_along * axis
+            turned = (b - a) - (end_along - start_along) * axis
+            nearest = -ca.dot(offset, turned) / ca.fmax(ca.sumsqr(turned), FLAT)
+            first, last = _share(ca.fmin(enters, leaves)), _share(ca.fmax(enters, leaves))
+            away = ca.sumsqr(offset + ca.fmax(first, ca.fmin(last, nearest)) * turned) - radius**2
+            expressions.append(ca.fmax(beyond, away / (2.0 * radius)))
+        return ca.vertcat(*expressions)
+
+
+@dataclass(frozen=True)
+class InView:
+    """The tracker sees the reflector: inside its cone and range, not from behind, no link near the line of sight.
+
+    Links have a radius of 0.03 of the arm's reach here; the last, which carries the reflector, is not in the way.
+    """
+
+    model: Offers
+    sight: LineOfSight
+    kind: str = "line_of_sight"
+
+    @cached_property
+    def _pointing(self) -> Offers | None:
+        """The model with the measured point moved to where the reflector looks; None: it looks everywhere."""
+        if self.sight.facing is None:
+            return None
+        direction = np.array(self.sight.facing) / np.linalg.norm(self.sight.facing)
+        return offered(self.model, "with_tip_moved", "line_of_sight")(POINTER * direction)
+
+    @property
+    def _clearance(self) -> float:
+        return LINK_RADIUS * self.model.reach
+
+    def margin(self, postures: Array) -> Array:
+        """(m, k) arc to the edge of the cone, distances to both ends of the range, arc to the edge of acceptance,
+        distances of all links but the last from the line of sight, less their radius [mm]; what is not asked for is
+        left out."""
+        points, tracker = self.model.points(postures), np.array(self.sight.tracker)
+        view, axis = points[:, -1] - tracker, np.array(self.sight.toward) - tracker
+        distance = np.linalg.norm(view, axis=1)
+        margins = [(self.sight.half_angle - angle(view, axis)) * distance]
+        if self.sight.reach is not None:
+            margins += [distance - self.sight.reach[0], self.sight.reach[1] - distance]
+        if self._pointing is not None:
+            looks = self._pointing.points(postures)[:, -1] - points[:, -1]
+            margins.append((self.sight.acceptance - angle(looks, -view)) * distance)
+        links = distance_between(tracker, points[:, -1:], points[:, :-2], points[:, 1:-1]) - self._clearance
+        return np.column_stack([*margins, links])
+
+    def symbolic(self, q: ca.SX) -> ca.SX:
+        """(k,) cosines in place of angles, and squares of distances: (distance^2 - radius^2) / (2 radius)."""
+        points, tracker = self.model.symbolic_points(q), ca.DM(self.sight.tracker)
+        axis = np.subtract(self.sight.toward, self.sight.tracker)
+        view = points[-1] - tracker
+        distance, radius = ca.norm_2(view), self._clearance
+        expressions = [ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(self.sight.half_angle) * distance]
+        if self.sight.reach is not None:
+            expressions += [distance - self.sight.reach[0], self.sight.reach[1] - distance]
+        if self._pointing is not None:
+            looks = (self._pointing.symbolic_points(q)[-1] - points[-1]) / POINTER
+            expressions.append(-ca.dot(looks, view) - np.cos(self.sight.acceptance) * distance)
+        for a, b in pairwise(points[:-1]):
+            expressions.append((symbolic_square_between(tracker, points[-1], a, b) - radius**2) / (2.0 * radius))
+        return ca.vertcat(*expressions)
 
 
 @dataclass(frozen=True)
@@ -196,14 +305,7 @@ class Expression:
         return ca.vec(self.function(q))
 
 
-def distance_to_segment(point: Array, start: Array, end: Array) -> Array:
-    """(...) distance of points (..., d) from segments."""
-    along = end - start
-    square = np.maximum(np.sum(along**2, axis=-1), 1e-300)
-    fraction = np.clip(np.sum((point - start) * along, axis=-1) / square, 0.0, 1.0)
-    return np.asarray(np.linalg.norm(start + fraction[..., None] * along - point, axis=-1))
-
-
+# -- geometry ----------------------------------------------------------------------------------------------------------
 def signed_gap(a: Array, b: Array, c: Array, d: Array) -> Array:
     """(...) distance between segments a-b and c-d of a plane; negative by how deep they cross: it is continuous."""
     ends = [distance_to_segment(*points) for points in ((a, c, d), (b, c, d), (c, a, b), (d, a, b))]
@@ -235,20 +337,61 @@ def symbolic_gap(a: ca.DM, b: ca.SX, c: ca.SX, d: ca.SX) -> ca.SX:
     return ca.fmax(across, along) / ca.sqrt(ca.sumsqr(d - c))
 
 
-SOME = "constraints that leave some"  # postures
+def angle(one: Array, other: Array) -> Array:
+    """(m,) angle [rad] between vectors (m, 3) or (3,)."""
+    cross = np.linalg.norm(np.cross(one, other), axis=-1)
+    return np.asarray(np.arctan2(cross, np.sum(one * other, axis=-1)))
 
 
-def infeasible(constraints: tuple[Constraint, ...], postures: Array) -> InputError:
-    """The diagnosis when none of these (many, well spread) postures satisfies all constraints: which exclude all."""
-    fits = np.array([np.all(c.margin(postures) >= 0.0, axis=1) for c in constraints])
-    names = [f"constraint {k + 1} ({c.kind})" for k, c in enumerate(constraints)]
-    alone = [name for name, fit in zip(names, fits, strict=True) if not fit.any()]
-    if alone:
-        conflict = f"no posture within the joint limits satisfies {' nor '.join(alone)}"
-        return InputError(f"constraints: {conflict}, allowed: {SOME}")
-    for k in range(len(names)):
-        for other in range(k):
-            if not np.any(fits[k] & fits[other]):
-                conflict = f"no posture satisfies {names[other]} and {names[k]} together"
-                return InputError(f"constraints: {conflict}, allowed: {SOME}")
-    return InputError(f"constraints: no posture satisfies all of {', '.join(names)} together, allowed: {SOME}")
+def smallest(function: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
+    """(*shape) smallest values between 0 and 1 of convex functions of one variable, by golden section."""
+    low, high = np.zeros(shape), np.ones(shape)
+    left, right = high - GOLDEN, low + GOLDEN
+    at_left, at_right = function(left), function(right)
+    for _ in range(SECTIONS):
+        lower = at_left <= at_right
+        low, high = np.where(lower, low, left), np.where(lower, right, high)
+        new = np.where(lower, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
+        left, right, value = np.where(lower, new, right), np.where(lower, left, new), function(new)
+        at_left, at_right = np.where(lower, value, at_right), np.where(lower, at_left, value)
+    return np.minimum.reduce([at_left, at_right, function(np.zeros(shape)), function(np.ones(shape))])
+
+
+def distance_between(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """(...) distance of the segments a-b and c-d (..., 3): the nearest points are an end of one and what is nearest
+    to it on the other, or, where no end is nearest, the feet of the common normal of the two lines."""
+    one, other, between = b - a, d - c, a - c
+    square, crossed, second = _dot(one, one), _dot(one, other), _dot(other, other)
+    first, last = _dot(one, between), _dot(other, between)
+    square, second = np.maximum(square, FLAT), np.maximum(second, FLAT)
+    sine = square * second - crossed**2
+    inner = np.clip((crossed * last - first * second) / np.where(sine > FLAT, sine, np.inf), 0.0, 1.0)
+    shares: list[tuple[ArrayLike, ArrayLike]] = [
+        (s, np.clip((crossed * s + last) / second, 0.0, 1.0)) for s in (0.0, 1.0, inner)
+    ]
+    shares += [(np.clip((crossed * s - first) / square, 0.0, 1.0), s) for s in (0.0, 1.0)]
+    return np.minimum.reduce([_length(between, one, other, *pair) for pair in shares])
+
+
+def symbolic_square_between(a: ca.SX | ca.DM, b: ca.SX, c: ca.SX, d: ca.SX) -> ca.SX:
+    """Squared distance of the segments a-b and c-d of space (C. Ericson, Real-Time Collision Detection, 5.1.9)."""
+    one, other, between = b - a, d - c, a - c
+    square, crossed, second = ca.sumsqr(one), ca.dot(one, other), ca.fmax(ca.sumsqr(other), FLAT)
+    first, last = ca.dot(one, between), ca.dot(other, between)
+    share = _share((crossed * last - first * second) / ca.fmax(square * second - crossed**2, FLAT))
+    along = _share((crossed * share + last) / second)
+    share = _share((crossed * along - first) / ca.fmax(square, FLAT))
+    return ca.sumsqr(between + share * one - along * other)
+
+
+def _dot(one: Array, other: Array) -> Array:
+    return np.asarray(np.sum(one * other, axis=-1))
+
+
+def _length(between: Array, one: Array, other: Array, share: ArrayLike, along: ArrayLike) -> Array:
+    step = np.asarray(share)[..., None] * one - np.asarray(along)[..., None] * other
+    return np.asarray(np.linalg.norm(between + step, axis=-1))
+
+
+def _share(value: ca.SX) -> ca.SX:
+    return ca.fmax(0.0, ca.fmin(1.0, value))

@@ -1,6 +1,17 @@
 """The design problem: exactly the mathematical ingredients, frozen. `doe.solvers` solves it.
 
-`doe` knows a model only as an `InformationModel`: parameters, a dimension d, types of joints, Jacobians (m, d, p).
+*What is known beforehand* is added to every information matrix: earlier measurements, typical sizes. Let K be the sum
+of B^T B of the k runs measured already. A parameter that is normal beforehand with the standard deviation d adds
+sigma^2 / (s d)^2 to the diagonal of K, s its scale, and no run. Then m new runs have the information per run
+
+    M = (sum_i B_i^T B_i + K) / (m + k)
+
+and per new run, with K / m and k / m in place of K and k, weights that sum to one give the same M. It stays a convex
+mixture of the matrices F_i = (B_i^T B_i + K) / (1 + k), so that the equivalence theorem holds as it stands.
+
+*Derivatives by the joint angles*, of Jacobians and of constraints, are of many postures at once. A criterion needs the
+second derivatives of a Jacobian only in sums <W, B> over its entries with fixed weights W, and its gradient alone needs
+no more than the slope of such a sum: reverse differentiation gives each at a few times the cost of B itself.
 """
 
 from __future__ import annotations
@@ -8,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,16 +27,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from doe.criteria import Criterion, D
 from doe.problem.constraints import Constraint, constraints_of
-from doe.problem.prior import PriorInformation, precisions
-from doe.problem.spatial import designed
-from doe.problem.touching import touches, touching_postures
+from doe.problem.model import DesignModel, check_model, offers
 from identification.arrays import Array, readonly
 from identification.errors import InputError
+from identification.for_design import for_design
 from identification.information import information_matrix
 from identification.kinematics.parameters import EFFECT, PRISMATIC, ParameterSet
-from identification.model import Model
 from identification.vectorize import PART, vectorize
 
+NEEDS_SIGMA = (  # the end of a sentence
+    "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
+    "or what the standard deviation of one coordinate is [mm]"
+)
 ONE_DEGREE = float(np.radians(1.0))
 MANY = 16  # parameters above which gradients pay: exchanges and second derivatives of plans cost the cube of them
 Stop = Callable[[], bool]  # is asked now and then in a search, which ends where it says True
@@ -36,54 +49,65 @@ def never() -> bool:
     return False
 
 
-class InformationModel(Protocol):
-    """All that design needs of a model, of any dimension: `identification.model.Model` has it."""
+@dataclass(frozen=True, eq=False)
+class PriorInformation:
+    """Information known before the new runs: K and k of the module's formula.
+
+    total : (p, p) sum of B^T B, positive semidefinite, or 0;  runs : how many runs it counts as, >= 0
+    """
+
+    total: Array = field(default_factory=lambda: np.zeros(()))
+    runs: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "total", readonly(self.total))
 
     @property
-    def parameters(self) -> ParameterSet:
-        """The p parameters to identify."""
-        ...
+    def empty(self) -> bool:
+        """True if nothing is known."""
+        return self.runs == 0.0 and not self.total.any()
 
     @property
-    def values(self) -> Array:
-        """(p,) their best known values."""
-        ...
+    def new_fraction(self) -> float:
+        """1 / (1 + k), of a mean over new runs, with the prior per new run."""
+        return 1.0 / (1.0 + self.runs)
 
-    @property
-    def dimension(self) -> int:
-        """d, measured coordinates per posture."""
-        ...
+    def per_new_run(self, new_runs: int | None = None) -> PriorInformation:
+        """K / m and k / m. Raises `InputError` where something is known and `new_runs`, m, is no number >= 1."""
+        if self.empty:
+            return self
+        if new_runs is None or new_runs < 1:
+            raise InputError(f"runs: {new_runs}, allowed: >= 1, the number of new runs beside what is known already")
+        return PriorInformation(self.total / new_runs, self.runs / new_runs)
 
-    @property
-    def joint_types(self) -> tuple[str, ...]:
-        """(n) `revolute`, posture in rad, or `prismatic`, in mm."""
-        ...
+    def information(self, new: Array, new_runs: float = 1.0) -> Array:
+        """(..., p, p) M of new runs whose B^T B sum to `new`; or of a weighted mean, with the prior per new run."""
+        return np.asarray((new + self.total) / (new_runs + self.runs))
 
-    @property
-    def sigma(self) -> float | None:
-        """Standard deviation of a measured coordinate [mm], None: not known."""
-        ...
+    def mixture(self, jacobians: Array, weights: Array) -> Array:
+        """(p, p) M of (j, d, p) scaled Jacobians with weights (j,) that sum to one, with the prior per new run."""
+        parts = (slice(k, k + PART) for k in range(0, len(jacobians), PART))
+        return self.information(sum((information_matrix(jacobians[k], weights[k]) for k in parts), np.zeros(())))
 
-    @property
-    def neutral_conditions(self) -> Array:
-        """(c,) conditions of measurement where nothing is said."""
-        ...
+    def posture_information(self, jacobians: Array) -> Array:
+        """(j, p, p) F_i, what a design with all its weight on one posture would have."""
+        return self.information(np.swapaxes(jacobians, 1, 2) @ jacobians)
 
-    @property
-    def jacobian_function(self) -> ca.Function:
-        """CasADi (q, conditions, parameters) -> position (d,) and its derivative by the parameters (d, p)."""
-        ...
+    def sensitivities(self, jacobians: Array, gradient: Array) -> Array:
+        """(j,) tr(G F_i) of (j, d, p) scaled Jacobians; the literature calls it d for G = M^-1."""
+        return self.mixed(np.einsum("kda,kda->k", jacobians @ gradient, jacobians), gradient)
 
-    def jacobian(self, postures: ArrayLike, parameters: Any = None, conditions: Any = None) -> Array:
-        """(m, d, p) of postures (m, n)."""
-        ...
+    def mixed(self, values: Array, gradient: Array) -> Array:
+        """tr(G F) of values tr(G B^T B)."""
+        return np.asarray((values + float(np.sum(gradient * self.total))) / (1.0 + self.runs))
 
 
 @dataclass(frozen=True)
 class DesignProblem:
     """Choose postures within the limits and constraints that maximise the criterion of the information per run.
 
-    model : gives Jacobians;  lower, upper : (n,) joint limits [rad], of prismatic joints [mm]
+    model : see `DesignModel`; that of an arm is taken with all of its measured points
+    lower, upper : (n,) joint limits [rad], of prismatic joints [mm]; None: the model's
     constraints : what a posture must satisfy besides the limits, see `doe.problem.constraints`
     kept : (k, n) postures already measured, which count in the information (`prior`); None: none
     choices : (N, n) postures to choose from, None: anything within limits and constraints
@@ -96,12 +120,12 @@ class DesignProblem:
     beyond : mean square [mm^2] of the tip's distance that no plan can lower: errors that a posture does not share
     """
 
-    model: InformationModel
-    lower: Array
-    upper: Array
+    model: DesignModel
+    lower: Array = None  # type: ignore[assignment]  # arrays from construction on
+    upper: Array = None  # type: ignore[assignment]
     criterion: Criterion = field(default_factory=D)
     constraints: Sequence[Constraint] = ()
-    kept: Array = None  # type: ignore[assignment]  # an array from construction on
+    kept: Array = None  # type: ignore[assignment]
     choices: Array | None = None
     sampled: bool = False
     minimum_distance: float = ONE_DEGREE
@@ -110,14 +134,14 @@ class DesignProblem:
     beyond: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, needed, made in (
-            ("model", "jacobian", "Model(arm)"),
-            ("criterion", "value", "doe.criteria.criterion('A', ...)"),
-        ):
-            if not callable(getattr(part := getattr(self, name), needed, None)):
-                raise InputError(f"{name}: {part!r:.40}, allowed: an object with {needed}(), such as {made}")
+        object.__setattr__(self, "model", for_design(self.model))
+        check_model(self.model)
+        if not callable(getattr(self.criterion, "value", None)):
+            allowed = "an object with value(), such as doe.criteria.criterion('A', ...)"
+            raise InputError(f"criterion: {self.criterion!r:.40}, allowed: {allowed}")
         for name in ("lower", "upper"):
-            object.__setattr__(self, name, readonly(getattr(self, name), -1))
+            limit = getattr(self, name)
+            object.__setattr__(self, name, readonly(getattr(self.model, name) if limit is None else limit, -1))
         kept = np.empty((0, self.joints)) if self.kept is None else np.atleast_2d(np.asarray(self.kept, dtype=float))
         if kept.size and kept.shape[1:] != (self.joints,):
             raise InputError(f"kept: shape {kept.shape}, allowed: (k, {self.joints})")
@@ -136,18 +160,18 @@ class DesignProblem:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @classmethod
-    def of(cls, model: Model, **changes: Any) -> DesignProblem:
-        """The problem of an arm's model within the arm's own joint limits and constraints; of a spatial arm with the
-        prior of its machining, see `doe.problem.spatial`, and of one that touches a surface with postures at which it
-        does, see `doe.problem.touching`."""
-        if not hasattr(model, "arm"):
-            raise InputError(f"model: {type(model).__name__}, allowed: a Model, such as Model(arm)")
-        placed, measured, deviations = designed(model)
-        of_arm: dict[str, Any] = {"constraints": constraints_of(placed), "deviations": deviations}
-        free = cls(measured, model.arm.lower, model.arm.upper, **of_arm | changes)
-        if not touches(placed) or free.choices is not None:
+    def of(cls, model: Any, **changes: Any) -> DesignProblem:
+        """The problem of a model within its own limits and constraints, with its prior; of an arm's model with its
+        measured points in place, and of one that touches a surface with postures at which it does, to choose from."""
+        model = for_design(model)
+        check_model(model)
+        if offers(model, "placed"):
+            model = model.placed()
+        free = cls(model, **{"constraints": constraints_of(model), "deviations": model.prior} | changes)
+        if free.choices is not None or not getattr(model, "tied", False):
             return free
-        return replace(free, choices=touching_postures(placed, free))
+        choices = model.tied_postures(free.lower, free.upper, free.joint_units, free.feasible)
+        return replace(free, choices=choices)
 
     @property
     def joints(self) -> int:
@@ -248,16 +272,24 @@ class DesignProblem:
 
     @cached_property
     def scaled_jacobian_function(self) -> ca.Function:
-        """CasADi q -> B (d, p) at neutral conditions and the model's best known parameter values."""
-        q = ca.SX.sym("q", self.joints)
-        arguments = (ca.DM(self.model.neutral_conditions), ca.DM(self.model.values))
-        jacobian = self.model.jacobian_function(q, *arguments)[1]
+        """CasADi q -> B (d, p) at the model's best known parameter values."""
+        q, p = ca.SX.sym("q", self.joints), ca.SX.sym("p", self.parameters)
+        jacobian = ca.jacobian(self.model.symbolic_position(q, p), p)
+        jacobian = ca.substitute(jacobian, p, ca.DM(self.model.values))
         scaled = ca.cse(jacobian @ ca.diag(ca.DM(1.0 / self.model.parameters.scales)))
         return ca.Function("scaled_jacobian", [q], [scaled], ["q"], ["jacobian"])
 
     @cached_property
     def _scaled_jacobians(self) -> Callable[..., tuple[Array, ...]]:
         return vectorize(self.scaled_jacobian_function)
+
+    def predictions(self, postures: Array) -> tuple[Array, Array]:
+        """Positions (m, d) and Jacobians (m, d, p), not scaled, at postures (m, n) and the best known values."""
+        q, p = ca.SX.sym("q", self.joints), ca.SX.sym("p", self.parameters)
+        position = self.model.symbolic_position(q, p)
+        at = ca.substitute([position, ca.jacobian(position, p)], [p], [ca.DM(self.model.values)])
+        positions, jacobians = vectorize(ca.Function("predictions", [q], ca.cse(at)))(postures)
+        return positions[..., 0], jacobians
 
     @cached_property
     def without_effect(self) -> tuple[str, ...]:
@@ -285,3 +317,91 @@ class DesignProblem:
 def information_of_each(jacobians: Array) -> Array:
     """(..., p, p) B^T B of every posture by itself, from (..., d, p) B."""
     return np.swapaxes(jacobians, -1, -2) @ jacobians
+
+
+def precisions(parameters: ParameterSet, deviations: Mapping[str, float], sigma: float | None) -> Array:
+    """(p,) diagonal of what normal distributions beforehand add to sum B^T B; 0 for parameters without a deviation.
+
+    deviations : parameter name -> standard deviation [API unit];  sigma : of a measured coordinate [mm]
+    Raises `InputError` for unknown names, deviations that are not > 0, and where sigma is not known.
+    """
+    sizes = np.full(len(parameters), np.inf)
+    for name, deviation in deviations.items():
+        if not 0.0 < deviation < np.inf:
+            raise InputError(f"deviations: {name} has {deviation:g}, allowed: a finite number > 0")
+        sizes[parameters.index(name)] = deviation
+    if deviations and sigma is None:
+        raise InputError(f"a prior {NEEDS_SIGMA}")
+    return readonly(((sigma or 0.0) / (parameters.scales * sizes)) ** 2)
+
+
+# -- derivatives by the joint angles -----------------------------------------------------------------------------------
+class Derivatives:
+    """Of an expression c (k,) of one posture by a of the joints; weights w are (m, k)."""
+
+    def __init__(self, q: ca.SX, expression: ca.SX, joints: Sequence[int]) -> None:
+        self._q, self._expression = q, ca.densify(ca.SX(expression))
+        self._active = q[list(joints)]
+        self._weights = ca.SX.sym("w", self._expression.numel())
+        self._sum = ca.dot(self._expression, self._weights)
+
+    def values(self, postures: Array) -> Array:
+        """(m, k) c."""
+        return self._values(postures)[0][..., 0]
+
+    def first(self, postures: Array) -> tuple[Array, Array]:
+        """c (m, k) and its derivatives (m, k, a)."""
+        values, slopes = self._first(postures)
+        return values[..., 0], slopes
+
+    def slope(self, postures: Array, weights: Array) -> Array:
+        """(m, a) gradients of <w, c>."""
+        return self._slope(postures, weights.reshape(len(weights), self._weights.numel()))[0][..., 0]
+
+    def bend(self, postures: Array, weights: Array) -> Array:
+        """(m, a, a) Hessians of <w, c>."""
+        return self._bend(postures, weights.reshape(len(weights), self._weights.numel()))[0]
+
+    def _compiled(self, inputs: list[ca.SX], *outputs: ca.SX) -> Callable[..., tuple[Array, ...]]:
+        return vectorize(ca.Function("derivatives", inputs, ca.cse([ca.densify(output) for output in outputs])))
+
+    @cached_property
+    def _values(self) -> Callable[..., tuple[Array, ...]]:
+        return self._compiled([self._q], self._expression)
+
+    @cached_property
+    def _first(self) -> Callable[..., tuple[Array, ...]]:
+        return self._compiled([self._q], self._expression, ca.jacobian(self._expression, self._active))
+
+    @cached_property
+    def _slope(self) -> Callable[..., tuple[Array, ...]]:
+        return self._compiled([self._q, self._weights], ca.gradient(self._sum, self._active))
+
+    @cached_property
+    def _bend(self) -> Callable[..., tuple[Array, ...]]:
+        return self._compiled([self._q, self._weights], ca.hessian(self._sum, self._active)[0])
+
+
+class JacobianDerivatives(Derivatives):
+    """Of the scaled Jacobian B (d, p); weights W are (m, d, p)."""
+
+    def __init__(self, problem: DesignProblem, joints: Sequence[int]) -> None:
+        q = ca.SX.sym("q", problem.joints)
+        jacobian = problem.scaled_jacobian_function(q)
+        self._shape = jacobian.shape
+        super().__init__(q, ca.vec(jacobian.T), joints)
+
+    def first(self, postures: Array) -> tuple[Array, Array]:
+        """B (m, d, p) and its derivatives (m, a, d, p)."""
+        jacobian, first = super().first(postures)
+        return jacobian.reshape(-1, *self._shape), np.moveaxis(first, -1, -2).reshape(
+            *first.shape[:-2], first.shape[-1], *self._shape
+        )
+
+
+class ConstraintDerivatives(Derivatives):
+    """Of the symbolic forms c (k,) of all constraints, which are kept >= 0."""
+
+    def __init__(self, problem: DesignProblem, joints: Sequence[int]) -> None:
+        q = ca.SX.sym("q", problem.joints)
+        super().__init__(q, ca.vertcat(*(constraint.symbolic(q) for constraint in problem.constraints)), joints)

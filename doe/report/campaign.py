@@ -11,40 +11,38 @@ from typing import Any
 
 import numpy as np
 
-from doe.plan.file import load_plan
 from doe.plan.plan import Plan
 from doe.report.design import design_verdict, plan_actions, plan_section
-from doe.report.figures import workspace_arrows
-from doe.report.gap import diagnosis_actions, diagnosis_sections, diagnosis_verdict, gap_in_words
-from doe.report.identification import (
+from identification.arm import Arm
+from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number
+from identification.documents.diagnosis import diagnosis_actions, diagnosis_sections, diagnosis_verdict, gap_in_words
+from identification.documents.identification import (
     calibrated_actions,
-    command_rows,
     corrected_section,
     dh_sections,
-    dh_table,
     expected_elsewhere,
     identification_verdict,
     identify_command,
-    rows_listed,
 )
-from doe.report.signed_residuals import Compared
-from identification.arm import Arm
-from identification.document import Action, Document, Pictures, Section, Sheet
+from identification.documents.pictures import Compared, workspace_arrows
+from identification.documents.use import command_rows, rows_listed, validation_sections, validation_verdict
 from identification.errors import InputError
-from identification.estimation.corrected_values import CorrectedValue, corrected_values
-from identification.estimation.dh_values import Calibrated
+from identification.estimation.corrected_values import Calibrated, CorrectedValue, corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import Table as CsvTable
 from identification.files.csv import read_table
 from identification.files.io import read_text
 from identification.files.measurement import load_measurements
+from identification.files.measurement_columns import UNITS
+from identification.files.plan import read_plan
+from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances
 from identification.model import Model
-from identification.numbers_in_text import as_sentence, number
-from identification.validate import Validation, validate, validation_sections, validation_verdict
+from identification.validate import Validation, validate
 from identification.validate.reuse import same_drawing
 from identification.validate.row_groups import data_hashes, diagnosed, outside
+from identification.workflow import dh_table
 
 # a command -> keys that its JSON object alone has
 KEYS = {
@@ -73,7 +71,7 @@ class Campaign:
 
     kinds: dict[str, str] = field(default_factory=dict)
     arms: dict[str, Arm] = field(default_factory=dict)
-    plans: dict[str, tuple[Plan, CsvTable]] = field(default_factory=dict)
+    plans: dict[str, tuple[Plan, Mapping[str, Sequence[str]]]] = field(default_factory=dict)
     measurements: dict[str, Measurements] = field(default_factory=dict)
     commands: dict[str, CsvTable] = field(default_factory=dict)
     results: dict[str, dict[str, Mapping[str, Any]]] = field(default_factory=lambda: {command: {} for command in KEYS})
@@ -117,11 +115,14 @@ class Campaign:
         if all(column in table for column in ("error_mm", "reachable")):
             self.commands[name] = table
             return "joint commands"
-        contact = arm.chain is not None and arm.chain.instrument.contact  # its plans no command writes
-        if contact or any(f"{column}_{unit}" in table for column in ("x", "distance") for unit in ("mm", "m")):
+        instrument = arm.chain.instrument
+        read = ((c.name, c.quantity) for c in (*TRACKER.coordinates[:1], *instrument.coordinates[:1]))
+        columns = [f"{axis}_{unit}" for axis, quantity in read for unit in UNITS[quantity]]
+        if instrument.contact or any(column in table for column in columns):  # plans of contacts no command writes
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
-        self.plans[name] = load_plan(path, arm.joint_types), table
+        file = read_plan(path, arm.joint_types)
+        self.plans[name] = Plan(file.postures, file.weights, fit=file.fit), file.cells
         return "plan"
 
     @property
@@ -249,7 +250,7 @@ class Campaign:
         sections += [self.test_section(rows) for rows in self.tests]
         arm = next(iter(self.arms.values()), None)
         if arm is not None:
-            sections += [plan_section(arm, plan, table, name) for name, (plan, table) in self.plans.items()]
+            sections += [plan_section(arm, plan, cells, name) for name, (plan, cells) in self.plans.items()]
             sections += [commands_section(name, table, arm) for name, table in self.commands.items()]
         sections += [part for data in self.results["validate"].values() for part in validation_sections(data)]
         return sections + folded
@@ -306,7 +307,7 @@ def calibrated_sections(arm: Arm, name: str, *, folded: bool) -> list[Section]:
     calibrated = Calibrated.of_arm(arm)
     rows, lines = ((), []) if calibrated is None else dh_table(calibrated, values, Path(name))
     expected, title = expected_elsewhere(provenance).strip(), f"Corrected values: {name}"
-    corrected = corrected_section(title, values, arm.chain is not None, expected, folded=folded)
+    corrected = corrected_section(title, values, not arm.chain.planar, expected, folded=folded)
     return [corrected, *(Section(part.title, part.parts, folded) for part in dh_sections(rows, lines, name))]
 
 

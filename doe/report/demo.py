@@ -10,11 +10,19 @@ from doe.demo.run import Demo
 from doe.design import optimality_in_words
 from doe.report.design import design_verdict, plan_section
 from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm, draw_side
-from doe.report.gap import diagnosis_sections, diagnosis_verdict
-from doe.report.signed_residuals import Compared, joint_errors
-from identification.document import Action, Document, Pictures, Section, Sheet
+from identification.document import (
+    Action,
+    Document,
+    Pictures,
+    Section,
+    Sheet,
+    number,
+    to_significant_digits,
+    unit_or_dash,
+)
+from identification.documents.diagnosis import diagnosis_sections, diagnosis_verdict
+from identification.documents.pictures import Compared, joint_errors
 from identification.model import Model
-from identification.numbers_in_text import number, to_significant_digits, unit_or_dash
 
 
 def demo_document(demo: Demo) -> Document:
@@ -106,7 +114,7 @@ def plan_sections(demo: Demo) -> list[Section]:
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
         "the largest d found at each angle of a joint; dots are the plan's postures."
     )
-    postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain is None else (128, 25)
+    postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain.planar else (128, 25)
     picture = Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])
     return [
         plan_section(demo.arm, demo.design.plan, lead=lead),
@@ -117,7 +125,7 @@ def plan_sections(demo: Demo) -> list[Section]:
 # -- the picture -------------------------------------------------------------------------------------------------------
 def overview_figure(demo: Demo) -> Figure:
     """Plan, gap step by step, and residuals against the joint at fault."""
-    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), demo.arm.chain is not None
+    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), not demo.arm.chain.planar
     places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
     postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection="3d" if space else None)
     if space:

@@ -8,7 +8,7 @@ G = dPhi/dM and X_ia = dM/dq_ia,
     df/dq_ia            = (2/N) tr(G B_i^T dB_i/dq_a)
     d2f/dq_ia dq_kb     = D^2 Phi[X_ia, X_kb] + (2/N) [i = k] ( tr(G dB_a^T dB_b) + tr(G B^T d2B_ab) )
 
-B and its derivatives come from `doe.problem.derivatives`; CasADi calls numpy for them, since Phi is numpy's.
+B and its derivatives come from `doe.problem.problem`; CasADi calls numpy for them, since Phi is numpy's.
 """
 
 from __future__ import annotations
@@ -25,10 +25,9 @@ import casadi as ca
 import numpy as np
 
 from doe.criteria.criterion import smooth
-from doe.plan.replicate_spacing import free_values
-from doe.problem.derivatives import ConstraintDerivatives, JacobianDerivatives
-from doe.problem.feasible import random_postures
-from doe.problem.problem import DesignProblem
+from doe.plan.spacing import free_values
+from doe.problem.postures import random_postures
+from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 from identification.errors import InputError

@@ -17,17 +17,15 @@ import numpy as np
 import polars as pl
 
 from doe.criteria import criterion
-from doe.jobs.isolated import call
-from doe.jobs.row_table import Key, Row, RowTable, short_hash, with_columns
-from doe.jobs.tasks import run_tasks
-from doe.jobs.workers import Workers
+from doe.jobs.rows import Key, Row, RowTable, short_hash, with_columns
+from doe.jobs.running import Workers, call, run_tasks
 from doe.problem.problem import DesignProblem
-from doe.problem.spatial import refuse_contacts
 from doe.solvers import Solver, available_solvers, solve
 from identification.arm import Arm
 from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
+from identification.for_design import refuse_contacts
 from identification.model import Model
 from identification.progress import Progress, silent
 

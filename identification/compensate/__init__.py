@@ -1,5 +1,5 @@
 """Joint commands that bring the real arm to its targets."""
 
-from identification.compensate.commands import compensate
+from identification.compensate.compensation import compensate
 
 __all__ = ["compensate"]

@@ -1,22 +1,160 @@
-"""Joint commands that compensation found: which targets they reach, what is left, and what must be known of them."""
+"""Compensation: joint commands that bring the tip of the real arm to where the nominal arm would have been.
+
+Targets are positions, or poses of a spatial arm's tool, where an angle counts as the distance that it is at full reach.
+
+The real arm is the calibrated model (`identification.compensate.inverse_kinematics`). A command keeps to the
+constraints that are given: where none does, the target counts as not reached, and its message says which constraint is
+in the way.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtri
 
+from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
-from identification.compensate.inverse_kinematics import TOLERANCE
+from identification.compensate.inverse_kinematics import (
+    TOLERANCE,
+    Constraints,
+    best_of_seeds,
+    inverse_kinematics,
+    ranked,
+    violations,
+)
 from identification.data_frames import frame_of_columns
+from identification.document import Document
+from identification.documents.use import compensation_document
+from identification.errors import InputError
+from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import counting_in, in_columns
 from identification.kinematics.parameters import REVOLUTE
-from identification.validate.row_groups import extrapolated
+from identification.kinematics.turns import turned_into
+from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
+from identification.model import Model
+from identification.model.positions import in_own_frame
+from identification.servo import servo_shift
+from identification.sessions import BASE
+from identification.validate.row_groups import check_calibrated, extrapolated, familiar_range, identified, outside
 
+MISSED_BY_CHANCE = 1e-3  # share of right targets that lie beyond the tolerance
 TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
 FEW = 0.5  # of the targets: of more out of reach, the frame or the unit is likelier to be wrong than each of them
+STILL = 1e-9  # [rad] a joint that did not move has so much room
+APPROACH = {"directions", "past"}  # what an effect needs whose error depends on the side that a joint comes from
+
+
+def compensate(
+    arm: Arm,
+    targets: ArrayLike | None = None,
+    postures: ArrayLike | None = None,
+    conditions: Conditions | None = None,
+    orientations: ArrayLike | None = None,
+    constraints: Constraints = (),
+) -> Compensation:
+    """Joint commands within the limits whose tip, on the calibrated arm, is at the targets.
+
+    arm : with a calibration, or with known effect values
+    targets : (k, d) tip positions [mm]; left out: where the nominal arm has its tip at `postures`
+    postures : (k, n) nominal joint commands [rad]; left out: found, the nearest to the middle of the
+        angles of the identification, and where possible within them; where these are not known, of the limits
+    conditions : payload, temperature and the like of every row; directions follow from the order of the rows
+    orientations : (k, 3, 3) axes of a spatial arm's tool for the instrument at the targets; left out: any will do, but
+        that where targets are left out, too, an arm that measures orientations keeps those of its nominal postures
+    constraints : that commands keep to, as of `doe.problem.constraints.constraints_of(Model(arm))`
+
+    Where the arm has servo errors they are taken off the commands: the joints are to be read where the tip is right.
+
+    Raises `InputError` for an arm without calibration and for shapes or values that do not fit.
+    """
+    check_calibrated(arm)
+    nominal = None if postures is None else _checked("postures", postures, arm.links)
+    if orientations is not None and arm.chain.planar:
+        raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
+    as_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
+    turned = None if orientations is None else np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
+    poses = turned is not None or as_nominal
+    arm = in_own_frame(arm)
+    if not arm.chain.planar:  # what an angle of a pose counts times
+        arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if poses else None))
+    drawing, model, familiar, enough = Model(drawn_arm(arm)), Model(arm), familiar_range(arm), tolerance_of(arm)
+    if targets is not None:
+        points = _checked("targets", targets, arm.dimension)
+    elif nominal is None:
+        raise InputError(f"targets: none given, allowed: positions (k, {arm.dimension}) or postures (k, n)")
+    else:
+        points, turned = drawing.position(nominal)[:, POINT], drawing.orientations(nominal) if as_nominal else turned
+    goals = np.pad(points, ((0, 0), (0, drawing.dimension - arm.dimension)))  # of poses three zeros more
+    for name, rows in (("postures", nominal), ("orientations", turned)):
+        if rows is not None and len(rows) != len(goals):
+            raise InputError(f"{name}: {len(rows)} rows for {len(goals)} targets, allowed: as many")
+    where, sided = replace(conditions or Conditions(), orientation=turned), tuple[str, ...]()
+    start = nominal
+    if start is None:
+        start = within_or_near(drawing, familiar, goals, Conditions(orientation=turned), constraints)
+    if where.directions is None and len(start):
+        sided = tuple(sorted({effect.name for effect in model.effects if not APPROACH.isdisjoint(effect.needs)}))
+        past = past_from_order(start) if model.remembers else None
+        where = replace(where, directions=directions_from_order(start), past=past)
+    commands = reaching(model, goals, start, where, constraints, enough)
+    if nominal is None:
+        commands = near_or_within(model, familiar, goals, commands, where, constraints, enough)
+    missed = violations(constraints, commands)
+    left = goals - model.position(commands, conditions=where) if len(goals) else goals
+    beyond = outside(arm, commands)
+    if beyond is not None:  # nobody drives to what misses a constraint
+        beyond = beyond & ~np.any(missed > 0.0, axis=1)[:, None]
+    rms = identified(arm).get("rms_after_mm")
+    return Compensation(
+        goals[:, POINT],
+        start,
+        commands if where.directions is None else commands - servo_shift(arm, where.directions),
+        distances(left),
+        arm.joint_types,
+        where.orientation,
+        None if where.orientation is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach,
+        tuple(each.kind for each in constraints),
+        missed,
+        beyond,
+        float(rms) if isinstance(rms, float | int) else None,
+        sided,
+        enough,
+        model.reach,
+    )
+
+
+def tolerance_of(arm: Arm) -> float:
+    """[mm] within which a target counts as reached where no posture gets there exactly, as of an arm with fewer joints
+    than coordinates: what one in `MISSED_BY_CHANCE` of the calibration's own measurements may be off, by what the fit
+    left of them and by its own uncertainty. `TOLERANCE` where they are not known.
+    """
+    figures = [identified(arm).get(key) for key in ("rms_after_mm", "expected_tip_mm")]
+    rms = float(np.linalg.norm([float(x) for x in figures if isinstance(x, float | int)]))
+    d = arm.dimension
+    return max(TOLERANCE, rms * float(np.sqrt(chdtri(d, MISSED_BY_CHANCE) / d)))
+
+
+def drawn_arm(arm: Arm) -> Arm:
+    """The nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
+    one turned by the offset of joint 1, and a spatial one with its points."""
+    chain, stands = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset")
+    if not chain.planar and arm.calibration is not None:
+        chain = standing_in(chain, arm.calibration.values)
+    if not chain.planar or not stands:
+        return replace(arm, effects=(), calibration=None, chain=chain)
+    values = Model(arm).best_known
+    return replace(arm, effects=stands, calibration=Calibration({name: values.get(name, 0.0) for name in BASE}))
+
+
+def _checked(name: str, values: ArrayLike, columns: int) -> Array:
+    array = np.asarray(values, dtype=float)
+    if array.ndim != 2 or array.shape[1] != columns or not np.all(np.isfinite(array)):
+        raise InputError(f"{name}: shape {array.shape}, allowed: (k, {columns}) finite numbers")
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,23 +210,17 @@ class Compensation:
     @property
     def messages(self) -> list[str]:
         """(k) why a target is not reached; empty where it is."""
-        angles = np.zeros(len(self.errors)) if self.angles is None else np.degrees(self.angles)
-        missed = np.zeros((len(self.errors), 0)) if self.violations is None else self.violations
-        inside = np.zeros(len(missed), dtype=bool) if self.outside is None else ~self.outside.any(axis=1)
-        rows = zip(*(column.tolist() for column in (self.near, self.errors, angles, missed, inside)), strict=True)
-        return [self._message(*row) for row in rows]
-
-    def _message(self, near: bool, error: float, angle: float, missed: list[float], inside: bool) -> str:
-        """Of one target: what is left [mm], [deg], at the angles identified or not, and what constraints are missed by
-        [mm]."""
-        familiar = " (within the angles identified)" if inside else ""
-        by = f"{error:.4g} mm{'' if self.angles is None else f' and {angle:.4g} deg'}"
-        clauses = (
-            [] if near else [f"out of reach within the joint limits: the nearest posture{familiar} misses it by {by}"]
-        )
-        numbered = enumerate(zip(self.constraints, missed, strict=True), start=1)
-        clauses += [f"constraint {k} ({kind}) is missed by {size:.4g} mm" for k, (kind, size) in numbered if size > 0.0]
-        return "; ".join(clauses)
+        messages = []
+        for k, (error, near) in enumerate(zip(self.errors, self.near, strict=True)):
+            familiar = self.outside is not None and not self.outside[k].any()
+            nearest = f"the nearest posture{' (within the angles identified)' if familiar else ''} misses it by"
+            by = f"{error:.4g} mm{'' if self.angles is None else f' and {np.degrees(self.angles[k]):.4g} deg'}"
+            clauses = [] if near else [f"out of reach within the joint limits: {nearest} {by}"]
+            missed = () if self.violations is None else self.violations[k]
+            for number, (kind, size) in enumerate(zip(self.constraints, missed, strict=True), start=1):
+                clauses += [f"constraint {number} ({kind}) is missed by {size:.4g} mm"] if size > 0.0 else []
+            messages.append("; ".join(clauses))
+        return messages
 
     @property
     def safe_commands(self) -> Array:
@@ -134,15 +266,20 @@ class Compensation:
         """Counts, largest errors over targets reached and over the others, unreached rows, and a row for each target
         (identification/files/README.md, "JSON keys")."""
         reached, out = self.reached, ~self.near
+
+        def largest(values: Array, rows: NDArray[np.bool_]) -> float | None:
+            return float(np.max(values[rows])) if rows.any() else None
+
+        angles = {} if self.angles is None else {"max_error_deg": largest(np.degrees(self.angles), reached)}
         return {
             "targets": len(self.targets),
             "reached": int(np.count_nonzero(reached)),
-            "max_error_mm": float(np.max(self.errors[reached])) if reached.any() else None,
+            "max_error_mm": largest(self.errors, reached),
             "max_error_over": "targets reached",
             "tolerance_mm": self.tolerance,
             "model_rms_mm": self.model_rms,
-            "max_unreached_mm": float(np.max(self.errors[out])) if out.any() else None,
-            **({} if self.angles is None else {"max_error_deg": self._largest_angle}),
+            "max_unreached_mm": largest(self.errors, out),
+            **angles,
             "unreachable": [int(row) + 1 for row in np.flatnonzero(~reached)],
             "unreachable_count": int(np.count_nonzero(~reached)),
             "outside_identified": self._outside,
@@ -176,12 +313,6 @@ class Compensation:
         return {"targets": (np.flatnonzero(out.any(axis=1)) + 1).tolist(), "joints": joints}
 
     @property
-    def _largest_angle(self) -> float | None:
-        """[deg] over targets reached."""
-        angles = () if self.angles is None else np.degrees(self.angles[self.reached])
-        return float(np.max(angles)) if len(angles) else None
-
-    @property
     def commands_in_file_units(self) -> Array:
         """(k, n) [deg], of prismatic joints [mm], as the controller counts."""
         commands = in_columns(self.commands, self.joint_types)
@@ -195,10 +326,84 @@ class Compensation:
         left: dict[str, Any] = {"error_mm": self.left, "reachable": self.reached, "message": self.messages}
         return frame_of_columns(columns | left, kind)
 
+    def document(self) -> Document:
+        """How many targets are reached and which are not, then joint commands for the first ones."""
+        return compensation_document(self)
+
     def __repr__(self) -> str:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
+
+    def _repr_html_(self) -> str:
+        return self.document()._repr_html_()
 
 
 def _where(shown: NDArray[np.bool_], rows: Array) -> list[Any]:
     """(k) rows, None where they are not to be said."""
     return [row if one else None for one, row in zip(shown.tolist(), rows.tolist(), strict=True)]
+
+
+def reaching(
+    model: Model,
+    goals: Array,
+    nominal: Array,
+    conditions: Conditions,
+    constraints: Constraints,
+    enough: float = TOLERANCE,
+) -> Array:
+    """(k, n) postures from nominal ones (k, n); from many seeds where that ends short of the target, or where the arm
+    may not stand. What ends so near as `enough` [mm] is left only for what gets there exactly: another branch of the
+    arm that is nearer by less than anybody knows is none to go to. Goals (k, d) [mm], of poses three more."""
+    nominal = turned_into(nominal, model.arm.lower, model.arm.upper, model.joint_types)
+    commands, errors = inverse_kinematics(model, goals, nominal, conditions)
+    missed = violations(constraints, commands).sum(axis=1)
+    short = np.flatnonzero((errors > TOLERANCE) | (missed > 0.0))
+    if short.size:
+        again, left = best_of_seeds(model, goals[short], nominal[short], conditions.rows(short), constraints)
+        now = ranked(np.zeros(len(short)), left, violations(constraints, again).sum(axis=1))
+        better = now < ranked(np.zeros(len(short)), errors[short], missed[short])
+        better &= (errors[short] > enough) | (missed[short] > 0.0) | (left <= TOLERANCE)
+        commands[short[better]] = again[better]
+    return commands
+
+
+def within_or_near(
+    model: Model, familiar: tuple[Array, Array], goals: Array, conditions: Conditions, constraints: Constraints
+) -> Array:
+    """(k, n) postures for goals (k, d) nearest to the middle of familiar angles, and where possible within them; the
+    best found where no posture gets there."""
+    lower, upper = familiar
+    near = np.tile((lower + upper) / 2.0, (len(goals), 1))
+    reached = best_of_seeds(model, goals, near, conditions, constraints)[0]
+    out = np.flatnonzero(np.any((reached < lower) | (reached > upper), axis=1))
+    if not out.size or np.any(lower >= upper):
+        return reached
+    inside = Model(replace(model.arm, lower=lower, upper=upper))
+    for starts in (np.clip(reached, lower, upper), near):
+        if not out.size:
+            break
+        postures, left = inverse_kinematics(inside, goals[out], starts[out], conditions.rows(out))
+        better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
+        reached[out[better]] = postures[better]
+        out = out[~better]
+    return reached
+
+
+def near_or_within(
+    model: Model,
+    familiar: tuple[Array, Array],
+    goals: Array,
+    reached: Array,
+    where: Conditions,
+    constraints: Constraints,
+    enough: float = TOLERANCE,
+) -> Array:
+    """(k, n) postures that were found for goals (k, d); for those out of reach, farther than `enough` [mm], where they
+    are outside familiar angles, the nearest within them."""
+    lower, upper = familiar
+    left = np.linalg.norm(goals - model.position(reached, conditions=where), axis=1)
+    out = np.flatnonzero((left > enough) & np.any((reached < lower) | (reached > upper), axis=1))
+    if out.size:
+        inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + STILL)))
+        starts = np.clip(reached[out], lower, upper)
+        reached[out] = best_of_seeds(inside, goals[out], starts, where.rows(out), constraints)[0]
+    return reached

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from identification.effects.base import Effect, register
-from identification.kinematics.instrument import TINY
+from identification.instruments.distance import distance_to_center
 from identification.kinematics.parameters import Parameter
 
 
@@ -39,4 +39,4 @@ class LengthOffset(Effect):
         return (self.parameter("c", "mm", scale=1.0, typical=0.5),)
 
     def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX:
-        return values[0] * position / ca.sqrt(ca.sumsqr(position) + TINY**2)  # the center is the origin
+        return values[0] * position / distance_to_center(position)  # the center is the origin

@@ -5,11 +5,9 @@ for many with a plan of its own each, and `without_outliers` repeats any fit unt
 """
 
 from identification.estimation.batch import BatchFit, estimate_batch, estimate_each
-from identification.estimation.estimate import estimate
-from identification.estimation.methods import METHODS
+from identification.estimation.estimate import estimate, estimate_with_prior, without_outliers
+from identification.estimation.problem import METHODS
 from identification.estimation.result import Identification
-from identification.estimation.with_prior import estimate_with_prior
-from identification.estimation.without_outliers import without_outliers
 
 __all__ = [
     "METHODS",

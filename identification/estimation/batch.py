@@ -2,7 +2,13 @@
 
 The first serves Monte Carlo studies, bootstraps and fleets of one arm, the second averages over random plans.
 A model with a closed form takes a few multiplications per fit. Any other starts there and goes on with
-`levenberg_marquardt`; on one plan, steps by matrices that are made once come first (`chord`).
+`levenberg_marquardt`; on one plan, steps by inverse normal matrices that are made once come first (the chord method).
+
+Those are steps N^-1 J(p)^T W r with N^-1 taken at one point, for all data sets together or for each, where J(p)^T W r
+comes exactly from CasADi's reverse mode at the price of a few position evaluations: no Jacobian, no decomposition per
+step, several times as many fits per second as `levenberg_marquardt` gives
+(tests/benchmarks/test_identification_speed.py). The matrix only sets the speed: what is accepted is stationary for its
+own data set. What does not contract quickly, or meets a physical bound, is left to others.
 """
 
 from __future__ import annotations
@@ -16,20 +22,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError
-from identification.estimation.checks import check_measurements
-from identification.estimation.chord import Chord
-from identification.estimation.estimate import weighting
-from identification.estimation.levenberg_marquardt import levenberg_marquardt, outcomes
-from identification.estimation.methods import damped_gauss_newton, linear, starts
+from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE, levenberg_marquardt, outcomes
 from identification.estimation.prior import Prior
-from identification.estimation.problem import Problem
-from identification.information import full_rank, identifiability_of, spectrum
-from identification.kinematics.planar_linear import PlanarClosedForm
+from identification.estimation.problem import (
+    Problem,
+    check_measurements,
+    damped_gauss_newton,
+    linear,
+    starts,
+)
+from identification.information import full_rank, identifiability_of, information_matrix, spectrum
 from identification.measurements import Conditions, Measurements, directions_from_order, past_from_order, session_time
 from identification.model import Model
 from identification.status import Status
 
 CHUNK = 20_000  # rows (data sets times postures) at a time: the arrays of one pass stay in the processor's cache
+STEPS = 12  # of the chord method
+CONTRACTION = 0.3  # a step that shrinks the gradient by less hands the data set over
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +79,13 @@ def _chunks(count: int, rows: int) -> Iterator[slice]:
     return (slice(start, min(start + size, count)) for start in range(0, count, size))
 
 
-def _empty(count: int, model: Model) -> tuple[Array, Array, NDArray[np.object_]]:
+def _not_fitted(count: int, model: Model) -> tuple[Array, Array, NDArray[np.object_]]:
     """Parameters, sums of squares and statuses of data sets that are not fitted."""
     status = np.full(count, Status.not_identifiable, dtype=object)
     return np.full((count, len(model.names)), np.nan), np.full(count, np.nan), status
 
 
-# -- one plan ------------------------------------------------------------------------------------------------------
+# -- one plan ----------------------------------------------------------------------------------------------------------
 def estimate_batch(
     model: Model, plan: Measurements | ArrayLike, positions: ArrayLike, weights: ArrayLike | None = None
 ) -> BatchFit:
@@ -92,57 +101,48 @@ def estimate_batch(
 
     Raises `InputError` for shapes that do not fit, `JobError` naming what the plan does not identify.
     """
-    problem = _problem(model, plan, np.asarray(positions, dtype=float), weights)
-    rows = np.concatenate([problem.jacobian(problem.start), problem.prior_rows])
-    decomposed = spectrum(rows, model.scales, problem.tolerance)
-    undetermined = identifiability_of(decomposed, model.names, model.scales).combinations
-    if undetermined:
-        raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
-    return _iterated(problem) if problem.exact_form is None else _closed_form(problem, problem.exact_form)
-
-
-def _problem(model: Model, plan: Measurements | ArrayLike, measured: Array, weights: ArrayLike | None) -> Problem:
     if not isinstance(plan, Measurements):
         postures = np.atleast_2d(np.asarray(plan, dtype=float))
         plan = Measurements(postures, np.zeros((len(postures), model.dimension)))
-    m, d = len(plan), model.dimension
+    measured, (m, d) = np.asarray(positions, dtype=float), (len(plan), model.dimension)
     if measured.ndim != 3 or measured.shape[1:] != (m, d):
         raise InputError(f"positions: shape {measured.shape}, allowed: (K, {m}, {d})")
-    prior = Prior(model.prior) if model.prior else None
     check_measurements(model, replace(plan, positions=np.zeros((m, d))))
-    of_plan = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
-    noise = weighting(model, plan, of_plan if prior is None else "given", weights)
-    return Problem(model, plan.postures, plan.conditions, measured, noise.weights, prior=prior)
-
-
-def _closed_form(problem: Problem, form: PlanarClosedForm) -> BatchFit:
-    """One pseudo-inverse for all (identification/README.md, "Closed form")."""
+    sigma = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
+    prior = Prior(model.prior) if model.prior else None
+    problem = replace(Problem.of(model, plan, sigma if prior is None else "given", weights, prior), positions=measured)
+    decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
+    undetermined = identifiability_of(decomposed, model.names, model.scales).combinations
+    if undetermined:
+        raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
+    if (form := problem.exact_form) is None:
+        return _iterated(problem)
+    # one pseudo-inverse for all (identification/README.md, "Closed form")
     solve = form.solver(problem.postures, problem.weights, problem.tolerance)
-    count = len(problem.positions)
-    parameters, rss = np.empty((count, len(problem.model.names))), np.empty(count)
-    for part in _chunks(count, len(problem.postures)):
-        parameters[part], rss[part] = solve(problem.positions[part])
+    parameters, rss, _ = _not_fitted(len(measured), model)
+    for part in _chunks(len(measured), m):
+        parameters[part], rss[part] = solve(measured[part])
     return BatchFit(parameters, rss, outcomes(np.isfinite(rss), Status.converged, Status.solver_failed))
 
 
 def _iterated(problem: Problem) -> BatchFit:
+    """From the closed form, by the chord method with one matrix for all, then with their own, last by
+    `levenberg_marquardt`."""
     count, m = problem.positions.shape[:2]
-    parameters, rss, status = _empty(count, problem.model)
+    parameters, rss, status = _not_fitted(count, problem.model)
     for part in _chunks(count, m):
         parameters[part] = starts(problem.rows(part))
     usable = np.all(np.isfinite(parameters), axis=1)
     center = np.mean(parameters[usable], axis=0) if usable.any() else problem.start
-    shared = Chord(problem, np.concatenate([problem.jacobian(center), problem.prior_rows])[None])
+    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])[None]
     stationary = np.zeros(count, dtype=bool)
-    for part in _chunks(count, m):
-        parameters[part], rss[part], stationary[part] = shared.solve(problem.rows(part), parameters[part])
-    for _ in range(2):
+    for attempt in range(3):
         rest = np.flatnonzero(~stationary)
         for part in _chunks(len(rest), m):
             sets = rest[part]
             problems = problem.rows(sets)
-            chord = Chord(problems, problems.linearize(parameters[sets], np.arange(len(sets)))[1])
-            parameters[sets], rss[sets], stationary[sets] = chord.solve(problems, parameters[sets])
+            own = shared if attempt == 0 else problems.linearize(parameters[sets], np.arange(len(sets)))[1]
+            parameters[sets], rss[sets], stationary[sets] = chord_steps(problems, own, parameters[sets])
     status[stationary] = Status.converged
     rest = np.flatnonzero(~stationary)
     for part in _chunks(len(rest), m):
@@ -152,7 +152,51 @@ def _iterated(problem: Problem) -> BatchFit:
     return BatchFit(parameters, rss - np.sum((parameters @ problem.prior_rows.T) ** 2, axis=1), status)
 
 
-# -- plans of their own --------------------------------------------------------------------------------------------
+def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Parameters (k, p), weighted sums of squares (k,) and stationary (k,); of data sets that are left to others the
+    last parameters inside the bounds to which steps led quickly.
+
+    jacobians : (k, N, p) of each data set with the rows of the prior; (1, N, p): one for all
+    """
+    lower, upper = problem.bounds
+    held, table = (
+        problem.prior_rows.T @ problem.prior_rows,
+        problem.model.condition_table(problem.postures, problem.conditions),
+    )
+    lengths = np.linalg.norm(jacobians, axis=1)
+    unit = jacobians / lengths[:, None]
+    inverse = np.linalg.inv(information_matrix(unit[:, :, None])) / lengths[:, None]  # for scaled gradients
+    parameters, squares, stationary = starts.copy(), np.full(len(starts), np.nan), np.zeros(len(starts), dtype=bool)
+    index, x, last = np.arange(len(starts)), starts, np.full(len(starts), np.inf)
+    data, rounding = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0)), problem.rounding
+    for _ in range(STEPS):
+        arguments = problem.postures, table, x[:, None, :], np.moveaxis(data, 0, -1)
+        gradients, by_row = problem.model.expressions.residual_gradient(*arguments)
+        # components come first in memory, so these sums over rows are products with contiguous memory
+        pull = x @ held
+        gradient = (np.moveaxis(gradients[..., 0], -1, 0) @ problem.weights).T - pull
+        cost = by_row[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", pull, x)
+        gradient /= lengths
+        size = np.max(np.abs(gradient), axis=1)
+        inside = np.all((x >= lower) & (x <= upper), axis=1)
+        done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + rounding) & inside
+        finished = index[done]
+        squares[finished], stationary[finished] = cost[done], True
+        contracts = size <= CONTRACTION * last
+        parameters[index[(contracts | done) & inside]] = x[(contracts | done) & inside]
+        going = ~done & contracts
+        if not going.any():
+            break
+        index, last, rounding = index[going], size[going], rounding[going]
+        data = data if going.all() else np.ascontiguousarray(data[:, going])
+        if len(inverse) > 1:
+            lengths, inverse = lengths[going], inverse[going]
+        down = gradient[going]
+        x = x[going] + (down @ inverse[0] if len(inverse) == 1 else (down[:, None] @ inverse)[:, 0])
+    return parameters, squares, stationary
+
+
+# -- plans of their own ------------------------------------------------------------------------------------------------
 def estimate_each(
     model: Model, postures: ArrayLike, positions: ArrayLike, conditions: Conditions | None = None
 ) -> BatchFit:
@@ -164,9 +208,13 @@ def estimate_each(
     Raises `InputError` for shapes that do not fit.
     """
     plans, measured = np.asarray(postures, dtype=float), np.asarray(positions, dtype=float)
-    _check_plans(model, plans, measured)
+    n, d = model.joints, model.dimension
+    if plans.ndim != 3 or plans.shape[-1] != n:
+        raise InputError(f"postures: shape {plans.shape}, allowed: (K, m, {n})")
+    if measured.shape != (*plans.shape[:2], d):
+        raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
     count, m, _ = plans.shape
-    parameters, rss, status = _empty(count, model)
+    parameters, rss, status = _not_fitted(count, model)
     for part in _chunks(count, m):
         of_sets = sessions(plans[part], model.remembers) if conditions is None else conditions.rows(part)
         problem = Problem(model, plans[part], of_sets, measured[part], np.ones(m))
@@ -177,14 +225,6 @@ def estimate_each(
             solution = solve(problem.rows(estimable))
             parameters[sets], rss[sets], status[sets] = solution.parameters, solution.squares, solution.status
     return BatchFit(np.where((status == Status.converged)[:, None], parameters, np.nan), rss, status)
-
-
-def _check_plans(model: Model, plans: Array, measured: Array) -> None:
-    n, d = model.joints, model.dimension
-    if plans.ndim != 3 or plans.shape[-1] != n:
-        raise InputError(f"postures: shape {plans.shape}, allowed: (K, m, {n})")
-    if measured.shape != (*plans.shape[:2], d):
-        raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
 
 
 def sessions(postures: Array, remembers: bool = False) -> Conditions:

@@ -1,29 +1,50 @@
-"""`estimate`: checks the data, chooses the method, and states what is estimable and how well."""
+"""`estimate`: poses the problem, solves it, and states what is estimable, how sure it is, and what is doubtful.
+
+With a normal prior of some parameters the minimum is the mode of the posterior. What the noise amounts to decides how
+far the data may move what has a prior: it is the noise of the largest marginal likelihood (`prior.likeliest`), and no
+less than a sigma that is given.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from identification.arm import Machining
+from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
-from identification.estimation.checks import Noise, check_measurements, weighting
-from identification.estimation.levenberg_marquardt import Solution
-from identification.estimation.methods import METHODS
-from identification.estimation.outcome import Spread, as_filed, identification
-from identification.estimation.prior import Prior
-from identification.estimation.problem import Problem
+from identification.estimation.doubts import Contradiction, doubts, far_rows
+from identification.estimation.expected_tip import flange_turns
+from identification.estimation.levenberg_marquardt import ITERATIONS, Index, Solution, levenberg_marquardt
+from identification.estimation.outlying import limit_of, outlying, robust_squares, together
+from identification.estimation.prior import Prior, contradicted, likeliest
+from identification.estimation.problem import METHODS, LinearProblem, Problem, check_measurements, starts
 from identification.estimation.result import Identification
-from identification.estimation.uncertainty import FittedRows, uncertainty
-from identification.estimation.with_prior import estimate_with_prior
-from identification.information import RANK_TOLERANCE, Spectrum, spectrum
+from identification.estimation.uncertainty import WhiteRows, uncertainty
+from identification.information import RANK_TOLERANCE, Spectrum, identifiability_of, spectrum
+from identification.inspection.readings import placed_with_zeros
+from identification.kinematics.joint_range import joint_range
+from identification.kinematics.parameters import JOINT_OFFSET
+from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model
+from identification.sessions import placing
+from identification.status import Status
+from identification.threads import single_thread
 
 LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
+FIRST = 2  # steps before the noise is estimated again: the model is nearly linear
+ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
+STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
+UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
+NEAR = 0.5  # of the limit: rows this near are tested with their leverage, which is small where rows are many
+MANY = 20  # equations for each parameter
 
 
 def estimate(
@@ -59,47 +80,260 @@ def estimate(
             raise InputError(f"method: {method} for a spatial arm held by a prior, allowed: gauss_newton")
         return estimate_with_prior(model, measurements, Prior(prior), sigma, weights)
     filed, model = as_filed(model, measurements), placed_model(model, measurements)
-    noise = weighting(model, measurements, sigma, weights)
-    problem = Problem.of(model, measurements, noise.weights)
+    problem = Problem.of(model, measurements, sigma, weights)
     chosen = method or ("linear" if problem.exact_form else "gauss_newton")
     if chosen not in METHODS:
         raise InputError(f"method: unknown name {chosen!r}, {nearest(chosen, METHODS)}")
-    solution, decomposed, problem = _solve(problem, chosen, noise)
-    fit = _result(problem, measurements, chosen, solution, decomposed, noise)
+
+    def solved(problem: Problem) -> tuple[Solution, Array, Spectrum]:
+        solution = METHODS[chosen](problem)
+        if not (status := solution.status[0]).succeeded:
+            raise JobError(f"{chosen}: {status.value} Nothing damps this method; gauss_newton may do better.")
+        residuals, jacobians = problem.linearize(solution.parameters, np.arange(1))
+        return solution, residuals[0], spectrum(jacobians[0], model.scales, problem.tolerance)
+
+    solution, residual, decomposed = solved(problem)
+    # once more without the combinations whose standard deviation turns out too large to mean anything
+    dof = residual.size - decomposed.rank
+    deviation = problem.sigma or (float(np.sqrt(np.sum(residual**2) / dof)) if dof > 0 else 0.0)
+    useful = max(RANK_TOLERANCE, deviation / (np.sqrt(len(measurements)) * LARGEST_SHARE * model.reach))
+    if decomposed.truncated(min(useful, 0.1)).rank != decomposed.rank:
+        problem = replace(problem, tolerance=min(useful, 0.1))
+        solution, _, decomposed = solved(problem)
+    fit = identification(problem, measurements, chosen, solution, decomposed, decomposed.rank)
     return fit if filed is None else replace(fit, residuals_before=filed)
 
 
-def _solution(problem: Problem, method: str) -> Solution:
-    solution = METHODS[method](problem)
-    if not solution.status[0].succeeded:
-        raise JobError(f"{method}: {solution.status[0].value} Nothing damps this method; gauss_newton may do better.")
-    return solution
-
-
-def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:
-    """Fits; and fits again without the combinations whose standard deviation turns out too large to mean anything."""
-    solution = _solution(problem, method)
-    residuals, jacobian = problem.linearize_at(solution.parameters[0])
-    decomposed = spectrum(jacobian, problem.model.scales, problem.tolerance)
-    dof = residuals.size - decomposed.rank
-    sigma = noise.sigma or (float(np.sqrt(np.sum(residuals**2) / dof)) if dof > 0 else 0.0)
-    reach = problem.model.reach
-    useful = max(RANK_TOLERANCE, sigma / (np.sqrt(len(problem.weights)) * LARGEST_SHARE * reach))
-    if decomposed.truncated(min(useful, 0.1)).rank == decomposed.rank:
-        return solution, decomposed, problem
-    problem = replace(problem, tolerance=min(useful, 0.1))
-    solution = _solution(problem, method)
-    jacobian = problem.linearize_at(solution.parameters[0])[1]
-    return solution, spectrum(jacobian, problem.model.scales, problem.tolerance), problem
-
-
-def _result(
-    problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, noise: Noise
+@single_thread()
+def estimate_with_prior(
+    model: Model,
+    measurements: Measurements,
+    prior: Prior,
+    sigma: ArrayLike | Literal["given", "estimated"] | None = None,
+    weights: ArrayLike | None = None,
 ) -> Identification:
-    rows, has_sigma = FittedRows.of(problem, data, solution.parameters[0], decomposed.rank), noise.sigma is not None
-    made = uncertainty(rows, decomposed, known=has_sigma, reliance=noise.reliance)
-    scale = float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
-    scatter = scale if noise.sigma is None or scale is None else noise.sigma * scale
-    return identification(
-        problem, data, method, solution, decomposed, noise, Spread(made, scatter, rows.squares, round(rows.freedom))
+    """Estimates of all parameters, those with a prior as far as the data move them, with intervals of the posterior.
+
+    model, measurements, weights : as of `estimate`
+    sigma : numbers or "given": the noise is what is given; "estimated": of the largest marginal likelihood; left out:
+        the latter, but no less than what is given
+
+    The sizes of the machining are those of the model or, where the data say that the arm is farther from its drawing,
+    a common multiple of them, and one of the joint zeros', likeliest together with the noise; `doubts` say so.
+
+    Raises `InputError` for data that do not fit the model, and fewer equations than parameters without a prior.
+    """
+    model, zeros = placed_with_zeros(model, measurements)
+    prior = replace(prior, deviations={**model.prior, **prior.deviations})
+    check_measurements(model, measurements, prior)
+    problem, solution, widths, jacobian = _with_likeliest_noise(
+        Problem.of(model, measurements, sigma, weights, prior), zeros
     )
+    decomposed = spectrum(jacobian, model.scales, problem.tolerance, problem.prior_rows)
+    determined = float(np.sum(np.square(jacobian @ decomposed.root)))  # tr J (J^T J + R^T R)^-1 J^T
+    fit = identification(problem, measurements, "gauss_newton", solution, decomposed, determined)
+    far = (*fit.doubts, *far_from_drawing(model.arm.machining, *widths))
+    fit = replace(fit, prior=problem.prior, machining_factor=widths[0] if model.prior else None, doubts=far)
+    if prior.earlier is None:
+        return fit
+    names, noise, jacobian = contradicted(problem, fit.parameters)
+    least = replace(problem, noise=min(noise, problem.noise))  # that is there without the earlier calibration
+    seen = spectrum(jacobian, model.scales, problem.tolerance, least.prior_rows).covariance
+    fit = replace(fit, covariance_seen=least.noise**2 * seen)
+    if not names:
+        return fit
+    earlier = prior.earlier
+    others = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
+    held = replace(model, known={**model.fixed, **others})
+    free = estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
+    before = earlier.conditioned_on(others)
+    return replace(fit, contradictions=tuple(Contradiction.of(name, before, free, names[name]) for name in names))
+
+
+def without_outliers(
+    fit: Callable[[Measurements], Identification], measurements: Measurements
+) -> tuple[Identification, tuple[int, ...]]:
+    """The fit to the rows that are no outliers of it, and the numbers (from 1) of the rows left out: again and again
+    without the rows that the last fit does not explain, until it explains all that are left.
+
+    fit : `lambda rows: estimate(model, rows)`, say; it is called with fewer rows each time, and once more than the
+        rounds that find an outlier
+
+    A gravity that the model lacks makes outliers, too, so look at the rows that were left out. Raises what `fit` does.
+    """
+    kept = np.arange(len(measurements))
+    while True:
+        fitted = fit(measurements.rows(kept))
+        if not fitted.outlier_rows:
+            left_out = np.setdiff1d(np.arange(len(measurements)), kept)
+            return fitted, tuple((left_out + 1).tolist())
+        kept = np.delete(kept, np.array(fitted.outlier_rows) - 1)
+
+
+# -- noise and fit in turns --------------------------------------------------------------------------------------------
+def _with_likeliest_noise(
+    problem: Problem, zeros: Mapping[str, float]
+) -> tuple[Problem, Solution, tuple[float, float], Array]:
+    """The problem with the likeliest noise and prior, its solution, the widths of the machining's sizes (of all, and
+    those of joint zeros besides), and the Jacobian without the prior; in turns until the noise stays.
+
+    zeros : parameters to start from elsewhere than at the best known values
+    """
+    model, holds = problem.model, problem.reliance == "given"
+    made: dict[bytes, LinearProblem] = {}
+
+    def about(x: Array) -> LinearProblem:
+        """Each made once: fits of other noise pass through the same points."""
+        if (key := x.tobytes()) not in made:
+            made[key] = problem.linearized(x)
+        return made[key]
+
+    def solved(at: Array, most: int) -> tuple[Problem, Solution, tuple[float, float]]:
+        noise, (width, zero_width) = likeliest(about(at))
+        offsets = {p.name for p in model.parameters if p.kind == JOINT_OFFSET}
+        factors = {name: width * (zero_width if name in offsets else 1.0) for name in model.prior}
+        prior = None if problem.prior is None else problem.prior.widened(factors)
+        posed = replace(problem, noise=noise, prior=prior)
+        rows = posed.prior_rows
+
+        def linearize(x: Array, _: Index) -> tuple[Array, Array]:
+            data, left = about(x[0]), rows @ (posed.prior_center - x[0])
+            return np.concatenate([data.residual, left])[None], np.concatenate([data.jacobian, rows])[None]
+
+        least = replace(posed.least_squares, linearize=linearize, iterations=most)
+        return posed, levenberg_marquardt(least, at[None]), (width, zero_width)
+
+    elsewhere = [p.name in zeros for p in model.parameters]
+    start = np.where(elsewhere, model.parameters.vector(zeros, default=0.0), starts(problem)[0])
+    posed, solution, widths = solved(start, ITERATIONS if holds else FIRST)
+    most = ITERATIONS
+    for _ in range(0 if holds else ROUNDS):
+        before, steps = posed.noise, solution.iterations
+        posed, solution, widths = solved(solution.parameters[0], most)
+        solution = replace(solution, iterations=solution.iterations + steps)
+        if most == 0 or abs(posed.noise - before) <= STEADY * before:
+            break
+        most = 0 if solution.status[0] is Status.iteration_limit else ITERATIONS  # the noise there, no further steps
+    return posed, solution, widths, about(solution.parameters[0]).jacobian
+
+
+def far_from_drawing(machining: Machining, width: float, zeros: float) -> list[str]:
+    """What is doubtful about an arm whose errors are so many times those of its machining, and its zeros besides."""
+    rotation = f"{np.degrees(machining.rotation):g} deg"
+    sizes, sentences = f"{machining.translation:g} mm and {rotation}", []
+    if width != 1.0:
+        ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
+        sentences.append(
+            f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large"
+            f"{ask if width >= UNUSUAL else ''}"
+        )
+    if zeros != 1.0:
+        sentences.append(
+            f"zeros of joints are farther from the drawing than [machining] says ({rotation}): taken as "
+            f"{width * zeros:g} times as large, as where a motor was changed or a drawing counts from elsewhere"
+        )
+    return sentences
+
+
+# -- from a solution to a result ---------------------------------------------------------------------------------------
+def identification(
+    problem: Problem,
+    data: Measurements,
+    method: str,
+    solution: Solution,
+    decomposed: Spectrum,
+    determined: float,
+) -> Identification:
+    """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit.
+
+    determined : how many combinations of parameters the data determine, a prior the rest
+    """
+    model, parameters, has_sigma = problem.model, solution.parameters[0], problem.sigma is not None
+    rows, noise = WhiteRows.of(problem, data, parameters, determined), None if problem.prior is None else problem.noise
+    made = uncertainty(rows, decomposed, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
+    scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
+    scatter = None if scale is None else scale * (problem.sigma or 1.0)
+    dof = round(rows.freedom)
+    identifiability = identifiability_of(decomposed, model.names, model.scales)
+    before, after = as_it_was(problem), problem.residuals(parameters)[0]
+    sentences, implausible = doubts(model, parameters, identifiability.identifiable, before, after, data)
+    unexplained = unexplained_by_fit(problem, parameters, after)
+    structure = together(unexplained, data.postures, data.posture_numbers)
+    outlier = unexplained & ~structure
+    used = np.flatnonzero(problem.weights > 0.0)
+    first = used[np.unique(data.repeat_numbers[used], return_index=True)[1]]
+    chain = model.arm.chain if hasattr(model, "arm") else None
+    of_both = chain is not None and not {BASE, TOOL} & chain.known
+    status = Status.not_identifiable if identifiability.combinations else solution.status[0]
+    return Identification(
+        model=model,
+        parameters=parameters,
+        covariance=made.covariance,
+        identifiable=identifiability.identifiable,
+        not_identifiable=identifiability.combinations,
+        sigma=problem.sigma if has_sigma else scatter,
+        sigma_known=has_sigma,
+        chi2=rows.squares if has_sigma else None,
+        dof=dof,
+        residuals_before=before,
+        residuals_after=after,
+        method=method,
+        status=Status.implausible if implausible else status,
+        iterations=int(solution.iterations[0]),
+        provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
+        uncertainty=made,
+        scatter=scatter,
+        doubts=(*sentences, *far_rows(after, outlier, structure)),
+        flange_turns=flange_turns(chain, data) if chain is not None and of_both else None,
+        postures=data.postures[first],
+        determined=float(len(used) * after.shape[1] - dof),
+        outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
+        unexplained_rows=tuple((np.flatnonzero(structure) + 1).tolist()),
+    )
+
+
+def as_it_was(problem: Problem) -> Array:
+    """(m, d) residuals [mm] of the arm as it was; where nothing says where a spatial arm stands and what is measured on
+    it, these are fitted in least squares (one Gauss-Newton step from the closed form)."""
+    if not (free := placing(problem.model.parameters)):
+        return np.asarray(problem.residuals(problem.start)[0])
+    position, jacobian = problem.model.linearize(problem.postures, problem.start, problem.conditions)
+    residual = problem.positions[0] - position
+    slopes = (problem.root_weights[:, :, None] * jacobian[:, :, free]).reshape(-1, len(free))
+    step = np.linalg.lstsq(slopes, (problem.root_weights * residual).ravel(), rcond=None)[0]
+    parameters = problem.start.copy()
+    parameters[free] += step
+    return np.asarray(problem.residuals(parameters)[0])
+
+
+def as_filed(model: Model, data: Measurements) -> Array | None:
+    """(m, d) residuals [mm] of a spatial arm where its calibration has it, if nothing but that place is estimated; None
+    for other fits and where the file does not say it: `as_it_was` fits it."""
+    arm = getattr(model, "arm", None)
+    if arm is None or arm.chain.planar or arm.calibration is None or len(data.session_names) > 1:
+        return None
+    chain, calibration = arm.chain, arm.calibration
+    placed = (BASE in chain.known or calibration.base is not None) and (
+        TOOL in chain.known or {*calibration.tools} >= {*chain.tools}
+    )
+    if not placed or len(placing(model.parameters)) < len(model.names):
+        return None
+    return np.asarray(data.positions - model.position(data.postures, model.values, data.conditions))
+
+
+def unexplained_by_fit(problem: Problem, parameters: Array, residual: Array) -> NDArray[np.bool_]:
+    """(m,) rows that the model does not explain, where enough equations are left to tell.
+
+    parameters : (p,) of the fit;  residual : (m, d) [mm]
+    """
+    unexplained, used = np.zeros(len(residual), dtype=bool), problem.weights > 0.0
+    white = (problem.root_weights * residual)[used]
+    p, d = len(parameters), white.shape[1]
+    if white.size - p + len(problem.prior_rows) <= p:
+        return unexplained
+    if white.size > MANY * p and robust_squares(np.sum(white**2, axis=1), d).max() < NEAR * limit_of(d):
+        return unexplained
+    columns = problem.jacobian(parameters).reshape(len(used), -1)[used].reshape(white.size, p)
+    held = problem.prior_rows
+    unexplained[used] = outlying(white, columns, held, held @ (problem.prior_center - parameters))
+    return unexplained

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt for many nonlinear least-squares problems at once, with bounds and parameters that are equal.
+"""Levenberg-Marquardt for many nonlinear least-squares problems at once, with bounds.
 
     min |r_k(x)|^2  subject to  lower <= x <= upper,     k = 1 .. K
 
@@ -9,19 +9,22 @@ Parameters on a bound that the gradient or the step would leave on the wrong sid
 step's, a cut step need not descend); what a step takes beyond a bound from inside is cut off there. Combinations of
 parameters that the data do not determine get no step: singular values below `tolerance` are zero
 (`information.significant`).
+
+Tall problems are made small by QR first (`compressed`): the triangular factor has all that a step needs. Orthogonal
+transformations change neither sums of squares nor products of columns, and least squares see nothing else (A. Bjorck,
+"Numerical Methods for Least Squares Problems", 1996, section 2.4).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
-from identification.estimation.triangle import regular_steps
 from identification.information import CLEAR, RANK_TOLERANCE, column_lengths, significant
 from identification.status import Status
 
@@ -35,6 +38,9 @@ FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e
 LEAST = 0.1  # share of a step's length that is tried where it failed, see `_next_damping`
 VANISHED = 1e-4  # of the length that a column had at the start: its parameter has no effect to speak of
 NEGLIGIBLE = 0.1  # damping below this share of the stiffness is none
+TALL = 20  # rows per column from which the triangle pays: a step passes over the rows some ten times
+MANY = 100  # parameters of one problem: singular values then take several times as long as a triangle
+BLOCK = 2048  # rows at a time, which stay in the processor's cache
 Index = NDArray[np.intp]
 Linearize = Callable[[Array, Index], tuple[Array, Array]]
 
@@ -62,23 +68,6 @@ class LeastSquares:
     tolerance: float = RANK_TOLERANCE
     metric: Array | None = None
     iterations: int = ITERATIONS
-
-    def tied(self, groups: Sequence[Sequence[int]]) -> tuple[LeastSquares, Array]:
-        """The problem in z values, of which parameters of one group share one; (p, z) ones where x = matrix @ z."""
-        if not groups:
-            return self, np.eye(len(self.scales))
-        leader = np.arange(len(self.scales))
-        for group in groups:
-            leader[list(group)] = min(group)
-        first, column = np.unique(leader, return_inverse=True)
-        spread = np.eye(len(first))[column]
-
-        def linearize(values: Array, index: Index) -> tuple[Array, Array]:
-            residual, jacobian = self.linearize(values @ spread.T, index)
-            return residual, jacobian @ spread
-
-        lower, upper, scales = self.lower[first], self.upper[first], self.scales[first]
-        return replace(self, linearize=linearize, lower=lower, upper=upper, scales=scales), spread
 
 
 class Points(NamedTuple):
@@ -121,15 +110,19 @@ class Solution:
         self.active[rows], self.status[rows] = active[lower], status[lower]
 
 
-class Steps(NamedTuple):
-    """(k, p) steps; (k,) stationary; (k, p) active bounds; (k,) share of the residuals' norm that a step explains; (k,)
-    stiffness, see `damped_steps`."""
-
-    steps: Array
-    stationary: NDArray[np.bool_]
-    active: NDArray[np.bool_]
-    explained: Array
-    stiffness: Array
+def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
+    """Residuals (k, q) and Jacobians (k, q, p), q = p + 1, of the same least-squares problems as tall (k, N) and
+    (k, N, p); those that are not tall as they are."""
+    rows = jacobians.shape[1]
+    if rows < TALL * (jacobians.shape[2] + 1):
+        return residuals, jacobians
+    triangles = []
+    for residual, jacobian in zip(residuals, jacobians, strict=True):
+        parts = [slice(start, start + BLOCK) for start in range(0, rows, BLOCK)]
+        parts_made = [np.linalg.qr(np.column_stack([jacobian[k], residual[k]]), mode="r") for k in parts]
+        triangles.append(parts_made[0] if len(parts) == 1 else np.linalg.qr(np.concatenate(parts_made), mode="r"))
+    triangle = np.array(triangles)
+    return triangle[:, :, -1], triangle[:, :, :-1]
 
 
 def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
@@ -160,21 +153,21 @@ def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points
     """Where searches from these points end, recorded in the solution."""
     ends = []
     for iteration in range(problem.iterations):
-        linear = _steps(problem, points)
-        ended = linear.stationary | (points.damping > MAX_DAMPING)
-        status = outcomes(linear.stationary[ended], Status.converged, Status.almost_solved)
-        solution.record(points.at(ended), linear.active[ended], status, iteration)
+        steps, stationary, active, _, stiffness = _steps(problem, points)
+        ended = stationary | (points.damping > MAX_DAMPING)
+        status = outcomes(stationary[ended], Status.converged, Status.almost_solved)
+        solution.record(points.at(ended), active[ended], status, iteration)
         ends.append(points.at(ended))
         points = points.at(~ended)
         if len(points.problems) == 0:
             break
-        points = _moved(problem, points, linear.steps[~ended], linear.stiffness[~ended])
+        points = _moved(problem, points, steps[~ended], stiffness[~ended])
     else:
         # a flat curved valley (nearly undetermined combination, few rows) is left slowly: what is missing is far below
         # its standard deviation
-        linear = _steps(problem, points._replace(damping=np.zeros(len(points.problems))))
-        status = outcomes(linear.explained <= FLAT, Status.almost_solved, Status.iteration_limit)
-        solution.record(points, linear.active, status, problem.iterations)
+        _, _, active, explained, _ = _steps(problem, points._replace(damping=np.zeros(len(points.problems))))
+        status = outcomes(explained <= FLAT, Status.almost_solved, Status.iteration_limit)
+        solution.record(points, active, status, problem.iterations)
         ends.append(points)
     return Points._make(np.concatenate(arrays) for arrays in zip(*ends, strict=True))
 
@@ -244,8 +237,9 @@ def _squares(residuals: Array) -> Array:
     return np.einsum("kn,kn->k", residuals, residuals)
 
 
-def _steps(problem: LeastSquares, points: Points) -> Steps:
-    """Damped steps inside the bounds."""
+def _steps(problem: LeastSquares, points: Points) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Array, Array]:
+    """(k, p) damped steps inside the bounds; (k,) stationary; (k, p) active bounds; (k,) share of the residuals' norm
+    that a step explains; (k,) stiffness, see `damped_steps`."""
     x, damping, norms = points.parameters, points.damping, np.sqrt(points.squares)
     sizes = np.sqrt(np.einsum("knp,knp->kp", points.jacobians, points.jacobians))
     lengths, zero = column_lengths(sizes, problem.scales)
@@ -265,7 +259,7 @@ def _steps(problem: LeastSquares, points: Points) -> Steps:
             columns[again], points.residuals[again], (held | zero)[again], damping[again], problem.tolerance
         )
     explained = np.sqrt(np.maximum(np.sum(gradient * steps, axis=1), 0.0)) / np.maximum(norms, np.finfo(float).tiny)
-    return Steps(steps / lengths, stationary, held, explained, stiffness)
+    return steps / lengths, stationary, held, explained, stiffness
 
 
 def damped_steps(
@@ -282,8 +276,12 @@ def damped_steps(
     columns = np.where(held[:, None, :], 0.0, columns) if held.any() else columns
     across = np.swapaxes(columns, 1, 2)
     gradient = (across @ residuals[:, :, None])[:, :, 0]
-    if regular := regular_steps(columns, residuals, held, damping, tolerance):
-        return regular[0], gradient, _stiffness(*regular)
+    if columns.shape[2] >= MANY and len(columns) == 1:
+        regular = _by_triangle(columns[0][:, ~held[0]], residuals[0], float(damping[0]), tolerance)
+        if regular is not None:
+            steps, softer = np.zeros((2, *held.shape))
+            steps[~held], softer[~held] = regular
+            return steps, gradient, _stiffness(steps, softer)
     wide = columns.shape[1] < columns.shape[2]
     normal = columns @ across if wide else across @ columns
     diagonal = np.arange(normal.shape[1])
@@ -305,6 +303,27 @@ def damped_steps(
         truncated = truncated_steps(columns[rest], residuals[rest], damping[rest], tolerance)
         steps[rest], gradient[rest], stiffness[rest] = truncated
     return np.where(held, 0.0, steps), gradient, stiffness
+
+
+def _by_triangle(columns: Array, residual: Array, damping: float, tolerance: float) -> tuple[Array, Array] | None:
+    """(p,) minimiser s of |E s - r|^2 + damping |s|^2 of columns (N, p), and (E^T E + damping)^-1 s. None where a
+    singular value may be below `tolerance` times the largest: the norms of triangle and inverse bound their ratio."""
+    p = columns.shape[1]
+    triangle = np.asarray(np.linalg.qr(np.column_stack([columns, residual]), mode="r"))
+    if len(triangle) < p:
+        return None
+    try:
+        inverse = np.linalg.inv(triangle[:p, :p])
+        if not np.linalg.norm(triangle[:p, :p]) * np.linalg.norm(inverse) < 1.0 / tolerance:
+            return None
+        if damping > 0.0:
+            damped = np.concatenate([triangle[:p], np.sqrt(damping) * np.eye(p, p + 1)])
+            triangle = np.asarray(np.linalg.qr(damped, mode="r"))
+            inverse = np.linalg.inv(triangle[:p, :p])
+    except np.linalg.LinAlgError:
+        return None
+    step = inverse @ triangle[:p, p]
+    return step, inverse @ (inverse.T @ step)
 
 
 def truncated_steps(columns: Array, residuals: Array, damping: Array, tolerance: float) -> tuple[Array, Array, Array]:

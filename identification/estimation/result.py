@@ -14,16 +14,15 @@ from scipy.special import chdtrc
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_rows
-from identification.estimation import contradictions, shown
-from identification.estimation.contradictions import Contradiction
+from identification.document import Document
+from identification.documents import identification as shown
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.estimation.doubts import Contradiction, contradiction_warnings
 from identification.estimation.expected_tip import hardly_determined, tip_of
-from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.prior import Prior
-from identification.estimation.uncertainty import LEVEL, Uncertainty
+from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, limits_95
 from identification.kinematics.corrected_geometry import CorrectedGeometry
-from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
-from identification.kinematics.planar import orientation_transform
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint, orientation_transform
 from identification.measurements import POINT, distances, rms_distance
 from identification.model import Model
 from identification.status import Status
@@ -138,7 +137,7 @@ class Identification:
         """Warnings to be read before the results."""
         prior = () if self.prior is None else self.prior.names
         without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
-        misfit = (*contradictions.warning(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
+        misfit = (*contradiction_warnings(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
         doubts = (*self.doubts, *hardly_determined(self))
         if self.status is Status.iteration_limit:
             return (shown.UNFINISHED, *misfit, *doubts)
@@ -205,7 +204,7 @@ class Identification:
     def rms_angles(self) -> tuple[float, float] | None:
         """Root mean squares over rows of the angles between measured and computed orientations [rad], arm as it was and
         as identified; None where none are measured."""
-        chain = getattr(self.model, "arm", None) and self.model.arm.chain
+        chain = self.model.arm.chain if hasattr(self.model, "arm") else None
         if chain is None or chain.angle_scale is None:
             return None
         before, after = (rms_distance(r[:, POINT.stop :]) for r in (self.residuals_before, self.residuals_after))
@@ -226,8 +225,12 @@ class Identification:
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
-        chain = getattr(self.model, "arm", None) and self.model.arm.chain
-        return None if chain is None else CorrectedGeometry(chain, self._everything, self.model.arm.counting)
+        chain = self.model.arm.chain if hasattr(self.model, "arm") else None
+        return (
+            None
+            if chain is None or chain.planar
+            else CorrectedGeometry(chain, self._everything, self.model.arm.counting)
+        )
 
     def calibrated_arm(self) -> Arm:
         """The arm with this calibration in it."""
@@ -297,13 +300,17 @@ class Identification:
         closed = self.method == "linear" and self.status is Status.converged
         return "Closed form, the exact global minimum." if closed else self.status.value
 
+    def document(self) -> Document:
+        """The parameters with their intervals, and how well the model fits."""
+        return shown.parameters_document(self)
+
     def __str__(self) -> str:
-        return str(shown.document(self))
+        return str(self.document())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return shown.document(self)._repr_html_()
+        return self.document()._repr_html_()
 
 
 _OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")

@@ -1,29 +1,50 @@
-"""Covariance of estimates: from a sigma that the residuals do not contradict, from their scatter, or robustly."""
+"""Covariance of estimates: from a sigma that the residuals do not contradict, from their scatter, or robustly.
+
+The robust one holds where the model is incomplete (clustered sandwich, corrected for few rows). Rows are grouped so
+that what is left unexplained may be of any size and any correlation within a group, and is independent between groups.
+With the whitened Jacobian J_g and residuals r_g of group g, B = (J^T J)^-1 and the leverage H_gg = J_g B J_g^T
+(B. A. Pustejovsky, E. Tipton, 2018: CR2, after R. M. Bell, D. F. McCaffrey, 2002)
+
+    cov = B [ sum_g J_g^T A_g r_g r_g^T A_g J_g ] B,     A_g = (I - H_gg)^(-1/2),
+
+which is unbiased if the model is complete and the noise white. With a prior, whose rows R are whitened as J is, the
+estimates are those of the posterior's mode, B = (J^T J + R^T R)^-1, and the prior adds s^2 R^T R in the middle, s^2
+being the variance of white noise: its part of the errors is as the prior says. Intervals are Student's, with the
+degrees of freedom of the chi-square that has the same first two moments as the variance (Satterthwaite), for each
+parameter its own.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtrc, fdtrc, ndtri, stdtrit
 
+from identification.arm import Calibration
 from identification.arrays import Array
 from identification.estimation.problem import Problem
-from identification.estimation.sandwich import Sandwich, sandwich
-from identification.information import Spectrum
+from identification.information import ALONE, Spectrum
+from identification.kinematics.parameters import ParameterSet
 from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Covariance and intervals"
 BELIEVED = (0.1, 0.99)  # p-values of chi2 between which intervals rely on the sigma that is given
 LEVEL = 0.01  # of misfit that is said, of lack of fit and of serial correlation
+NORMAL_99 = 2.3263478740408408  # one-sided, of `LEVEL`
 FEWEST = 2.0  # degrees of freedom: with no more, Student's t has no variance
 STRETCHES = 40  # of a session whose rows are correlated; Student's quantile is then within 4 % of the normal one
+TINY = 1e-15  # leverages below it are rounding
+LARGE = 200  # groups, and combinations: of more, what two groups share through the fit is left out of the freedom
+FREEDOM = "interval_dof"  # key of a calibration's provenance
 
 
 @dataclass(frozen=True)
-class FittedRows:
-    """m rows of d whitened coordinates with what a fit left of them.
+class WhiteRows:
+    """What a fit leaves of m rows of d whitened coordinates, and the linear model about it.
 
     jacobian : (m, d, p);  residual : (m, d);  rank : number of combinations estimated, with a prior by the data alone
     sequence : (m,) row numbers in the order of measurement
@@ -40,8 +61,8 @@ class FittedRows:
     pull: Array | None = None
 
     @classmethod
-    def of(cls, problem: Problem, data: Measurements, parameters: Array, rank: float) -> FittedRows:
-        """The rows of weight above zero, linear about parameters (p,)."""
+    def of(cls, problem: Problem, data: Measurements, parameters: Array, rank: float) -> WhiteRows:
+        """Of the rows of weight above zero, linear about parameters (p,)."""
         kept = problem.weights > 0.0
         position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
         residual = problem.root_weights * (problem.positions[0] - position)
@@ -53,14 +74,6 @@ class FittedRows:
         prior = problem.prior_rows
         pull = prior.T @ (prior @ (problem.prior_center - parameters)) if len(prior) else None
         return cls(weighted[kept], residual[kept], rank, sequence, postures, repeats, pull)
-
-    def unbounded(self, root: Array) -> FittedRows:
-        """The rows with the residuals that the linear model leaves without bounds: an active bound hides what is behind
-        it, and residuals that the parameters could explain would count as misfit."""
-        columns = self.jacobian @ root
-        slope = np.einsum("mdr,md->r", columns, self.residual)
-        slope += 0.0 if self.pull is None else root.T @ self.pull
-        return replace(self, residual=self.residual - columns @ slope)
 
     @property
     def freedom(self) -> float:
@@ -123,17 +136,17 @@ class Uncertainty:
 
 
 def uncertainty(
-    rows: FittedRows,
+    rows: WhiteRows,
     decomposed: Spectrum,
     *,
-    known: bool,
+    sigma_given: bool,
     reliance: str | None = None,
     doubtful: bool = False,
     noise: float | None = None,
 ) -> Uncertainty:
     """The covariance that holds, and the degrees of freedom of its intervals.
 
-    known : the rows are divided by a sigma that is given
+    sigma_given : the rows are divided by a sigma that is given
     reliance : `given` or `estimated`: what the intervals rely on, whatever the residuals say; None: the sigma given as
         long as chi2 does not contradict it, that of the rows and that of what the rows of each posture have in common;
         else the scatter, robustly where postures have several rows or something is left unexplained
@@ -145,14 +158,14 @@ def uncertainty(
     if trusted and rows.several:
         squares, freedom = rows.of_postures(decomposed.root)
         trusted = freedom < 1.0 or float(chdtrc(freedom, squares)) >= BELIEVED[0]
-    if known and (reliance == "given" or (reliance is None and trusted)):
+    if sigma_given and (reliance == "given" or (reliance is None and trusted)):
         return Uncertainty("given", plain, np.full(len(plain), np.inf))
     variance = noise**2 if noise else rows.squares / rows.freedom if rows.freedom > 0 else np.nan
     freedom = rows.freedom if noise is None else max(rows.freedom, 1.0)
     if reliance is None and p is not None:
-        misfit = doubtful or (known and p < BELIEVED[0] and noise is None)
-        if rows.several or not (known and p > BELIEVED[1]):
-            robust = _robust(rows, decomposed, misfit, variance)
+        misfit = doubtful or (sigma_given and p < BELIEVED[0] and noise is None)
+        if rows.several or not (sigma_given and p > BELIEVED[1]):
+            robust = _robust(rows, decomposed.root, misfit, variance)
             if robust is not None:
                 return robust
         if rows.several:  # too few postures for a sandwich: what their rows have in common, as one row each
@@ -162,53 +175,45 @@ def uncertainty(
     return Uncertainty("scatter", variance * plain, np.full(len(plain), float(freedom)))
 
 
-def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool, variance: float) -> Uncertainty | None:
-    """The widest sandwich over postures or stretches of time; None with too few rows, where nothing asks for it, and
-    where the rows determine no parameter."""
-    root = decomposed.root
+def _robust(rows: WhiteRows, root: Array, misfit: bool, variance: float) -> Uncertainty | None:
+    """The widest sandwich over rows, postures or, where rows are correlated in time, stretches of time; None with too
+    few rows, where nothing asks for it, and where the rows determine no parameter.
+
+    root : (p, rank), as of `WhiteRows.of_postures`;  variance : of white noise
+    """
     if not root.shape[1]:
         return None
-    rows = rows.unbounded(root)
+    # an active bound hides what is behind it, and residuals that the parameters could explain would count as misfit: so
+    # those that the linear model leaves without bounds
+    columns = rows.jacobian @ root
+    slope = np.einsum("mdr,md->r", columns, rows.residual) + (0.0 if rows.pull is None else root.T @ rows.pull)
+    rows = replace(rows, residual=rows.residual - columns @ slope)
     length = correlated(rows, root)
     if not (misfit or rows.several or length > 1 or lack_of_fit(rows.residual, rows.repeats, rows.rank)[1] < LEVEL):
         return None
-    sandwiches = [
-        (kind, groups, made) for kind, groups, made in _made(rows, root, length, variance) if made is not None
-    ]
-    if not sandwiches:
+
+    kind, groups, groupings = "postures" if rows.several else "rows", rows.postures, []
+    while True:
+        made = sandwich(rows.jacobian, rows.residual, root, groups, variance)
+        enough = made is not None and made.freedom.min() >= FEWEST
+        groupings += [(kind, groups, made)] if made is not None and enough else []
+        if length <= 1 or (kind == "stretches" and enough):
+            break
+        kind, groups, length = "stretches", stretches(rows.sequence, length), length // 2
+    plain = np.sum(root**2, axis=1)
+
+    def width(made: Sandwich) -> float:
+        """Mean logarithm of the variances over those of white noise."""
+        ratio = np.diag(made.covariance)[plain > 0.0] / plain[plain > 0.0]
+        return float(np.mean(np.log(np.maximum(ratio, np.finfo(float).tiny))))
+
+    if not groupings:
         return None
-    kind, groups, widest = max(sandwiches, key=lambda one: _size(one[2], root))
+    kind, groups, widest = max(groupings, key=lambda each: width(each[2]))
     return Uncertainty("sandwich", widest.covariance, widest.freedom, kind, int(groups.max()) + 1)
 
 
-def _made(
-    rows: FittedRows, root: Array, length: int, variance: float
-) -> list[tuple[str, NDArray[np.int64], Sandwich | None]]:
-    """Sandwiches over rows or postures and, where rows are correlated in time, over stretches of time."""
-    kind = "postures" if rows.several else "rows"
-    sandwiches = [(kind, rows.postures, _enough(rows, root, rows.postures, variance))]
-    while length > 1:
-        groups = stretches(rows.sequence, length)
-        if (made := _enough(rows, root, groups, variance)) is not None:
-            return [*sandwiches, ("stretches", groups, made)]
-        length //= 2
-    return sandwiches
-
-
-def _enough(rows: FittedRows, root: Array, groups: NDArray[np.int64], variance: float) -> Sandwich | None:
-    made = sandwich(rows.jacobian, rows.residual, root, groups, variance)
-    return made if made is not None and made.freedom.min() >= FEWEST else None
-
-
-def _size(made: Sandwich, root: Array) -> float:
-    """Mean logarithm of the variances over those of white noise; the order of sandwiches by width."""
-    plain = np.sum(root**2, axis=1)
-    seen = plain > 0.0
-    ratio = np.diag(made.covariance)[seen] / plain[seen]
-    return float(np.mean(np.log(np.maximum(ratio, np.finfo(float).tiny))))
-
-
-def correlated(rows: FittedRows, root: Array) -> int:
+def correlated(rows: WhiteRows, root: Array) -> int:
     """Number of successive rows to be taken together: 1 where what they say of the parameters is uncorrelated.
 
     The lag-1 correlation of the scores Q_i^T r_i, with its standard error if their signs were random. The length is
@@ -223,9 +228,6 @@ def correlated(rows: FittedRows, root: Array) -> int:
     rho, m = min(float(products.sum() / np.sum(scores**2)), 0.99), len(scores)
     carlstein = m ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0)
     return int(np.ceil(max(carlstein, m / STRETCHES)))
-
-
-NORMAL_99 = 2.3263478740408408  # one-sided, of `LEVEL`
 
 
 def stretches(sequence: NDArray[np.int64], length: int) -> NDArray[np.int64]:
@@ -255,3 +257,112 @@ def lack_of_fit(residual: Array, repeats: NDArray[np.int64], rank: float) -> tup
         return 0.0, 1.0
     ratio = max((float(np.sum(residual**2)) - pure) / fit_freedom / (pure / freedom), 0.0)
     return ratio, float(fdtrc(fit_freedom, freedom, ratio))
+
+
+# -- the sandwich -----------------------------------------------------------------------------------------------------
+class Sandwich(NamedTuple):
+    """covariance : (p, p);  freedom : (p,) degrees of freedom of each variance, infinite where it is zero by force."""
+
+    covariance: Array
+    freedom: Array
+
+
+def sandwich(
+    jacobian: Array, residual: Array, root: Array, groups: NDArray[np.int64], variance: float = 1.0
+) -> Sandwich | None:
+    """The covariance of least-squares estimates; None where one group alone determines a combination of parameters.
+
+    jacobian : (m, d, p) and residual : (m, d), whitened;  root : (p, rank), root @ root.T = (J^T J + R^T R)^-1
+    groups : (m,) number of the group of each row, 0, 1, ...;  variance : of white noise, beside a prior
+    """
+    columns = jacobian @ root
+    leverages, vectors, scores = decomposed_groups(columns, residual, groups)
+    if leverages.max() > 1.0 - ALONE:
+        return None
+    factors = 1.0 / np.sqrt(1.0 - np.maximum(leverages, 0.0))
+    # (p, G): what each group adds to the estimates
+    corrected = root @ (vectors @ (factors * scores)[:, :, None])[:, :, 0].T
+    held = np.eye(root.shape[1]) - np.einsum("mdr,mds->rs", columns, columns, optimize=True)  # R^T R; without it zero
+    held = root @ held @ root.T
+    held_variances = np.maximum(np.diag(held), 0.0)
+    freedom = np.array(
+        [_freedom(row @ vectors, leverages, factors, vectors, k) for row, k in zip(root, held_variances, strict=True)]
+    )
+    return Sandwich(corrected @ corrected.T + variance * held, freedom)
+
+
+def decomposed_groups(columns: Array, residual: Array, groups: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, r, k) V and (G, k) V^T Q_g^T r_g, zero where a
+    group has fewer than k directions;  groups as large as each other at a time, small ones by Q_g Q_g^T."""
+    d, r = columns.shape[1:]
+    order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
+    starts, most = np.cumsum(counts) - counts, min(r, d * int(counts.max()))
+    values, vectors = np.zeros((len(counts), most)), np.zeros((len(counts), r, most))
+    scores = np.zeros((len(counts), most))
+    for size in np.unique(counts):
+        of_size, columns_used = np.flatnonzero(counts == size), slice(min(r, d * int(size)))
+        rows = order[starts[of_size, None] + np.arange(size)]
+        q = columns[rows].reshape(len(of_size), -1, r)
+        across = np.swapaxes(q, 1, 2)
+        if q.shape[1] < r:
+            eigenvalues, left = np.linalg.eigh(q @ across)
+            directions = across @ left / np.sqrt(np.where(eigenvalues > TINY, eigenvalues, np.inf))[:, None, :]
+        else:
+            eigenvalues, directions = np.linalg.eigh(across @ q)
+        values[of_size, columns_used], vectors[of_size, :, columns_used] = eigenvalues, directions
+        projected = np.swapaxes(directions, 1, 2) @ (across @ residual[rows].reshape(len(of_size), -1, 1))
+        scores[of_size, columns_used] = projected[:, :, 0]
+    return values, vectors, scores
+
+
+def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array, held: float) -> float:
+    """Satterthwaite's degrees of freedom of one variance, 2 E^2 / var, under white noise of variance one.
+
+    The variance is |P^T e|^2 of white e with P^T P = diag(d) - W W^T: d_g = |A_g Q_g a|^2 and W_g = Q_g^T A_g Q_g a.
+    turned : (G, r) a in the eigenvectors of each group;  held : the prior's part of the variance
+    """
+    diagonal = np.sum(leverages * np.square(factors * turned), axis=1)
+    inner = (vectors @ (leverages * factors * turned)[:, :, None])[:, :, 0]
+    lengths = np.sum(inner**2, axis=1)
+    if min(inner.shape) > LARGE:
+        squares = np.sum(lengths**2)
+    else:
+        squares = np.sum(np.square(inner.T @ inner if inner.shape[0] > inner.shape[1] else inner @ inner.T))
+    first = diagonal.sum() - lengths.sum()
+    second = np.sum(diagonal**2) - 2.0 * np.sum(diagonal * lengths) + squares
+    return float((first + held) ** 2 / second) if second > 0.0 else float("inf")
+
+
+# -- intervals --------------------------------------------------------------------------------------------------------
+def quantile_95(freedom: ArrayLike) -> Array:
+    """Half the width of a 95 % interval in standard deviations, of the shape of `freedom`.
+
+    freedom : degrees of freedom of Student's t, from which a variance is estimated: infinite where it is known (the
+        normal distribution), not a number where there are none
+    """
+    dof = np.asarray(freedom, dtype=float)
+    student = stdtrit(np.where(np.isfinite(dof) & (dof > 0.0), dof, 1.0), 0.975)
+    return np.where(np.isposinf(dof), ndtri(0.975), np.where(dof > 0.0, student, np.nan))
+
+
+def freedom_kept(names: Sequence[str], freedom: Array) -> dict[str, Any]:
+    """What a calibration's provenance keeps of the degrees of freedom (p,) of its variances: nothing where all are
+    infinite, a number where they are equal, else one for each of the parameters `names`."""
+    if np.all(np.isinf(freedom)):
+        return {}
+    values = [float(f"{value:.6g}") for value in freedom]
+    return {FREEDOM: values[0] if len(set(values)) == 1 else dict(zip(names, values, strict=True))}
+
+
+def freedom_of(calibration: Calibration) -> Array:
+    """(p,) degrees of freedom of the variances of its `parameter_names`; infinite where it does not say."""
+    kept = calibration.provenance.get(FREEDOM)
+    stated = [kept.get(name) if isinstance(kept, Mapping) else kept for name in calibration.parameter_names]
+    return np.array([x if isinstance(x, int | float) and x > 0.0 else np.inf for x in stated], dtype=float)
+
+
+def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedom: ArrayLike) -> Array:
+    """(p, 2) confidence limits, cut at the physical bounds;  values, deviations, freedom : (p,), see `quantile_95`."""
+    half = quantile_95(freedom) * deviations
+    limits = values[:, None] + half[:, None] * np.array([-1.0, 1.0])
+    return np.clip(limits, parameters.lower[:, None], parameters.upper[:, None])

@@ -17,10 +17,10 @@ from identification.errors import InputError
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import ArmFile, CalibrationTable, MeasurementTable, PoseTable
 from identification.files.urdf import BASE_LINK, TIP, Urdf, parse_urdf, read_urdf, urdf_text, with_origins
+from identification.instruments import KINDS
 from identification.kinematics.corrected import before_errors, standing_in
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, pose_table, rotation_to_z, tool_tables
-from identification.kinematics.instrument import Instrument
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 
@@ -57,7 +57,7 @@ def nominal_chain(file: ArmFile, folder: PathLike) -> SpatialChain:
         normal = np.array([0.0, 0.0, 1.0] if table.normal is None else table.normal, dtype=float)
         turn = rotation_to_z(normal / np.linalg.norm(normal)).T
         chain = replace(chain, base=pose(-turn @ np.array(table.center_mm), turn))
-    return replace(chain, instrument=Instrument(table.kind, table.radius_mm))
+    return replace(chain, instrument=KINDS[table.kind].of_table(table.model_dump(exclude_none=True)))
 
 
 def with_limits(chain: SpatialChain, lower: Array, upper: Array) -> SpatialChain:
@@ -174,9 +174,8 @@ def chain_tables(arm: Arm, chain: SpatialChain) -> dict[str, Any]:
         tables["tool"] = tool_tables(chain.tools, chain.tool_axes)
     if chain.angle_scale is not None and arm.sigma is not None:
         tables["measurement"] = {"sigma_deg": tidy(np.degrees(arm.sigma / chain.angle_scale))}
-    if not (instrument := chain.instrument).whole:
-        tables["instrument"] = {"kind": instrument.kind}
-        tables["instrument"] |= {} if instrument.radius is None else {"radius_mm": float(instrument.radius)}
+    if chain.instrument.kind:
+        tables["instrument"] = chain.instrument.table()
     if arm.machining != Machining():
         rotation = tidy(np.degrees(arm.machining.rotation))
         tables["machining"] = {"translation_mm": arm.machining.translation, "rotation_deg": rotation}

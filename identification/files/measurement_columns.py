@@ -19,17 +19,18 @@ from identification.errors import InputError, suggestion
 from identification.files.csv import KNOWN, Table, Test
 from identification.kinematics.counting import counting_in, in_columns, in_joints
 from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.spatial import planar_chain
 from identification.spelling import close_names
 
 if TYPE_CHECKING:
-    from identification.kinematics.instrument import Instrument
+    from identification.instruments import Instrument
     from identification.measurements import Measurements
 
 JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that turn; None: as many as the table has
-LENGTH, ANGLE = "length", "angle"
+LENGTH, ANGLE, PIXEL = "length", "angle", "pixel"
 # units that a column may have, the one to write first -> factor to [mm] or [rad]; and the largest value then
-UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}}
-MOST = {LENGTH: LARGEST_LENGTH, ANGLE: float(np.radians(LARGEST_ANGLE))}
+UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}, PIXEL: {"px": 1.0}}
+MOST = {LENGTH: LARGEST_LENGTH, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST_LENGTH}
 QUATERNION = ("qw", "qx", "qy", "qz")
 NEARLY_ONE = 0.01  # by which a quaternion's length may be off: files have few digits
 _WHOLE = 2.0**53  # above it a float cannot count
@@ -46,28 +47,28 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     once about columns that are not used.
     """
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
-    chain = links.chain if isinstance(links, Arm) else None
-    probe = None if chain is None or chain.instrument.whole else chain.instrument
-    axes = "xy" if chain is None else "xyz"
+    chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
+    instrument = None if chain.instrument.reads_positions else chain.instrument
+    axes = chain.axes
     postures = read_postures(table, types)
     n = postures.shape[1]
-    poses = chain is not None and chain.angle_scale is not None
-    # each surface that is touched has a place of its own, as each session has
-    labels = ["session", "surface"] if probe is not None and probe.contact else ["session"]
+    poses = chain.angle_scale is not None
+    # each target that is touched has a place of its own, as each session has
+    labels = ["session", instrument.target] if instrument is not None and instrument.target else ["session"]
     names = [table.texts(column) for column in labels if column in table]
     session = np.array(["/".join(parts) for parts in zip(*names, strict=True)]) if names else None
     order = _order(table)
     asked = any(_COMMANDED.match(column) for column in table.columns)
     fields: dict[str, Any] = {
         "postures": postures,
-        "positions": read_positions(table, axes) if probe is None else _lengths(table, probe),
+        "positions": read_positions(table, axes) if instrument is None else _readings(table, instrument),
         "order": order,
         **read_conditions(table, n if types is None else types),
         "sigma": None,
         "repeats": _repeats(table),
         "session": session,
         "gaps": _gaps(table, session) if "order" in table else None,
-        "marker": table.texts("marker") if chain is not None and "marker" in table else None,
+        "marker": table.texts("marker") if not chain.planar and "marker" in table else None,
         "orientations": read_orientations(table) if poses else None,
         "commanded": _joints(table, "commanded", n, types) if asked else None,
         "fit": table.fit,
@@ -75,19 +76,19 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     }
     if any(f"sigma_{unit}" in table for unit in UNITS[LENGTH]):
         fields["sigma"] = read_column(table, "sigma", LENGTH, SIGMA_RANGE)
-    lengths = [*(axes if probe is None else [] if probe.contact else ["distance"]), "sigma"]
-    used = [f"{name}_{unit}" for name in lengths for unit in UNITS[LENGTH]]
+    read = [(axis, LENGTH) for axis in axes] if instrument is None else [one[:2] for one in instrument.coordinates]
+    used = [f"{name}_{unit}" for name, quantity in (*read, ("sigma", LENGTH)) for unit in UNITS[quantity]]
     used += ["order", "time_s", "temperature_C", "payload_kg", "posture", "session", "run"]
     used += [*joint_columns(table, types), *(f"direction{j}" for j in range(1, n + 1))]
     used += [column for column in table.columns if _COMMANDED.match(column)]
-    used += ["marker"] if chain is not None else []
-    used += ["surface"] if probe is not None and probe.contact else []
+    used += ["marker"] if not chain.planar else []
+    used += labels
     used += orientation_columns_of(table) if poses else []
     hint = ""
-    if probe is None and chain is not None and not poses and orientation_columns_of(table):
+    if instrument is None and not chain.planar and not poses and orientation_columns_of(table):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
-    if probe is not None and "x_mm" in table:
-        hint = f"[instrument] {probe.kind} of the arm file reads no positions; for a tracker leave it out"
+    if instrument is not None and "x_mm" in table:
+        hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"
     warn_unknown(table, used, hint)
     return fields
 
@@ -146,11 +147,14 @@ def read_positions(table: Table, axes: str) -> Array:
     return np.column_stack([read_column(table, axis, LENGTH) for axis in axes])
 
 
-def _lengths(table: Table, probe: Instrument) -> Array:
-    """(m, 1) distances of the measured point from the center, those of a sphere's surface, heights above a plane."""
-    if probe.contact:
-        return np.full((len(table), 1), probe.radius or 0.0)
-    return read_column(table, "distance", LENGTH, (np.nextafter(0.0, 1.0), LARGEST_LENGTH))[:, None]
+def _readings(table: Table, instrument: Instrument) -> Array:
+    """(m, d) what an instrument read; of contacts what they stand for."""
+    if instrument.contact:
+        return np.full((len(table), instrument.dimension), instrument.touched)
+    bounds = {True: (np.nextafter(0.0, 1.0), LARGEST_LENGTH), False: None}
+    return np.column_stack(
+        [read_column(table, name, kind, bounds[positive]) for name, kind, positive in instrument.coordinates]
+    )
 
 
 def joint_columns(table: Table, types: JointTypes = None) -> tuple[str, ...]:

@@ -34,6 +34,7 @@ from identification.arm import (
 )
 from identification.arrays import Array
 from identification.errors import InputError, nearest
+from identification.instruments import KINDS
 from identification.kinematics.joint_range import KEYS
 from identification.spelling import close_names
 
@@ -212,16 +213,17 @@ class MeasurementTable(StrictTable):
 class InstrumentTable(StrictTable):
     """`[instrument]`: what is measured where it is not positions."""
 
-    kind: Literal["distance", "sphere", "plane"] = Field(description="distance, sphere or plane")
+    kind: Literal[tuple(KINDS)] = Field(description=" or ".join([", ".join([*KINDS][:-1]), [*KINDS][-1]]))  # type: ignore[valid-type]
     radius_mm: Radius | None = None
     center_mm: Point | None = None
     normal: Direction | None = None
 
     @model_validator(mode="after")
     def _keys_of_the_kind(self) -> Self:
-        if self.radius_mm is not None and self.kind != "sphere":
+        keys = KINDS[self.kind].keys
+        if self.radius_mm is not None and "radius_mm" not in keys:
             raise ValueError(f"radius_mm: found for kind {self.kind}, allowed: for sphere, left out where unknown")
-        if (self.normal is None) != (self.center_mm is None or self.kind != "plane"):
+        if (self.normal is None) != (self.center_mm is None or "normal" not in keys):
             state = "is missing beside center_mm" if self.normal is None else "found"
             raise ValueError(f"normal: {state}, allowed: of a plane, with center_mm")
         return self

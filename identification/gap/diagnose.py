@@ -9,11 +9,12 @@ from types import MappingProxyType
 import numpy as np
 
 from identification.arm import Arm
+from identification.arrays import rows_in_words
+from identification.documents.diagnosis import untested
 from identification.errors import InputError
-from identification.estimation.checks import check_measurements
+from identification.estimation.doubts import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.estimation.outlying import outlying, together
-from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
-from identification.gap import words
+from identification.estimation.problem import check_measurements
 from identification.gap.average import PredictingModel, averaged
 from identification.gap.blocks import REST
 from identification.gap.confirmation import (
@@ -29,19 +30,30 @@ from identification.gap.detectability import Beside, assess, look_alikes, order_
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import misfit, noise_floor, repeat_finding
-from identification.gap.posterior import Explanation, Posterior, posterior
+from identification.gap.posterior import MOST_ROWS, Explanation, Posterior, posterior
 from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, candidate_of, trials
 from identification.gap.scatter import Finding
 from identification.gap.verdict import Probabilities, likeliest_with, probabilities
-from identification.measurements import Measurements, rms_distance
+from identification.inspection.data_checks import gap_notes
+from identification.measurements import Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
 from identification.progress import Progress, silent
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
+from identification.status import Status
 from identification.threads import single_thread
 
 IMPOSSIBLE = 1e-3  # p-value of what is left, below which the noise cannot be all: a trusted sigma, or repeats
+# reason: identification/README.md, "Constants"
+KINDS = {
+    "time": "smooth in time",
+    "workspace": "smooth over the workspace",
+    "wobble": "tilt or shift across the axis",
+    "shared": "depends on other joints too",
+    "history": "depends on the direction of approach",
+    REST: "many small effects",
+}
 
 
 @single_thread()
@@ -85,10 +97,13 @@ def diagnose(
     return result if arm is given else of_first_session(result, given)
 
 
-def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None) -> None:
-    """Raise `InputError` for data that do not fit the arm or lack what its effects need."""
+def check_input(arm: object, measurements: Measurements, holdout: Measurements | None) -> None:
+    """Raise `InputError` for what is no arm, and data that do not fit the arm or lack what its effects need."""
+    if not isinstance(arm, Arm):
+        chain = "whose chain says where effects act, which no other model does"
+        raise InputError(f"arm: {type(arm).__name__}, allowed: an Arm, {chain}")
     check_measurements(Model(arm), measurements)
-    touching = arm.chain is not None and arm.chain.instrument.contact  # contacts have no positions
+    touching = arm.chain.instrument.contact  # contacts have no positions
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
         if not (touching and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
@@ -198,7 +213,7 @@ def diagnosis_of(
         ),
         curves=curves,
     )
-    return replace(result, notes=tuple(words.notes(result, found, measurements, fitted, holdout)))
+    return replace(result, notes=tuple(notes(result, found, measurements, fitted, holdout)))
 
 
 def candidate_in(found: Posterior, likely: Probabilities, beside: Beside, one: Explanation, fitted: Fit) -> Candidate:
@@ -236,7 +251,58 @@ def geometry(base: Fit) -> PredictingModel:
 def shape_of(place: str | None, curves: Sequence[Curve], one: Explanation) -> str | None:
     """Of what is outside the library, in words;  one : the likeliest explanation with something outside"""
     there = (c.shape for c in curves if place == f"joint:{c.joint}")
-    kinds = (words.KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
+    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
     if place is None:
-        return words.KINDS[REST] if any(b.parts for b in one.outside) else None
+        return KINDS[REST] if any(b.parts for b in one.outside) else None
     return next(filter(None, kinds), None) or next(there, None)
+
+
+def notes(
+    result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit, holdout: Measurements | None
+) -> list[str]:
+    """Sentences to read before the verdict is trusted;  best : fit of the likeliest set"""
+    listed = []
+    for effect in result.effects:
+        waves = [(like, share) for key, like, share in result.aliases if key == effect and "[" in like]
+        if waves:
+            same = waves[0][1] > 0.9999  # the odds stay below 20 up to lambda = 173
+            word = "cannot be distinguished from" if same else "is hard to distinguish from"
+            rest = f" and {len(waves) - 3} more" if len(waves) > 3 else ""
+            likes = f"{', '.join(like for like, _ in waves[:3])}{rest}"
+            listed.append(f"at these postures {effect} {word} {likes}; to decide, measure at other joint angles")
+    if result.curves:
+        spans = [np.degrees([curve.angles[0], curve.angles[-1]]) for curve in result.curves]
+        ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]
+        beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
+        listed.append(f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}")
+    if any(test.shrinks is False and test.after > test.before for test in result.cross_validation[:1]):
+        listed.append("other rows are predicted better by the geometry alone: that is what --out writes")
+    listed += untested(posterior.library.skipped)
+    if len(measurements) > MOST_ROWS:
+        searched = f"{MOST_ROWS} of the {len(measurements)} rows, taken at random"
+        listed.append(f"effects were looked for in {searched}; what was found is fitted to all")
+    if best.status is not Status.converged:
+        listed.append(f"the fit of the best model did not converge: {best.status.value}")
+    if measurements.directions is None:
+        listed += ["directions of approach were derived from the order of measurement", *gap_notes(measurements)]
+    for j in np.flatnonzero(np.ptp(measurements.postures, axis=0) == 0.0).tolist():
+        first = "its offset cannot be separated from the orientation of the base"
+        link = f"the parameters of link {j + 1} cannot be separated from those of link {j}" if j else first
+        listed.append(f"joint {j + 1} does not move in these data: {link}")
+    if result.misfit is not None and measurements.sigma is None and not 0.67 < result.misfit.ratio < 1.5:
+        of_file = f"{result.misfit.ratio:.3g} times the sigma_mm of the arm file"
+        listed.append(f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm")
+    after, predicted = result.gap.held_out_after, result.gap.predicted
+    if after is not None and predicted is not None and after > 3.0 * predicted:
+        times = f"{after / predicted:.2g} times larger than predicted"
+        listed.append(f"the held-out residuals are {times}: other postures or set-up?")
+    if once := [h.key for h in posterior.best.effects if h.effect.once]:
+        which = f"{', '.join(once)}: of this session only; the extended model has what is left of it at the end, as"
+        listed.append(f"{which} validate and compensate take it")
+    if holdout is not None and any("drift" in h.key for h in posterior.best.effects):
+        listed.append("a drift of one session does not carry over to another; confirm it on held-out rows of this one")
+    if rows := [k - 1 for k in result.unexplained_rows]:
+        far = f"up to {distances(result.residuals.after)[rows].max():.3g} mm off"
+        which = rows_in_words(np.isin(np.arange(len(measurements)), rows))
+        listed.append(f"{which} are not explained ({far}); they stay in, as whole postures or neighbors")
+    return listed

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.estimation.doubts import FAR
 from identification.estimation.levenberg_marquardt import Index, levenberg_marquardt
-from identification.estimation.methods import starts
-from identification.estimation.plausibility import FAR
-from identification.estimation.problem import Problem
+from identification.estimation.problem import Problem, starts
 from identification.information import column_space, spectrum
 from identification.measurements import Conditions, Measurements, repeats_of, rms_distance
 from identification.model import Model

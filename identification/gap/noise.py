@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arrays import Array
+from identification.documents.identification import MISFIT
 from identification.estimation import Identification
-from identification.estimation.plausibility import only_rounding
-from identification.estimation.shown import MISFIT
+from identification.estimation.doubts import only_rounding
 from identification.estimation.uncertainty import LEVEL, lack_of_fit, pure_error
 from identification.gap.scatter import Finding
 from identification.measurements import POINT, Measurements

@@ -14,7 +14,7 @@ can say little, or where the others know nothing of the effect.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -105,13 +105,6 @@ class Replication:
                 for s in self.sessions
             ],
         }
-
-
-def replication_clauses(found: tuple[Replication, ...]) -> Iterator[str]:
-    """Clauses of the verdict: which effects replicate across sessions and which do not."""
-    for answer, words in ((True, "replicates across sessions"), (False, "does not replicate across sessions")):
-        if titles := [r.effect for r in found if r.replicates is answer]:
-            yield f"{words}: {' + '.join(titles)}"
 
 
 def curve_columns(found: Posterior, one: Explanation, fitted: Fit, curves: Sequence[Curve]) -> dict[str, CurveColumns]:

@@ -6,21 +6,22 @@ Its effects are `Candidate`, a set of them with estimates and intervals, and `Tr
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
-from identification.estimation.intervals import freedom_kept, limits_95
-from identification.estimation.uncertainty import FittedRows, uncertainty
-from identification.gap import words
+from identification.document import Document
+from identification.documents import diagnosis as words
+from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.confirmation import Confirmation, Gap, Offered
 from identification.gap.curve import Curve
 from identification.gap.detectability import Beside, Detectability, OrderRange, Size
@@ -35,7 +36,6 @@ from identification.kinematics.joint_range import joint_range
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import placed_calibration
-from identification.validate.row_groups import DIAGNOSED
 
 
 class Estimate(NamedTuple):
@@ -145,8 +145,8 @@ def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: 
     model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
     jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
     tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
-    table = FittedRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, rows.repeat_numbers)
-    sure = uncertainty(table, spectrum(jacobian, model.scales), known=sigma is not None, doubtful=doubtful)
+    table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, rows.repeat_numbers)
+    sure = uncertainty(table, spectrum(jacobian, model.scales), sigma_given=sigma is not None, doubtful=doubtful)
     effects = model.effects[len(model.effects) - added :]  # the arm's own come first
     names = {p.name for effect in effects for p in effect.parameters}
     deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
@@ -231,7 +231,7 @@ class Diagnosis:
     shapes : named waves whose order the range of their joint does not determine
     replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
-    offered : the extended model beside the geometry alone, None where it was not judged (`validate.judgement.judged`)
+    offered : the extended model beside the geometry alone, None where it was not judged (`validate.validation.judged`)
     data : `file` and `sha256` of the rows, if known
     """
 
@@ -393,10 +393,19 @@ class Diagnosis:
         sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
         return frame_of_rows([{**said, **p._asdict()} for said, parameters in sets for p in parameters], kind)
 
+    def document(
+        self,
+        files: Sequence[str] = ("arm.toml", "data.csv"),
+        written: Path | None = None,
+        nominal: float | None = None,
+    ) -> Document:
+        """All of it, with pictures: `documents.diagnosis.diagnosis_document`."""
+        return words.diagnosis_document(self.to_json(), self, files, written, nominal)
+
     def __str__(self) -> str:
-        return words.text(self)
+        return str(self.document())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return words.html(self)
+        return self.document().without_pictures()._repr_html_()

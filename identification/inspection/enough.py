@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from identification.document import of_joints
 from identification.estimation import Identification, estimate
-from identification.estimation.with_prior import UNUSUAL
+from identification.estimation.estimate import UNUSUAL
 from identification.gap.noise import NoiseFloor
-from identification.gap.words import of_joints
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, Parameter
 from identification.measurements import POINT, Measurements
 
@@ -118,7 +118,7 @@ def _weak(fit: Identification) -> tuple[tuple[str, float, str], ...]:
 
     Where nothing is held, such combinations are not estimated at all (`estimation.estimate`).
     """
-    if fit.prior is None or fit.model.arm.chain is None:
+    if fit.prior is None or fit.model.arm.chain.planar:
         return ()
     machining = fit.model.arm.machining
     far = {"mm": UNUSUAL * machining.translation, "rad": UNUSUAL * machining.rotation}

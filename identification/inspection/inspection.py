@@ -10,11 +10,12 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.document import Document
+from identification.documents.identification import MISFIT
+from identification.documents.inspection import inspection_document
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.base_and_tool import TOGETHER
-from identification.estimation.expected_tip import FEW, hardly_determined
-from identification.estimation.plausibility import (
+from identification.estimation.doubts import (
     another_frame,
     beyond_limits,
     copied_rows,
@@ -23,7 +24,7 @@ from identification.estimation.plausibility import (
     limited,
     outside_limits,
 )
-from identification.estimation.shown import MISFIT
+from identification.estimation.expected_tip import FEW, TOGETHER, hardly_determined
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.data_checks import data_warnings, gap_notes, wrong_units
 from identification.inspection.enough import Sufficiency, sufficiency
@@ -215,6 +216,16 @@ class Inspection:
             "problems": self.problems,
             "notes": self.notes,
         }
+
+    def document(self, arm: str = "arm.toml", rows: str = "data.csv") -> Document:
+        """Problems first, then the facts and the next command;  arm, rows : names of the files"""
+        return inspection_document(self, arm, rows)
+
+    def __str__(self) -> str:
+        return str(self.document())
+
+    def _repr_html_(self) -> str:
+        return self.document()._repr_html_()
 
 
 def _better_angles(read: float, commanded: float) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.left_out import left_out_residuals
+from identification.estimation.expected_tip import left_out_residuals
 from identification.gap.confirmation import gained_squares
 from identification.measurements import Measurements, distances
 from identification.model import Model

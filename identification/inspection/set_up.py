@@ -11,7 +11,7 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.plausibility import FAR_ZERO, SPARE
+from identification.estimation.doubts import FAR_ZERO, SPARE
 from identification.estimation.uncertainty import LEVEL
 from identification.inspection.data_checks import DRAWN
 from identification.inspection.readings import anywhere, as_written, some_of_one_point
@@ -31,7 +31,7 @@ AWAY = 0.02  # of the reach: a base this far from where the file has it stands e
 def turned_frame(arm: Arm, measurements: Measurements) -> list[str]:
     """How far the positions of a planar arm are turned against its drawing, in a sentence; none for less than a zero
     may be off by, or where the drawing does not explain the positions at any angle."""
-    if arm.chain is not None or measurements.links != arm.links:
+    if not arm.chain.planar or measurements.links != arm.links:
         return []
     reading = as_written(arm, measurements).written
     if reading.turn is None or abs(reading.turn) < FAR_ZERO or reading.rms > DRAWN * arm.reach:
@@ -48,7 +48,7 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     """Where a spatial arm stands if its `[base]` is wrong, in a sentence; none where the file says nothing, and where
     the drawing explains the positions from no place."""
     chain = arm.chain
-    if chain is None or BASE not in chain.known or not chain.instrument.whole:
+    if chain.planar or BASE not in chain.known or not chain.instrument.reads_positions:
         return []
     rows = some_of_one_point(measurements)
     try:
@@ -56,7 +56,7 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     except InputError:  # too few rows to place it
         return []
     left = rows.positions[:, :3] - placed.position(rows.postures, conditions=rows.conditions)[:, :3]
-    if placed.arm.chain is None or rms_distance(left) > DRAWN * arm.reach:
+    if placed.arm.chain.planar or rms_distance(left) > DRAWN * arm.reach:
         return []
     base = placed.arm.chain.base
     turn, shift = angle_between(chain.base, base), float(np.linalg.norm(base[:3, 3] - chain.base[:3, 3]))
@@ -84,7 +84,7 @@ def constant_length(arm: Arm, measurements: Measurements, fit: Identification | 
 
     fit : without it, None: there is none
     """
-    settled = fit is None or not arm.measures_distances or any(spec.name == OFFSET for spec in arm.effects)
+    settled = fit is None or "distance" not in arm.offers or any(spec.name == OFFSET for spec in arm.effects)
     if settled or fit is None or fit.dof <= SPARE or rms_distance(fit.residuals_after) < NOTHING:
         return []
     wider = replace(arm, calibration=None).with_effects(*arm.effects, EffectSpec(OFFSET))

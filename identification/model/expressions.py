@@ -17,11 +17,8 @@ from identification.effects.chain import ORIENTATION, chain_at, condition_width,
 from identification.effects.places import by_place, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
-from identification.kinematics.base_axes import along, planar_axes
 from identification.kinematics.orientations import turned
-from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
-from identification.model.compiled_parts import compiled_arm
-from identification.model.composition import Composition
+from identification.kinematics.parameters import ParameterSet
 from identification.vectorize import Evaluate, vectorize
 
 KEPT = 128  # effort: models set up
@@ -61,7 +58,7 @@ class Expressions:
         effects = ((type(e), e.joint, e.tagged, e.curve, *e.chosen.items()) for e in self.effects)
         names = self.every.names, self.estimated.names, *self.fixed.items()
         best = tuple(self.best.items()) if oriented else ()
-        return arm.lengths.tobytes(), arm.chain, arm.gravity, *effects, names, self.remembers, self.extra, best
+        return arm.chain, arm.gravity, *effects, names, self.remembers, self.extra, best
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -78,9 +75,7 @@ class Expressions:
         values = {name: slot.get(name, self.fixed.get(name, 0.0)) for name in self.every.names}
         if not self.tied:
             return ca.vertcat(*values.values())
-        chain = self.arm.chain
-        axes = planar_axes(values[f"{JOINT_OFFSET}:1"]) if chain is None else ca.DM(chain.base[:3, :3])
-        off = {**self.tied, **along(axes, self.tied)}
+        off = {**self.tied, **self.arm.chain.along_base(self.tied, values)}
         return ca.vertcat(*(value - c[-1] * off.get(name, 0.0) for name, value in values.items()))
 
     @cached_property
@@ -99,27 +94,11 @@ class Expressions:
     def chain(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
         chain = chain_at(self.arm, q, c, self.remembers, self.extra)
-        if chain.reference is None or self.arm.chain is None:
+        if chain.reference is None:
             return chain
         missing = c[orientation_columns(self.arm.links, self.remembers, self.extra).stop - 1]
         best = self.arm.chain.orientation(q, self.best, chain.marker)
         return replace(chain, reference=chain.reference + missing * best)
-
-    @cached_property
-    def composed(self) -> Composition | None:
-        """The same from parts that models share; None in the plane and without effects: one function is faster."""
-        chain = self.arm.chain
-        if chain is None or not self.effects:
-            return None
-        pointing = replace(
-            chain, instrument=chain.instrument.unread
-        )  # has what this instrument does not show, too: it is zero
-        every = (*pointing.parameters().names, *(p.name for effect in self.effects for p in effect.parameters))
-        values = tuple(None if name in self.estimated.names else float(self.fixed.get(name, 0.0)) for name in every)
-        shared, tied = compiled_arm(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
-        tied |= {name: float(x) for name, x in along(chain.base[:3, :3], tied).items()}
-        off = tuple(tied.get(name, 0.0) for name in every) if tied else ()
-        return Composition(shared, self.effects, values, off, chain.instrument)
 
     def table(self, postures: Array, conditions: Conditions) -> Array:
         """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
@@ -179,12 +158,12 @@ class Expressions:
     @cached_property
     def position(self) -> Evaluate:
         """Of arrays (q, c, p): the position."""
-        return self.composed.position if self.composed else vectorize(self.position_function)
+        return vectorize(self.position_function)
 
     @cached_property
     def jacobian(self) -> Evaluate:
         """Of arrays (q, c, p): position and Jacobian."""
-        return self.composed.jacobian if self.composed else vectorize(self.jacobian_function)
+        return vectorize(self.jacobian_function)
 
     @cached_property
     def posture_jacobian(self) -> Evaluate:
@@ -195,17 +174,13 @@ class Expressions:
     @cached_property
     def joint_levers(self) -> Evaluate:
         """Of arrays (q, c, p): the derivative with respect to an angle added at each joint, (d, n)."""
-        if self.composed:
-            return self.composed.joint_levers
         added, position, _ = self._with_added
-        turns = by_place(added, self.arm.links, self.arm.dimension)["joint_angles"]
+        turns = by_place(added, self.arm.chain)["joint_angles"]
         return self._at_zero("levers", [ca.jacobian(position, turns)])
 
     @cached_property
     def place_levers(self) -> Evaluate:
         """Of arrays (q, c, p): the derivative with respect to what is added at each place, (d, P), and the state."""
-        if self.composed:
-            return self.composed.place_levers
         added, position, state = self._with_added
         return self._at_zero("place_levers", [ca.jacobian(position, added), state])
 
@@ -213,7 +188,7 @@ class Expressions:
     def _with_added(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """What is added at all places, the position with it, and the state."""
         q, c, p, _ = self.symbols
-        added = ca.SX.sym("added", sum(widths(self.arm.links, self.arm.dimension).values()))
+        added = ca.SX.sym("added", sum(widths(self.arm.chain).values()))
         return added, *position_and_state(self.chain(q, c), self.effects, self.values(c, p), added)
 
     def _at_zero(self, name: str, expressions: list[ca.SX]) -> Evaluate:
@@ -228,7 +203,7 @@ class Expressions:
         c : of conditions without measured orientations
         """
         chain = self.arm.chain
-        if chain is None or chain.angle_scale is None:
+        if chain.angle_scale is None:
             raise InputError("orientations: the arm measures none, allowed: with sigma_mm and sigma_deg in its file")
         columns = c[..., orientation_columns(len(chain), self.remembers, self.extra)][..., :-1]
         nominal = np.swapaxes(columns.reshape(*columns.shape[:-1], 3, 3), -1, -2)
@@ -249,7 +224,6 @@ class Expressions:
     @cached_property
     def _best_orientation(self) -> Evaluate:
         """Of arrays (q, marker): the orientation of the arm as best known, (9,) by columns."""
-        assert self.arm.chain is not None
         q, marker = ca.SX.sym("q", self.arm.links), ca.SX.sym("marker")
         orientation = self.arm.chain.orientation(q, self.best, marker if "marker" in self.extra else None)
         return vectorize(ca.Function("orientation", [q, marker], [ca.cse(ca.densify(orientation))]))

@@ -15,9 +15,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.kinematics.corrected import standing_in
-from identification.kinematics.length_placement import placed_by_lengths
 from identification.kinematics.orientations import mean_rotation
-from identification.kinematics.placement import placed, placed_tool, registered
 from identification.kinematics.spatial import BASE, DIMENSION, TOOL, SpatialChain
 from identification.measurements import Measurements
 from identification.model.arm_model import Model
@@ -33,8 +31,8 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
 
     Raises `InputError` for measured points that the arm does not have.
     """
-    arm = model.arm if isinstance(model, Model) else None
-    if arm is None or arm.chain is None:
+    arm = getattr(model, "arm", None)
+    if not isinstance(arm, Arm):
         return model
     chain = with_markers(arm.chain, measurements)
     settled = chain.known
@@ -79,7 +77,8 @@ def standing_chain(chain: SpatialChain, measurements: Measurements, values: Mapp
     values : best known errors of the geometry
     """
     markers = markers_of(measurements)
-    standing = placed_chain(chain, measurements.postures, measurements.positions[:, :3], markers, values)
+    readings = measurements.positions[:, : chain.instrument.dimension]  # of poses the points
+    standing = placed_chain(chain, measurements.postures, readings, markers, values)
     if measurements.orientations is None or TOOL in chain.known:
         return standing
     axes = tool_axes(standing, measurements.postures, measurements.orientations, markers, values)
@@ -89,7 +88,6 @@ def standing_chain(chain: SpatialChain, measurements: Measurements, values: Mapp
 def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, list[Array]]:
     """The chain of an arm that stands where the first session finds it, with the points that only later sessions
     measure, and the pose (4, 4) of the base in each session."""
-    assert arm.chain is not None
     every = {} if arm.calibration is None else arm.calibration.values
     values = {name: value for name, value in every.items() if not name.startswith((f"{BASE}.", f"{TOOL}["))}
     parts = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
@@ -150,35 +148,27 @@ def one_unnamed(chain: SpatialChain, measurements: Measurements) -> SpatialChain
 def placed_chain(
     chain: SpatialChain,
     postures: Array,
-    positions: Array,
+    readings: Array,
     markers: NDArray[np.int64],
     values: Mapping[str, float] = MappingProxyType({}),
 ) -> SpatialChain:
-    """The chain with base and tools that explain (m, 3) positions [mm] at (m, n) postures best.
+    """The chain with base and tools that explain (m, d) readings at (m, n) postures best.
 
     markers : (m,) number of each row's measured point;  values : best known errors of the geometry
     """
-    names, frames, instrument = list(chain.tools), tip_frames(chain, postures, values), chain.instrument
+    names, frames, place = list(chain.tools), tip_frames(chain, postures, values), chain.instrument.place
     base, tools = chain.base, {name: np.array(place) for name, place in chain.tools.items()}
-    first = int(np.bincount(markers).argmax())
-    of_marker = markers == first
-    if not instrument.whole and BASE not in chain.known:
-        tool = tools[names[first]] if TOOL in chain.known else None
-        base = placed_by_lengths(instrument, frames[of_marker], positions[of_marker, 0], chain.reach, tool=tool).base
-    elif BASE not in chain.known and TOOL not in chain.known:
-        placement = placed(frames[of_marker], positions[of_marker], chain.reach)
-        base, tools[names[first]] = placement.base, placement.tool
-    elif BASE not in chain.known:
+    if BASE not in chain.known and TOOL in chain.known:
         places = np.array([tools[name] for name in names])[markers]
-        base = registered(frames[:, :3, 3] + np.einsum("mij,mj->mi", frames[:, :3, :3], places), positions)
+        at_points = np.array(frames)  # of frames whose origins are the measured points
+        at_points[:, :3, 3] += np.einsum("mij,mj->mi", frames[:, :3, :3], places)
+        base = place(at_points, readings, chain.reach, tool=np.zeros(3)).base
+    elif BASE not in chain.known:
+        most = markers == np.bincount(markers).argmax()
+        base = place(frames[most], readings[most], chain.reach).base
     for number, name in enumerate(names if TOOL not in chain.known else ()):
         if (of_marker := markers == number).any():
-            if instrument.whole:
-                tools[name] = placed_tool(frames[of_marker], positions[of_marker], base)
-            else:
-                tools[name] = placed_by_lengths(
-                    instrument, frames[of_marker], positions[of_marker, 0], chain.reach, base
-                ).tool
+            tools[name] = place(frames[of_marker], readings[of_marker], chain.reach, base).tool
     return replace(chain, base=base, tools=tools)
 
 

@@ -1,4 +1,5 @@
-"""What an arm that is measured by lengths says of positions: where its tip is in the frame of its own base."""
+"""What an arm that is measured by no positions says of these: where its tip is, in the frame of its own base where the
+readings do not say where that stands."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
-from identification.kinematics.instrument import DISTANCE, RADIUS, WHOLE
+from identification.instruments import TRACKER
 from identification.kinematics.spatial import BASE
 from identification.model.arm_model import Model
 
@@ -19,22 +20,24 @@ FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
 
 
 def of_positions(model: Model) -> Model:
-    """The model of the measured point's position with the same parameters, without those of the reading of a length; of
-    an instrument that reads positions as it is."""
+    """The model of the measured point's position with the same parameters, without those of the reading; of an
+    instrument that reads positions as it is."""
     chain = model.arm.chain
-    if chain is None or chain.instrument.whole:
+    if chain.instrument.reads_positions:
         return model
-    arm = replace(model.arm, chain=replace(chain, instrument=WHOLE))
+    arm = replace(model.arm, chain=replace(chain, instrument=TRACKER))
+    held_values = dict(model.known or {})
+    for parameter in chain.instrument.parameters:
+        held_values.pop(parameter.name, None)
     held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names}
-    held |= {p.name for effect in model.effects if DISTANCE in effect.needs for p in effect.parameters}
-    held_values = {name: value for name, value in (model.known or {}).items() if name != RADIUS}
+    held |= {p.name for effect in model.effects if effect.needs & chain.instrument.offers for p in effect.parameters}
     return Model(arm, {**held_values, **dict.fromkeys(held, 0.0)})
 
 
 def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:
     """(m, d, p) derivative of the measured point's position with respect to the parameters, in the frame of the
-    instrument; where this reads lengths, of what no rigid motion of all m positions makes up for: no length says where
-    the arm stands, and the first use of its positions is to find that.
+    instrument; where readings do not say where the arm stands in it, of what no rigid motion of all m positions makes
+    up for: the first use of its positions is to find that.
 
     Raises `InputError` for fewer than `FEWEST` postures then.
     """
@@ -45,6 +48,8 @@ def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None
     points, moved = whole.linearize(postures, None if parameters is None else np.asarray(parameters)[..., free])
     jacobian = np.zeros((*moved.shape[:-1], len(model.names)))  # how a length is read moves no point
     jacobian[..., free] = moved
+    if model.arm.chain.instrument.places:
+        return jacobian
     if (m := len(points)) < FEWEST:
         raise InputError(f"postures: {m} for the error of the tip from lengths, allowed: at least {FEWEST}")
     around = points - points.mean(axis=0)
@@ -56,14 +61,16 @@ def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None
 
 
 def in_own_frame(arm: Arm) -> Arm:
-    """An arm that is measured by lengths as if its positions were measured in the frame of its base; any other as it
-    is."""
+    """An arm whose readings do not say where it stands as if its positions were measured in the frame of its base, of
+    another instrument as if positions were read; one that reads them as it is."""
     chain, calibration = arm.chain, arm.calibration
-    if chain is None or chain.instrument.whole:
+    if chain.instrument.reads_positions:
         return arm
-    chain = replace(chain, base=np.eye(4), known=chain.known | {BASE}, instrument=WHOLE)
+    effects = [spec for spec in arm.effects if not library()[spec.name].needs & chain.instrument.offers]
+    if chain.instrument.places:
+        return replace(arm, chain=replace(chain, instrument=TRACKER)).with_effects(*effects)
+    chain = replace(chain, base=np.eye(4), known=chain.known | {BASE}, instrument=TRACKER)
     if calibration is not None:
         values = {name: value for name, value in calibration.values.items() if not name.startswith(f"{BASE}.")}
         calibration = replace(calibration, values=values, base=None)
-    effects = [spec for spec in arm.effects if DISTANCE not in library()[spec.name].needs]
     return replace(arm, chain=chain, calibration=calibration).with_effects(*effects)

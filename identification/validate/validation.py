@@ -1,42 +1,48 @@
 """Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands.
 
 Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with.
+
+Judge a model before it is offered for use: does it predict what it has not seen better than the geometry alone?
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.document import Document, Section, Sheet
+from identification.document import Document
+from identification.documents.identification import DRAWN
+from identification.documents.use import FITTED, HARDLY, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
-from identification.estimation import estimate
+from identification.estimation import Identification, estimate
+from identification.estimation.expected_tip import left_out_residuals
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
-from identification.gap.confirmation import LEVEL, gained_squares
+from identification.gap.confirmation import LEVEL, Offered, gained_squares
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.numbers_in_text import in_a_sentence, number
-from identification.sessions import placing, with_sessions
-from identification.validate.refit import fresh_points, placed_values, refit_model, refit_parameters
-from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
+from identification.sessions import placing, with_sessions, without_sessions
+from identification.validate.reuse import fresh_points, placed_values, refit_model, refit_parameters
+from identification.validate.row_groups import (
+    check_calibrated,
+    data_hashes,
+    extrapolation,
+    identified,
+    row_groups,
+    seen_in_words,
+)
 
-# of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
-DRAWN = {
-    "base": "after fitting where the arm stands",
-    "offsets": "after fitting joint offsets and where the arm stands",
-    "none": "as it stands",
-}
+if TYPE_CHECKING:  # a diagnosis imports this package
+    from identification.gap.result import Diagnosis
+
 REFITS = (*DRAWN,)
-FITTED = "these are the measurements that the model was identified from: this says nothing about others"
-HARDLY = "hardly better"  # said of a gain within what the rows scatter by
 END = 0.5  # time at the end of a session, -0.5 to 0.5
 
 
@@ -115,7 +121,7 @@ class Validation:
     def rms_angles(self) -> tuple[float, ...]:
         """RMS of the angles between orientations measured and computed [deg], by the model and by the drawing; empty
         where none are measured."""
-        scale = None if self.arm.chain is None else self.arm.chain.angle_scale
+        scale = self.arm.chain.angle_scale
         angles = [residuals[:, POINT.stop :] for residuals in (self.residuals, self.nominal_residuals)]
         return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
 
@@ -160,7 +166,7 @@ class Validation:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
         notes = [note for note in self.notes if HARDLY not in note]
-        parts = validation_sections(data, "" if self.arm.chain is None else ", measured points")
+        parts = validation_sections(data, "" if self.arm.chain.planar else ", measured points")
         return Document("Validation", [validation_verdict(data), *notes], parts)
 
     def __str__(self) -> str:
@@ -184,8 +190,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     """
     if refit not in REFITS:
         raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
-    if arm.calibration is None and not any(spec.values for spec in arm.effects):
-        raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
+    check_calibrated(arm)
     check_validation(Model(arm), measurements)
     residuals, refitted, free = np.empty_like(measurements.positions), [], 0
     for rows in measurements.session_rows:
@@ -200,7 +205,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     notes += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
     left = (distances(each) for each in (residuals, nominal))
     notes += [seen] if (seen := seen_in_words(arm, measurements.postures, *left)) else []
-    notes += [] if arm.chain is None or refit == "none" else fresh_points(arm.chain, measurements)
+    notes += [] if arm.chain.planar or refit == "none" else fresh_points(arm.chain, measurements)
     return replace(validation, notes=(*notes, *_notes(arm, measurements, free, refit)))
 
 
@@ -208,7 +213,7 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
     drawing = replace(arm, effects=(), calibration=None)
-    if arm.chain is None or len(measurements.sessions) < 2:
+    if arm.chain.planar or len(measurements.sessions) < 2:
         return _drawing_refitted(arm, measurements, "base")
     check_validation(Model(drawing), measurements)
     drawing = replace(drawing, chain=replace(arm.chain, known=frozenset()))
@@ -250,15 +255,14 @@ def _refitted(
     names = model.names
     if measurements.positions.size < len(names):
         allowed = f"allowed: at least {-(-len(names) // measurements.dimension)} rows in each session"
-        raise InputError(
-            f"measurements: too few for {len(names)} refitted parameters, {len(measurements)} in all, {allowed}"
-        )
+        file = measurements.provenance.get("file", "measurements")
+        raise InputError(f"{file}: too few for {len(names)} refitted parameters, {len(measurements)} in all, {allowed}")
     weights = np.ones(len(measurements)) if measurements.sigma is None else measurements.sigma**-2.0
     problem = Problem(model, measurements.postures, conditions, measurements.positions[None], weights)
     values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
     residuals, jacobian = problem.residuals(values)[0], problem.jacobian(values)
     refitted = model.parameters.mapping(values)
-    refitted = refitted if model.arm.chain is None else placed_values(model.arm.chain, refitted)
+    refitted = placed_values(model.arm.chain, refitted)
     return refitted, residuals, spectrum(jacobian, model.scales).rank
 
 
@@ -308,47 +312,40 @@ def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) 
         yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
 
 
-# -- in words ----------------------------------------------------------------------------------------------------------
-def validation_sections(data: Mapping[str, Any], points: str = "") -> list[Section]:
-    """Drawing and model over all rows, and block by block;  points : what is refitted of a spatial arm beside"""
-    keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
-    what = {"base": "position and rotation of the base", "offsets": "joint offsets, position of the base"}
-    summary = f"{data['rows']} rows, nothing refitted"
-    if data["refit"] != "none":
-        sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
-        summary = (
-            f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
-        )
-    figures = ("RMS", "mean", "95 %\nbelow", "largest")
-    rows = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
-    rows.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])
-    blocks = [
-        [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[f"{key}_mm"]) for key in keys)]
-        for b in data["blocks"]
-    ]
-    headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
-    shown = [Section("Validation, distances in mm", [Sheet(("", *figures), rows), summary])]
-    return shown + ([Section("Validation, block by block, in mm", [Sheet(headings, blocks)])] if blocks else [])
+def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:
+    """The diagnosis with what its extended model is worth beside the geometry (`Diagnosis.offered`).
+
+    Where nothing is missing nothing is offered. On a hold-out both are placed as `validate` places them, so that the
+    figures are those that it gives of the files of `diagnose --out` and of `identify --out`; without one, the
+    cross-validation over postures says it.
+
+    arm : as it was diagnosed;  measurements, holdout : as for `diagnose`
+    """
+    if diagnosis.verdict == "none" or not diagnosis.predicting.specs:
+        return diagnosis
+    if holdout is None:
+        tests = [test for test in diagnosis.cross_validation if test.transfer == "other postures"]
+        return replace(diagnosis, offered=Offered.of_test(tests[0])) if tests else diagnosis
+    kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
+    geometry = identified_geometry(arm, kept)
+    try:
+        alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
+    except InputError:  # too few rows to place the arm
+        return diagnosis
+    return replace(diagnosis, offered=Offered.of("holdout", alone, extended, holdout))
 
 
-def is_better(data: Mapping[str, Any]) -> bool:
-    """Whether the model is better than the drawing, by more than the rows scatter."""
-    return data["rms_mm"] < data["rms_nominal_mm"] and not any(HARDLY in note for note in data["notes"])
+def identified_geometry(arm: Arm, measurements: Measurements) -> Arm:
+    """The arm as `identify` calibrates it, where it stands in the first session."""
+    fit = estimate(Model(with_sessions(arm, measurements)), measurements)
+    return replace(arm, calibration=without_sessions(fit.calibration()))
 
 
-def validation_verdict(data: Mapping[str, Any], model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
-    """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
-    better;  model, rows : names of files;  seen : it was fitted to these rows"""
-    rows = rows or ("the model's own measurements" if FITTED in data.get("notes", ()) else "other measurements")
-    which = ", which it was fitted to" if seen else ""
-    figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
-    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
-    gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
-    worth = f"{'no better' if gain <= 0.0 else HARDLY} than the drawing"
-    worth = f"{100.0 * gain:.0f} % of the error is removed" if is_better(data) else worth
-    return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
-
-
-def drawing_in_words(rms: float, refit: str = "base") -> str:
-    """What the drawing leaves [mm], and what was fitted of it;  refit : as for `validate`"""
-    return f"{in_a_sentence(rms)} mm (drawing, {DRAWN[refit]})"
+def prior_judged(
+    geometry: Callable[[], Identification], fit: Identification, measurements: Measurements
+) -> Offered | None:
+    """What a fit with a prior of further effects is worth beside the geometry, each posture predicted from the others;
+    None where the rows determine the one or the other not."""
+    model = left_out_residuals(fit, measurements)
+    alone = None if model is None else left_out_residuals(geometry(), measurements)
+    return None if model is None or alone is None else Offered.of("cross-validation", alone, model, measurements)

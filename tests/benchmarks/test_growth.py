@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from doe.bounds.column_generation import column_generation
-from doe.bounds.relaxation import relax
-from doe.jobs.isolated import call
-from doe.problem.candidates import PostureList
+from doe.bounds.column_generation import column_generation, relax
+from doe.jobs.running import call
+from doe.problem.postures import PostureList
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch
@@ -40,7 +39,7 @@ def planar(links: int) -> Arm:
 
 def spatial(joints: int) -> Arm:
     rows = [DHRow(200.0 * (k % 2), np.pi / 2.0 * (-1.0) ** k, 150.0) for k in range(joints)]
-    return Arm.of_chain(chain_of(rows), sigma=0.05)
+    return Arm(chain_of(rows), sigma=0.05)
 
 
 def measured(arm: Arm, rows: int) -> tuple[Model, Measurements]:

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from doe.bounds.column_generation import column_generation, continuous_bound
-from doe.problem.candidates import PostureList
-from doe.problem.feasible import random_postures
+from doe.problem.postures import PostureList, random_postures
 from doe.solvers import solve
 from identification.arrays import Array
 from identification.estimation import estimate, estimate_batch

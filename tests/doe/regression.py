@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
@@ -24,6 +23,9 @@ class Regression:
 
     joint_types: tuple[str, ...] = ("revolute",)
     sigma: None = None
+    lower: Array = field(default_factory=lambda: np.array([-1.0]))
+    upper: Array = field(default_factory=lambda: np.array([1.0]))
+    prior = MappingProxyType[str, float]({})
 
     @property
     def parameters(self) -> ParameterSet:
@@ -33,20 +35,10 @@ class Regression:
     def values(self) -> Array:
         return np.zeros(self.degree + 1)
 
-    @property
-    def neutral_conditions(self) -> Array:
-        return np.zeros(1)
-
-    @cached_property
-    def jacobian_function(self) -> ca.Function:
-        x, c, b = ca.SX.sym("x"), ca.SX.sym("c"), ca.SX.sym("b", self.degree + 1)
-        row = ca.horzcat(*(x**k for k in range(self.degree + 1)))
-        return ca.Function("regression", [x, c, b], [row @ b, row])
-
-    def jacobian(self, postures: ArrayLike, parameters: Any = None, conditions: Any = None) -> Array:
-        return np.power.outer(np.asarray(postures)[:, 0], np.arange(self.degree + 1))[:, None, :]
+    def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        return ca.dot(ca.vertcat(*(q**k for k in range(self.degree + 1))), p)
 
 
 def regression(degree: int, **changes: Any) -> DesignProblem:
     """The design problem on [-1, 1]."""
-    return DesignProblem(Regression(degree), np.array([-1.0]), np.array([1.0]), **changes)
+    return DesignProblem(Regression(degree), **changes)

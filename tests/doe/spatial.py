@@ -14,7 +14,7 @@ q + scale q + encoder_cos cos q + encoder_sin sin q.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.kinematics.parameters import Parameter, ParameterSet
-from identification.measurements import Measurements
 from identification.vectorize import vectorize
 
 AXES = "xyz"
@@ -83,6 +82,7 @@ class SpatialModel:
     sigma: float | None = 0.1
     known: tuple[float, ...] = ()
     dimension: int = 3
+    space: int = 3
     closed_form: None = None
     prior = MappingProxyType[str, float]({})
     effects: tuple[()] = ()
@@ -135,15 +135,8 @@ class SpatialModel:
     def values(self) -> Array:
         return np.array(self.known) if self.known else np.zeros(len(self.names))
 
-    @property
-    def neutral_conditions(self) -> Array:
-        return np.zeros(3 + self.joints)
-
-    @cached_property
-    def jacobian_function(self) -> ca.Function:
-        q, c, p = (ca.SX.sym(name, k) for name, k in (("q", self.joints), ("c", 3 + self.joints), ("p", self._size)))
-        position = self._symbolic(q, p)[-1]
-        return ca.Function("spatial", [q, c, p], ca.cse([position, ca.jacobian(position, p)]))
+    def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        return self._symbolic(q, p)[-1]
 
     @property
     def _size(self) -> int:
@@ -154,13 +147,15 @@ class SpatialModel:
 
     @cached_property
     def _compiled(self) -> Any:
-        return vectorize(self.jacobian_function)
+        q, p = ca.SX.sym("q", self.joints), ca.SX.sym("p", self._size)
+        position = self._symbolic(q, p)[-1]
+        return vectorize(ca.Function("spatial", [q, p], ca.cse([position, ca.jacobian(position, p)])))
 
     def linearize(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Any = None
     ) -> tuple[Array, Array]:
         values = self.values if parameters is None else np.asarray(parameters, dtype=float)
-        position, jacobian = self._compiled(postures, self.neutral_conditions, values[..., None, :])
+        position, jacobian = self._compiled(postures, values[..., None, :])
         return position[..., 0], jacobian
 
     def position(self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Any = None) -> Array:
@@ -284,14 +279,3 @@ def spatial(model: SpatialModel | None = None, **changes: Any) -> DesignProblem:
 def random_postures(model: SpatialModel, count: int, seed: int) -> Array:
     """(count, n) uniform within the limits."""
     return np.random.default_rng(seed).uniform(model.lower, model.upper, (count, model.joints))
-
-
-def measured(model: SpatialModel, true: Array, postures: Array, sigma: float, seed: int) -> Measurements:
-    """Positions of the oracle's chain at true parameter values, with noise."""
-    exact = tip_positions(model, postures, true)
-    return Measurements(postures, exact + sigma * np.random.default_rng(seed).standard_normal(exact.shape))
-
-
-def with_values(model: SpatialModel, values: Array) -> SpatialModel:
-    """The model with other best known values."""
-    return replace(model, known=tuple(values.tolist()))

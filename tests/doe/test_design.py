@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.criteria import A
 from doe.design import score, score_plan

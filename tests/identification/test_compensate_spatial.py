@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.report.identification import compensation_document
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate import compensate
 from identification.compensate.inverse_kinematics import TOLERANCE
+from identification.documents.use import compensation_document
 from identification.errors import InputError
 from identification.files.target import commands_text, load_targets
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
@@ -33,7 +33,7 @@ def arm(slide: bool) -> Arm:
     rows = [DHRow(a, alpha, d, limits=(-2.5, 2.5)) for a, alpha, d in [*SIX, (0.0, 0.0, 80.0)]]
     chain = chain_of([SLIDE, *rows] if slide else rows)
     calibration = Calibration(VALUES, base=BASE, tools={"1": TOOL})
-    return Arm.of_chain(replace(chain, base=BASE, tools={"1": TOOL}), calibration=calibration)
+    return Arm(replace(chain, base=BASE, tools={"1": TOOL}), calibration=calibration)
 
 
 def tip(chain: SpatialChain, q: Array, values: dict[str, float]) -> Array:

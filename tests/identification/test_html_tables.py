@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html.parser import HTMLParser
 
-from identification.html_tables import html_facts, html_folded, html_lines, html_table, in_symbols
+from identification.document import html_facts, html_lines, html_table, in_symbols
 
 
 class Cells(HTMLParser):
@@ -62,5 +62,3 @@ def test_facts_stand_beside_their_names_and_a_fold_has_a_title() -> None:
     assert text.count("<tr>") == 1
     assert ">a&lt;b</th>" in text
     assert ">1 &amp; 2</td>" in text
-    assert html_folded("<more>", "<p>x</p>") == "<details><summary>&lt;more&gt;</summary>\n<p>x</p></details>"
-    assert html_folded("more", "") == ""

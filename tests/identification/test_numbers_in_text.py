@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from identification.numbers_in_text import (
+from identification.document import (
     as_sentence,
     estimate_text,
     in_a_sentence,

@@ -13,14 +13,14 @@ import numpy as np
 from identification.arm import MAX_LINKS
 from identification.errors import InputError, printable
 from identification.files.io import PathLike
+from identification.files.measurement_columns import UNITS
 from identification.files.schema import json_schema, validated_arm
 from identification.files.urdf import Urdf, read_urdf
-from identification.kinematics.instrument import CONTACTS
+from identification.instruments import KINDS, TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.spatial import SpatialChain
 
 ARM, DATA, SCHEMA, STEPS = "arm.toml", "measurements.csv", "arm.schema.json", "README.md"
-COLUMNS = {"": ("x_mm", "y_mm", "z_mm"), "distance": ("distance_mm",), "sphere": ("surface",), "plane": ("surface",)}
 ENDS = ("tool0", "tcp", "tool", "flange")  # names of tips, the likeliest first
 
 
@@ -51,17 +51,17 @@ def planar_files(links: str) -> dict[str, str]:
 def dh_files(joints: int, instrument: str = "") -> dict[str, str]:
     """Of a spatial arm from a Denavit-Hartenberg table that is to be filled in: file name -> text.
 
-    instrument : of `COLUMNS`, "": positions are measured
+    instrument : of `KINDS`, "": positions are measured
     """
     values = {"name": "arm", "title": f"an arm of {joints} joints", "example": True, "kind": instrument}
-    return _files(values, [REVOLUTE] * joints, COLUMNS[instrument])
+    return _files(values, [REVOLUTE] * joints, _columns(instrument))
 
 
 def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, instrument: str = "") -> dict[str, str]:
     """Of a spatial arm from a URDF file: file name -> text, a copy of the URDF file among them.
 
     base, tip : links; left out: the root, and an end with the name of a tool, or else the one with the most joints
-    instrument : of `COLUMNS`, "": positions are measured
+    instrument : of `KINDS`, "": positions are measured
 
     Raises `InputError` for a file or links that do not work.
     """
@@ -87,7 +87,7 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
         "massed": any(masses),
     }
     values |= {"masses": [float(f"{mass:.12g}") for mass in masses]} if any(masses) else {}
-    return _files(values, [joint.type for joint in chain.joints], COLUMNS[instrument]) | {file: urdf.text}
+    return _files(values, [joint.type for joint in chain.joints], _columns(instrument)) | {file: urdf.text}
 
 
 def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, SpatialChain]:
@@ -107,6 +107,13 @@ def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, SpatialChain]:
     return chains
 
 
+def _columns(kind: str) -> tuple[str, ...]:
+    """Of a measurement file, those that an instrument in space needs: its readings, or what is touched."""
+    instrument = KINDS[kind] if kind else type(TRACKER)
+    readings = (f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in instrument.coordinates)
+    return tuple(readings) or (instrument.target,)
+
+
 def _files(
     values: dict[str, Any], types: Sequence[str], measured: Sequence[str], *, spatial: bool = True
 ) -> dict[str, str]:
@@ -122,8 +129,12 @@ def _files(
         "lower": [-170.0] * n,
         "upper": [170.0] * n,
     }
-    rows = 3 if kind else 1  # of one number each instead of three
-    usual |= {"runs": rows * max(5 * n, 20), "fresh": rows * 12, "masses": [10.0] * n, "contact": kind in CONTACTS}
+    instrument = KINDS.get(kind)
+    rows = 1 if instrument is None else 3  # of one number each instead of three
+    contact = instrument is not None and not instrument.coordinates
+    usual |= {"runs": rows * max(5 * n, 20), "fresh": rows * 12, "masses": [10.0] * n, "contact": contact}
+    usual |= {"guide": None if instrument is None else instrument.guide, "measured": measured}
+    usual |= {"target": "" if instrument is None else instrument.target}
     values = {**usual, "kind": kind, "columns": columns, "joints": n, "spatial": spatial, **values}
     loader = PackageLoader("doe.report", "first_files")
     environment = Environment(loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)

@@ -12,7 +12,7 @@ import numpy as np
 from doe.studies.blind.cells import DataSet
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
-from identification.estimation.intervals import freedom_of, quantile_95
+from identification.estimation.uncertainty import freedom_of, quantile_95
 from identification.gap.fit import Rows, fit
 from identification.gap.hypotheses import hypotheses
 from identification.measurements import Measurements, rms_distance

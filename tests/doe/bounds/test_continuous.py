@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import minimize
 
 from doe.bounds.continuous import ContinuousSet, distinct
-from doe.problem.feasible import random_postures
-from doe.problem.prior import PriorInformation
+from doe.problem.postures import random_postures
+from doe.problem.problem import PriorInformation
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox

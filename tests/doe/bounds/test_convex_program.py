@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds.convex_program import SETTINGS, smallest_eigenvalue_weights, solve_program
+from doe.bounds.weights import SETTINGS, smallest_eigenvalue_weights, solve_program
 from doe.criteria import A, Criterion, D, E
-from doe.problem.prior import PriorInformation
+from doe.problem.problem import PriorInformation
 from identification.errors import JobError
 
 POINTS = np.linspace(-1.0, 1.0, 21)

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from doe.bounds.column_generation import optimal_weights
 from doe.bounds.weights import interior_point_weights, minus_hessian
 from doe.criteria import A, Criterion, D, Ds, E, I
-from doe.problem.prior import PriorInformation
+from doe.problem.problem import PriorInformation
 from identification.arrays import Array
 
 POINTS = np.linspace(-1.0, 1.0, 21)

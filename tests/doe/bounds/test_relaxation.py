@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds import convex_program, relaxation
-from doe.bounds.relaxation import LARGEST, relax
+from doe.bounds import column_generation as relaxation
+from doe.bounds import weights as convex_program
+from doe.bounds.column_generation import LARGEST, relax
 from doe.criteria import A, Criterion, D, Ds, E, I
-from doe.problem.candidates import PostureList, grid
+from doe.problem.postures import PostureList, grid
 from identification.errors import InputError, JobError
 from identification.status import Status
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem

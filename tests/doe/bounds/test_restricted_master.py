@@ -7,7 +7,7 @@ import pytest
 
 from doe.bounds.column_generation import Stage, generate_columns
 from doe.criteria import A, Criterion, D, E
-from doe.problem.prior import PriorInformation
+from doe.problem.problem import PriorInformation
 from identification.arrays import Array
 from identification.errors import JobError
 from tests.doe.arms import FOUR, problem

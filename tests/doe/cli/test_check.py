@@ -31,32 +31,6 @@ def test_simulated_data_are_fine(folder: Folder) -> None:
     assert "armcal identify arm.toml data.csv --out" in text
 
 
-def test_few_rows_say_what_they_are_enough_for(folder: Folder) -> None:
-    """Five rows are ten numbers for four lengths and four zeros."""
-    folder.simulated()
-    rows = (folder.path / "data.csv").read_text().splitlines()
-    (folder.path / "five.csv").write_text("\n".join(rows[:6]) + "\n")
-    done = folder.armcal("check", "arm.toml", "five.csv", "--json").data
-    assert (done["numbers"], done["parameters"], done["spare_numbers"]) == (10, 8, 2)
-    assert done["expected_tip_from"] == "sigma"
-    said = " ".join(folder.armcal("check", "arm.toml", "five.csv").out.split())
-    assert "they are few for a fit" in said
-    assert "10 numbers for 8 parameters: 2 left to judge the fit" in said
-    assert "determines length of links 1 to 4; zero of joints 1 to 4" in said
-
-
-def test_a_joint_that_turns_the_other_way(folder: Folder) -> None:
-    folder.simulated()
-    frame = pl.read_csv(folder.path / "data.csv").with_columns(-pl.col("q3_deg"))
-    frame.write_csv(folder.path / "flipped.csv")
-    done = folder.armcal("check", "arm.toml", "flipped.csv")
-    assert done.code == 0  # the check itself is done
-    assert folder.armcal("check", "arm.toml", "flipped.csv", "--json").data["ok"] is False
-    assert "joint 3 turns the other way" in " ".join(done.out.split())
-    assert "numbers for 8 parameters" in done.out
-    assert "accuracy" not in done.out  # of a fit to wrong columns
-
-
 @pytest.mark.parametrize(
     ("columns", "lines"),
     [
@@ -106,21 +80,6 @@ def test_six_axes(folder: Folder) -> None:
     assert done.data["rows"] == 596
     assert done.data["problems"] == []
     assert done.data["rms_fitted_mm"] < 0.5 < 0.8 < done.data["rms_drawing_mm"] < 0.9
-
-
-def test_heights_that_upright_axes_leave_open_are_not_called_determined(folder: Folder) -> None:
-    """The tip of three upright axes is known without any kinematics: its height never changes."""
-    rows = [f"[[dh]]\na_mm = {a}\nalpha_deg = 0.0\nd_mm = {d}" for a, d in ((325, 300), (275, 0), (0, 50))]
-    folder.write("upright.toml", "\n".join(['kind = "spatial"', *rows, "[measurement]", "sigma_mm = 0.05"]))
-    generator = np.random.default_rng(5)
-    q = generator.uniform(-130.0, 130.0, (30, 3))
-    flat = np.exp(1j * np.radians(np.cumsum(q, axis=1))) @ np.array([325.0, 275.0, 40.0 + 10.0j])
-    tips = np.column_stack([flat.real, flat.imag, np.full(30, 410.0)]) + 0.05 * generator.standard_normal((30, 3))
-    names = ["q1_deg", "q2_deg", "q3_deg", "x_mm", "y_mm", "z_mm"]
-    pl.DataFrame(np.hstack([q, tips]), schema=names).write_csv(folder.path / "tips.csv")
-    said = " ".join(folder.armcal("check", "upright.toml", "tips.csv").out.split())
-    assert "determines base (x, y, rx, ry, rz); tool[1] (x, y); zero of joints 2 and 3;" in said
-    assert re.search(r"only weakly base\.z \(std \d{3,} mm\); tool\[1\]\.z \(std \d{3,} mm\) accuracy", said)
 
 
 def test_an_arm_that_sags_is_told_what_to_add(folder: Folder) -> None:

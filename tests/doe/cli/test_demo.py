@@ -84,29 +84,31 @@ def test_the_demo_files_feed_the_other_commands(demo: tuple[Folder, Outcome]) ->
         assert abs(parameter["value"] - truth) < 5 * parameter["std"]
 
 
-def test_a_second_demo_takes_another_directory(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("words", "step", "directory"),
+    [
+        ("--json", "diagnose", "armcal-demo-2"),
+        ("--out half", "diagnose", "half"),
+        ("--spatial --out six", "solve", "six"),
+    ],
+)
+def test_ctrl_c_says_which_files_are_left(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, words: str, step: str, directory: str
+) -> None:
+    """In a directory of its own, which no other demo takes."""
+
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("doe.demo.run.diagnose", stopped)  # spares the second half
+    monkeypatch.setattr(f"doe.demo.run.{step}", stopped)
     (folder.path / "armcal-demo").mkdir()
-    assert "the files in armcal-demo-2" in folder.armcal("demo", "--json").err
-    assert (folder.path / "armcal-demo-2" / "data.csv").exists()
-    refused = folder.armcal("demo", "--out", "armcal-demo-2")
-    assert refused.code == 2
-    assert "--force" in refused.err
-
-
-def test_ctrl_c_says_that_files_are_left(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stopped(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("doe.demo.run.diagnose", stopped)
-    done = folder.armcal("demo", "--out", "half")
+    done = folder.armcal("demo", *words.split())
     assert done.code == 1
-    assert "stopped by Ctrl-C; the files in half" in done.err
-    assert (folder.path / "half" / "data.csv").exists()
-    assert not (folder.path / "half" / "report.html").exists()
+    assert f"the files in {directory}" in done.err
+    assert (folder.path / directory / "data.csv").exists() == (step == "diagnose")
+    assert not (folder.path / directory / "report.html").exists()
+    assert ('kind = "spatial"' in folder.read(f"{directory}/arm.toml")) == (directory == "six")
+    assert folder.armcal("demo", "--out", directory).code == 2  # without --force
 
 
 def test_the_demo_shows_what_identify_and_diagnose_say_of_its_files(demo: tuple[Folder, Outcome]) -> None:
@@ -128,14 +130,3 @@ def test_the_demo_shows_what_identify_and_diagnose_say_of_its_files(demo: tuple[
     assert diagnosis["named"]["intervals"] == again["intervals"]
     # least squares leave least; the model that predicts has what is less likely, too, and holds the effect back
     assert again["rms_after_mm"] <= diagnosis["gap"]["rms_after_mm"] * (1.0 + 1e-9)
-
-
-def test_the_command_takes_the_arm_of_six_axes(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stopped(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("doe.demo.run.solve", stopped)
-    done = folder.armcal("demo", "--spatial", "--out", "six")
-    assert done.code == 1
-    assert "stopped by Ctrl-C; the files in six" in done.err
-    assert 'kind = "spatial"' in folder.read("six/arm.toml")

@@ -25,10 +25,3 @@ def test_gravity_is_a_block_of_the_arm_file(folder: Folder) -> None:
     for name in ("gravity", *block["needed_by"]):
         assert block["block"] in folder.armcal("effects", name).out
     assert "[gravity]\n" not in folder.armcal("effects", "backlash").out
-
-
-def test_an_unknown_effect_is_one_line(folder: Folder) -> None:
-    done = folder.armcal("effects", "baclash")
-    assert done.code == 2
-    assert len(done.err.strip().splitlines()) == 1
-    assert "did you mean 'backlash'" in done.err

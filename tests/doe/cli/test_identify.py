@@ -48,12 +48,6 @@ def test_misfit_is_the_first_line_a_warning_and_in_json(folder: Folder) -> None:
     assert all(narrow < wide for narrow, wide in zip(*widths, strict=True))
 
 
-def test_nothing_is_said_of_a_fit_that_holds(folder: Folder) -> None:
-    folder.simulated()
-    done = folder.armcal("identify", "arm.toml", "data.csv", "--json")
-    assert (done.err, done.data["warnings"], done.data["status"]) == ("", [], "converged")
-
-
 def test_data_in_the_frame_of_a_tracker(folder: Folder) -> None:
     folder.simulated()
     moved(folder)
@@ -76,14 +70,6 @@ def test_postures_outside_the_limits_are_said(folder: Folder) -> None:
     warned = folder.armcal("identify", "arm.toml", "data.csv", "--json").data["warnings"]
     assert len(warned) == 1
     assert "of 12 postures lie outside the joint limits, the first in row " in warned[0]
-
-
-def test_without_any_sigma_none_can_be_relied_upon(folder: Folder) -> None:
-    folder.simulated()
-    folder.write("arm.toml", ARM.partition("[measurement]")[0])
-    refused = folder.armcal("identify", "arm.toml", "data.csv", "--sigma", "given")
-    assert refused.code == 2
-    assert "none is given" in refused.err
 
 
 def test_commands_beside_readings(folder: Folder) -> None:

@@ -218,31 +218,6 @@ def test_a_plan_of_contacts(cell: Folder) -> None:
     assert "--grid: found for contacts" in refused.err
 
 
-def test_files_that_do_not_fit(cell: Folder) -> None:
-    cell.write("data.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7,8,9\n")
-    refused = cell.armcal("identify", "arm.toml", "data.csv")
-    assert refused.code == 2
-    assert "column 'distance_mm' is missing" in refused.err
-    cell.write("data.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,distance_mm\n1,2,3,4,5,6,700\n")
-    refused = cell.armcal("identify", "arm.toml", "data.csv")
-    assert refused.code == 2
-    assert "fewer equations than unknowns: 1 m = 1 < p = 6" in refused.err
-    cell.write("plane.toml", SIX + 'kind = "plane"\n')
-    refused = cell.armcal("identify", "plane.toml", "data.csv", "--parameters", "minimal")
-    assert refused.code == 2
-    assert "minimal for contacts with planes, which leave the size of the arm open" in refused.err
-
-
-def test_metres(cell: Folder) -> None:
-    done(cell, "simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv")
-    lines = [line.split(",") for line in cell.read("data.csv").splitlines()]
-    metres = [[*line[:6], line[6] if k == 0 else str(float(line[6]) / 1000.0)] for k, line in enumerate(lines)]
-    cell.write("metres.csv", "\n".join(map(",".join, metres)) + "\n")
-    found = done(cell, "check", "arm.toml", "metres.csv")
-    (said,) = found["problems"]
-    assert said.endswith("agree if the positions are in metres (name the columns distance_m instead of distance_mm)")
-
-
 def test_distances_that_show_no_parameter(folder: Folder) -> None:
     """A thousand times the reach, around a single joint (found by the fuzz): said, not a traceback."""
     joint = '<joint name="j" type="revolute"><origin xyz="0.1 0 0.3"/><parent link="a"/><child link="b"/>{}</joint>'

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from doe.cli import main
+from identification.validate import validation
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 
 DESIGN_KEYS = {
@@ -14,6 +16,9 @@ DESIGN_KEYS = {
 IDENTIFY_KEYS = {
     "parameters", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value", "rms_before_mm", "rms_after_mm",
     "max_before_mm", "max_after_mm", "method",
+}  # fmt: skip
+VALIDATE_KEYS = {
+    "rows", "refit", "rms_mm", "mean_mm", "p95_mm", "max_mm", "rms_nominal_mm", "blocks", "refitted", "notes",
 }  # fmt: skip
 
 
@@ -70,16 +75,6 @@ def test_not_identifiable_is_named_and_exits_1(folder: Folder) -> None:
     assert any("joint_offset:1" in c and "base_rotation" in c for c in done.data["not_identifiable"])
     for parameter in done.data["parameters"]:
         assert parameter["std"] is None or parameter["std"] < 10.0
-
-
-def test_tables_for_people(folder: Folder) -> None:
-    folder.simulated()
-    done = folder.armcal("identify", "arm.toml", "data.csv")
-    assert "length of link 1" in done.out
-    assert "260.0" in done.out
-    assert "RMS" in done.out
-    shown = folder.armcal("score", "arm.toml", "plan.csv")
-    assert "efficiency" in shown.out
 
 
 def test_score_gives_the_observability_indices(folder: Folder) -> None:
@@ -170,3 +165,22 @@ def test_targets_beyond_the_identified_angles_are_said(folder: Folder) -> None:
     assert said in done.err
     shown = folder.armcal("compensate", "calibrated.toml", "targets.csv")
     assert (said in " ".join(shown.out.split()), shown.err) == (True, "")  # once
+
+
+def test_validate_on_another_session_and_on_the_own_data(folder: Folder) -> None:
+    folder.simulated()
+    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    folder.simulated("other.csv", seed=1)
+    done = folder.armcal("validate", "calibrated.toml", "other.csv", "--json", "--picture", "picture.png")
+    assert done.code == 0, done.err
+    assert set(done.data) >= VALIDATE_KEYS
+    assert done.data["rows"] == 12
+    assert done.data["rms_mm"] < 0.5 < 1.0 < done.data["rms_nominal_mm"]  # noise of 0.1 mm against errors of 0.5 deg
+    assert folder.path.joinpath("picture.png").read_bytes()[:4] == b"\x89PNG"
+    own = folder.armcal("validate", "calibrated.toml", "data.csv", "--json")
+    (note,) = own.data["notes"]
+    assert f"warning: data.csv: {note}" in own.err
+    shown = folder.armcal("validate", "calibrated.toml", "data.csv")
+    assert (note in " ".join(shown.out.split()), note in shown.err) == (True, False)  # once
+    (refit,) = (parameter for parameter in main.commands["validate"].params if parameter.name == "refit")
+    assert tuple(refit.type.choices) == validation.REFITS

@@ -12,9 +12,11 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli import main
-from doe.cli.common import Answer, CommonOptions, check_outputs, verb
-from doe.cli.options import FOLDER, File, FilePath, Names, Picture, WholeNumbers, written
+from doe.cli.common import check_outputs, verb
+from doe.cli.options import FOLDER, FilePath, WholeNumbers, written
+from identification.document import Answer
 from identification.errors import InputError
+from identification.workflow import Names
 
 
 @dataclass(frozen=True)
@@ -35,9 +37,8 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
 
     @verb("armcal paint wall.toml")
     def command(
-        common: CommonOptions,
-        arm: File,
-        data: tuple[File, ...],
+        arm: Path,
+        data: tuple[Path, ...],
         *,
         runs: WholeNumbers,
         color: Literal["red", "blue"] = "red",
@@ -45,6 +46,7 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         check: Annotated[bool, "--check/--no-check"] = True,
         size: Size,
         in_all: float | None = None,
+        seed: int = 0,
     ) -> Answer:
         """Paint a wall.
 
@@ -57,8 +59,8 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         in_all : Sum.
         """
         got.update(arm=arm, data=data, runs=runs, color=color, only=only, check=check, size=size, in_all=in_all)
-        got["seed"] = common.seed
-        return Answer({"here": arm})
+        got["seed"] = seed
+        return Answer({"here": arm}, [])
 
     line = "a.toml b.csv c.csv --runs 3,4 --width 5 --only x --only y,z --no-check --seed 7 --json"
     done = CliRunner().invoke(command, line.split())
@@ -117,23 +119,6 @@ def test_every_output_file_is_checked_before_the_work(verb: click.Command, name:
     assert there.read_text() == "mine"
 
 
-def test_verbs_that_write_files_are_all_there() -> None:
-    verbs = {verb.name for verb, _ in WRITTEN}
-    assert verbs == {
-        "design",
-        "score",
-        "advise",
-        "relax",
-        "simulate",
-        "identify",
-        "diagnose",
-        "discriminate",
-        "compensate",
-        "validate",
-        "report",
-    }
-
-
 def test_every_file_of_a_verb_is_read_or_written() -> None:
     """By its name, so that no new option stands on the wrong side."""
     names = {True: set[str](), False: set[str]()}
@@ -144,12 +129,3 @@ def test_every_file_of_a_verb_is_read_or_written() -> None:
                 names[parameter.type.written].add(str(parameter.name))
     assert names[True] == {"out", "picture", "aliases", "report", "curves", "urdf"}
     assert not names[True] & names[False]
-
-
-def test_a_picture_is_made_only_when_asked_for() -> None:
-    def never() -> Any:
-        raise AssertionError
-
-    written({None: never}, force=False)
-    assert any(getattr(parameter.type, "picture", False) for parameter in main.commands["score"].params)
-    assert Picture.__metadata__[0].picture  # type: ignore[attr-defined]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from functools import partial
 from io import StringIO
 
 import pytest
@@ -12,6 +13,7 @@ from rich.progress import Progress as Bar
 
 from doe.cli.progress import Lines, bar_columns, lines, shown_progress
 from identification.progress import silent
+from tests.doe.cli.conftest import Folder
 
 
 def test_a_line_now_and_then_also_from_a_silent_job(capfd: pytest.CaptureFixture[str]) -> None:
@@ -62,6 +64,15 @@ def test_the_times_are_whole_in_a_narrow_terminal(width: int) -> None:
     assert re.search(r" 1:02:05 (-:--:--|\d:\d\d:\d\d)$", text), text
     assert text.startswith(said[: width - 28])
     assert len(text) == width
+
+
+def test_every_verb_says_that_it_is_at_work(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also those that have no steps to tell: here with a line at once instead of every ten seconds."""
+    monkeypatch.setattr("doe.cli.progress.lines", partial(lines, interval=1e-4))
+    folder.simulated()
+    for words in (["score", "arm.toml", "plan.csv"], ["check", "arm.toml", "data.csv"]):
+        assert f"armcal {words[0]}: 0 s" in folder.armcal(*words).err
+    assert folder.armcal("score", "arm.toml", "plan.csv", "--quiet").err == ""
 
 
 def test_quiet_says_nothing() -> None:

@@ -50,9 +50,6 @@ def test_design_score_and_relax_agree(arm: Path, tmp_path: Path) -> None:
     relaxed = answer("relax", arm, "--robust", "--missing", few, "--runs", 6, "--no-check")
     assert (relaxed["bound"]["scope"], relaxed["bound"]["proof"]) == ("list", "proven")
     assert relaxed["bound"]["value"] <= designed["bound"]["value"]  # of fewer postures
-    shown = flat(armcal("design", arm, "--runs", 6, "--robust", "--missing", few).output)
-    assert "no plan from all postures is below" in shown
-    assert "(a numerical bound)" in shown
 
 
 def test_weights_on_a_grid_are_checked_by_a_plan_from_a_list(arm: Path) -> None:
@@ -63,28 +60,6 @@ def test_weights_on_a_grid_are_checked_by_a_plan_from_a_list(arm: Path) -> None:
     assert rows["6 runs"]["value"] <= rows["6 runs"]["bound"]
 
 
-def test_criteria_and_lists(arm: Path, tmp_path: Path) -> None:
-    rows = tmp_path / "rows.csv"
-    rows.write_text("q1_deg,q2_deg\n" + "\n".join(f"{13 * k % 300 - 150},{37 * k % 190 - 95}" for k in range(40)))
-    few = ("--robust", "--missing", "gear_ratio", "--candidates", rows)
-    for criterion in ("D", "A", "I"):
-        found = answer("design", arm, "--runs", 5, "--criterion", criterion, *few)
-        assert found["criterion"] == criterion
-        assert found["efficiency"] <= 1.0
-
-
-def test_advice_where_no_effect_is_known(arm: Path) -> None:
-    """One line, and only where it is news."""
-    assert "--robust chooses postures" in armcal("design", arm, "--runs", 4).output
-    assert (
-        "may be missing, each of its typical size"
-        in armcal("design", arm, "--runs", 4, "--robust", "--missing", "gear_ratio").output
-    )
-    known = arm.with_name("known.toml")
-    known.write_text(ARM + '[[effects]]\nname = "base_offset"\n')
-    assert "--robust" not in armcal("design", known, "--runs", 8).output
-
-
 def test_every_plan_says_what_it_promises_beside_random_ones(arm: Path) -> None:
     """By the fit that the plan asks for, in words and in JSON; of a robust plan it is the criterion's own figure."""
     few = ("--robust", "--missing", "gear_ratio,encoder_eccentricity")
@@ -93,21 +68,10 @@ def test_every_plan_says_what_it_promises_beside_random_ones(arm: Path) -> None:
         tip, shown = found["expected_tip"], flat(armcal("design", arm, "--runs", 6, *words, "--seed", 1).output)
         assert (tip["fit"], tip["random_plans"]) == (fit, 50)
         assert f"{tip['plan_mm']:.3g} mm by this plan, {tip['random_median_mm']:.3g} mm by the median of 50" in shown
-        assert ("no better than postures chosen at random" in shown) == (tip["better_than"] <= 0.5)
         if fit is not None:
             assert tip["plan_mm"] == pytest.approx(found["expected_error_mm"]["plan"], rel=1e-6)
     arm.write_text(ARM.replace("[measurement]\nsigma_mm = 0.1\n", ""))
     assert answer("design", arm, "--runs", 6)["expected_tip"] is None
-
-
-def test_what_to_fit_is_said_in_one_way(arm: Path, tmp_path: Path) -> None:
-    """Also by the steps that `init` writes: what a robust plan promises is of a fit with the prior."""
-    shown = armcal("design", arm, "--runs", 4, "--robust", "--missing", "gear_ratio").output
-    assert "armcal diagnose names those that the data show; identify --library-prior allows for all" in flat(shown)
-    answer("init", "--links", 2, "--out", tmp_path / "new")
-    steps = (tmp_path / "new" / "README.md").read_text()
-    assert "armcal identify arm.toml measurements.csv --library-prior --out calibrated.toml" in steps
-    assert "the error that `design --robust` expects is that of this fit" in flat(steps)
 
 
 TRUTH = '[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.05\nb_deg = 0.03\n'
@@ -120,11 +84,7 @@ def test_a_plan_carries_how_it_is_to_be_fitted_and_identify_follows(arm: Path, t
     few = ("--missing", "gear_ratio,encoder_eccentricity")
     shown = armcal("design", arm, "--runs", 9, "--robust", *few, "--out", plan, "--order", "random")
     asked = "library-prior --missing gear_ratio,encoder_eccentricity"
-    next_step = f"armcal identify {arm} DATA --{asked} --out calibrated.toml"
-    assert next_step in flat(shown.output)
-    assert f"mm at the tip, RMS over the workspace or --test-poses, if fitted by armcal identify --{asked}" in flat(
-        shown.output
-    )
+    assert f"armcal identify {arm} DATA --{asked} --out calibrated.toml" in flat(shown.output)
     assert plan.read_text().startswith(f"# fit: {asked}\nrun,q1_deg")
     answer("simulate", arm, plan, "--truth", truth, "--out", data)
     assert data.read_text().startswith(f"# fit: {asked}\n")
@@ -136,13 +96,10 @@ def test_a_plan_carries_how_it_is_to_be_fitted_and_identify_follows(arm: Path, t
     assert followed["prior"] == explicit["prior"]
     assert "fit" not in plain
     assert "fit" not in explicit
-    said = flat(armcal("identify", arm, data).output)
-    assert "Fitted with the prior of the library, as the plan is meant" in said
     refused = answer("identify", arm, data, "--no-library-prior")
     assert refused["parameters"] == plain["parameters"]
     assert refused["fit"] == {"asked": asked, "followed": False, "against": "--no-library-prior"}
-    said = flat(armcal("identify", arm, data, "--method", "linear").output)
-    assert "Not fitted with the prior of the library, because of --method linear, although" in said
+    assert answer("identify", arm, data, "--method", "linear")["fit"]["against"] == "--method linear"
 
 
 def test_every_reader_takes_the_comment(arm: Path, tmp_path: Path) -> None:
@@ -151,7 +108,6 @@ def test_every_reader_takes_the_comment(arm: Path, tmp_path: Path) -> None:
     plan, data, truth, page = (tmp_path / name for name in ("plan.csv", "data.csv", "truth.toml", "page.html"))
     plan.write_text('"# fit: library-prior";;\n# measured on Monday;;\nrun;q1_deg;q2_deg\n' + rows)
     truth.write_text(ARM + TRUTH)
-    assert "is to be fitted by armcal identify --library-prior" in flat(armcal("score", arm, plan).output)
     assert answer("score", arm, plan)["fit"] == "library-prior"
     answer("simulate", arm, plan, "--truth", truth, "--out", data)
     assert data.read_text().startswith("# fit: library-prior\nq1_deg")
@@ -168,10 +124,6 @@ def test_every_reader_takes_the_comment(arm: Path, tmp_path: Path) -> None:
     assert '"comment": "# fit: library-prior"' in steps
     answer("report", arm, data, "--out", page, "--force")
     assert f"{data} --library-prior --out calibrated.toml" in page.read_text()
-    plan.write_text("# fit: splines\nq1_deg,q2_deg\n0,1\n")
-    wrong = armcal("score", arm, plan)
-    assert wrong.exit_code == 2
-    assert f"{plan}: line 1: fit 'splines', allowed: library-prior" in wrong.output
 
 
 def flat(text: str) -> str:
@@ -181,7 +133,6 @@ def flat(text: str) -> str:
 def test_advise_says_what_missing_effects_cost(arm: Path) -> None:
     row = answer("advise", arm, "--runs", "6:6")["rows"][0]["tip_error_mm"]
     assert row["model_right"] < row["effects_missing_prior"] < row["effects_missing"]
-    assert "design --robust" in armcal("advise", arm, "--runs", "4:4").output
 
 
 def test_identify_with_a_prior_writes_what_predicts(arm: Path, tmp_path: Path) -> None:
@@ -204,23 +155,6 @@ def test_identify_with_a_prior_writes_what_predicts(arm: Path, tmp_path: Path) -
     assert errors[0] < errors[1]
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["design", "--runs", "5", "--missing", "backlash"], "--missing: found without --robust"),
-        (["design", "--runs", "5", "--robust", "--uncertain", "worst"], "--uncertain: found with --robust"),
-        (["design", "--runs", "5", "--robust", "--discriminating"], "--discriminating: found with --robust"),
-        (["design", "--runs", "5", "--robust", "--missing", "gear"], "unknown name 'gear'"),
-        (["relax", "--robust"], "--robust: no --runs given, allowed: with --runs"),
-        (["relax", "--runs", "5"], "--runs: found without --robust"),
-    ],
-)
-def test_what_does_not_fit_is_said(arm: Path, words: list[str], expected: str) -> None:
-    result = armcal(words[0], arm, *words[1:])
-    assert result.exit_code == 2
-    assert expected in result.output
-
-
 @pytest.mark.parametrize("words", [["design", "--runs", "5", "--robust"], ["advise", "--target-mm", "0.1"]])
 def test_without_a_scatter_it_is_said_what_to_add(arm: Path, words: list[str]) -> None:
     """In one line, and what it says to add is what the command then accepts."""
@@ -240,8 +174,6 @@ def test_advise_of_some_parameters(arm: Path) -> None:
     found = answer("advise", arm, "--only", "base,joint_offset:2", "--runs", "2:2")
     assert (found["only"], found["fewest_runs"]) == (["base", "joint_offset:2"], 2)
     assert found["rows"][0]["largest_length_std_mm"] == 0.0
-    shown = armcal("advise", arm, "--only", "joint_offset:2", "--runs", "1").output
-    assert "joint_offset:2 alone: identifiable from 1 run or more at well-chosen postures" in " ".join(shown.split())
 
 
 def test_a_budget_of_the_bound_cuts_it_and_says_so(arm: Path, tmp_path: Path) -> None:
@@ -254,9 +186,6 @@ def test_a_budget_of_the_bound_cuts_it_and_says_so(arm: Path, tmp_path: Path) ->
     assert "cut" not in whole["bound"]
     assert cut["bound"]["value"] >= whole["bound"]["value"]
     assert cut["value"] == whole["value"]
-    assert "its search was cut" in armcal("score", arm, plan, *few, "--seconds", 1e-3).output
     relaxed = answer("relax", arm, "--runs", 6, *few, "--seconds", 1e-3)
     assert relaxed["status"] == "time_limit"
     assert relaxed["bound"]["value"] >= whole["bound"]["value"]
-    refused = armcal("relax", arm, "--solver", "scs", "--seconds", 1)
-    assert refused.exit_code == 2

@@ -89,30 +89,6 @@ def test_next_postures_for_several_files(sessions: Folder) -> None:
     assert "transmission_ripple:2[k=5] is missing from the model" in " ".join(done.out.split())
 
 
-def test_the_same_file_twice(sessions: Folder) -> None:
-    done = sessions.armcal("diagnose", "arm.toml", "monday.csv", "monday.csv")
-    assert done.code == 2
-    assert done.err.startswith("armcal: monday.csv: is given 2 times, allowed: each session once")
-
-
-def test_rows_of_one_posture_are_refused_before_any_diagnosis(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sixty rows 1e-6 deg apart: a search through the library that took minutes could not have found anything."""
-
-    def diagnosed(*_: object, **__: object) -> None:
-        raise AssertionError("diagnosed")
-
-    monkeypatch.setattr("identification.gap.diagnose.diagnose", diagnosed)
-    rows = [",".join(f"{a + 1e-6 * k:.7f}" for a in (10, 20, -30, 40)) + f",{300 + 0.1 * (k % 7)},{90 - 0.1 * (k % 5)}"
-            for k in range(60)]  # fmt: skip
-    folder.write("same.csv", "\n".join(["q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm", *rows]) + "\n")
-    done = folder.armcal("discriminate", "arm.toml", "same.csv", "--runs", "1", "--quiet")
-    assert done.code == 2
-    assert done.err == (
-        "armcal: same.csv: 60 rows of 1 posture, allowed: at least 4, which the arm's own parameters need; "
-        "armcal design --keep same.csv chooses more\n"
-    )
-
-
 def test_a_reflector_mounted_anew_is_named(folder: Folder) -> None:
     """In space: the drawing is placed as the fit is, so the fit is better; and what spoils it is said."""
     rows = "".join(

@@ -8,9 +8,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from doe.discrimination.design import discrimination_design, off_the_limits, turning
-from doe.discrimination.effect_library import effect_library
-from doe.discrimination.swaps import CLOUD, pool_of
+from doe.discrimination.design import CLOUD, discrimination_design, off_the_limits, pool_of, turning
+from doe.discrimination.misidentification import effect_library
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
@@ -28,7 +27,7 @@ LOSS, RUNS = 0.1, 9
 def spatial(points: int) -> Arm:
     chain = replace(chain_of(ROWS), tools=dict(list(TOOLS.items())[:points]))
     limits = {"lower": np.radians([-170.0, -100.0, -120.0]), "upper": np.radians([170.0, 100.0, 120.0])}
-    return Arm.of_chain(chain, sigma=0.05, gravity=GRAVITY, **limits)
+    return Arm(chain, sigma=0.05, gravity=GRAVITY, **limits)
 
 
 def columns(model: Model, postures: Array, points: int) -> Array:
@@ -54,7 +53,7 @@ def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
     problem = DesignProblem.of(Model(arm), choices=choices)
     found = discrimination_design(problem, arm, RUNS, loss=LOSS)
     library = effect_library(arm)
-    inner = library.shown_by_postures if points == 1 else library.shown_by_postures.model  # type: ignore[attr-defined]
+    inner = library.shown_by_postures.model  # type: ignore[attr-defined]
     cloud = stacked(columns(inner, pool_of(problem, CLOUD, np.random.default_rng(0)), points))
     of_choices = columns(inner, choices, points)
     scale = np.sqrt(len(cloud) / (3.0 * points) / 10.0)  # all of the list stand for random postures
@@ -73,7 +72,7 @@ def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
 
 def test_a_slide_is_moved_off_its_limits_and_never_goes_round() -> None:
     rows = [*ROWS[:2], DHRow(0.0, 0.0, 100.0, 0.0, "prismatic", (0.0, 500.0))]
-    arm = Arm.of_chain(replace(chain_of(rows), tools={"a": TOOLS["a"]}), sigma=0.05)
+    arm = Arm(replace(chain_of(rows), tools={"a": TOOLS["a"]}), sigma=0.05)
     problem = DesignProblem.of(Model(arm))
     assert turning(problem).tolist() == [True, True, False]
     corners = np.column_stack([np.zeros((12, 2)), np.tile([0.0, 500.0], 6)])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from doe.jobs.isolated import call
+from doe.jobs.running import call
 
 sys.path.insert(0, str(Path(__file__).parent))  # the new process finds the tasks by name
 import work

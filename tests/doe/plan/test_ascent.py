@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from doe.criteria import A, E
 from doe.plan.ascent import PlanAscent
-from doe.problem.feasible import random_postures
+from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from doe.criteria import E
-from doe.plan.observability import criterion_values, observability
-from doe.problem.robust import workspace
+from doe.plan.accuracy import criterion_values, observability
+from doe.problem.uncertain import workspace
 from tests.doe.arms import FOUR, OFFSET, problem
 
 
 def test_definitions() -> None:
     case = problem(FOUR, OFFSET)
     plan = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (9, 4))
-    jacobian = (case.model.jacobian(plan) / case.model.scales).reshape(18, 10)
+    jacobian = (case.model.jacobian(plan) / case.model.parameters.scales).reshape(18, 10)
     eigenvalues = np.sort(np.linalg.eigvalsh(jacobian.T @ jacobian))
     s = np.sqrt(eigenvalues)
     found = observability(case, plan)
@@ -39,11 +39,11 @@ def test_kept_postures_count_and_nothing_is_seen_by_too_few() -> None:
 def test_every_criterion_from_the_information_matrix() -> None:
     case = problem(FOUR, OFFSET)
     plan = np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (9, 4))
-    jacobian = case.model.jacobian(plan) / case.model.scales
+    jacobian = case.model.jacobian(plan) / case.model.parameters.scales
     m = np.einsum("idp,idq->pq", jacobian, jacobian) / 9
     inverse, lengths = np.linalg.inv(m), [unit == "mm" for unit in case.model.parameters.units]
     angles = np.logical_not(lengths)
-    poses = case.model.jacobian(workspace(case)) / case.model.scales
+    poses = case.model.jacobian(workspace(case)) / case.model.parameters.scales
     found = criterion_values(case, plan)
     assert found["D"] == pytest.approx(np.linalg.slogdet(m)[1])
     assert found["A"] == pytest.approx(-np.trace(inverse))

@@ -10,9 +10,8 @@ import pytest
 
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.problem.constraints import Constraint, Expression, constraints_of
-from doe.problem.derivatives import ConstraintDerivatives
-from doe.problem.feasible import random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.postures import random_postures
+from doe.problem.problem import ConstraintDerivatives, DesignProblem
 from doe.solvers import Random, solve
 from identification.arm import Arm, Calibration
 from identification.errors import InputError

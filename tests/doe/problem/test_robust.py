@@ -13,10 +13,9 @@ from doe.bounds.column_generation import continuous_design, rough_design
 from doe.bounds.continuous import ContinuousSet
 from doe.criteria import A, D
 from doe.design import score
-from doe.problem.bayesian import EnsembleModel
-from doe.problem.candidates import PostureList
+from doe.problem.postures import PostureList
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import average_error, missing_effects, robust_problem, with_choices, workspace
+from doe.problem.uncertain import EnsembleModel, average_error, missing_effects, robust_problem, with_choices, workspace
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array
@@ -151,7 +150,7 @@ def test_choices_are_the_workspace() -> None:
 def test_bad_input_is_said() -> None:
     with pytest.raises(InputError, match=r"^--robust needs the instrument's scatter"):
         robust_problem(DesignProblem.of(Model(Arm(LENGTHS))))
-    with pytest.raises(InputError, match="EnsembleModel, allowed: the model of one arm"):
+    with pytest.raises(InputError, match="robust: EnsembleModel has no missing_effects, allowed: a model with it"):
         robust_problem(replace(PLAIN, model=EnsembleModel(PLAIN.model, np.zeros((2, 4)))))
     with pytest.raises(InputError, match="deviations: joint_offset:1 has 0"):
         replace(PLAIN, deviations={"joint_offset:1": 0.0})
@@ -170,7 +169,7 @@ def test_the_best_of_all_plans_of_several_points() -> None:
     for angle_scale, each in ((None, 3), (200.0, 6)):
         chain = replace(chain_of(rows), tools=tools, angle_scale=angle_scale)
         choices = generator.uniform(-2.0, 2.0, (8, 3))
-        problem = DesignProblem.of(Model(Arm.of_chain(chain, sigma=0.05)), choices=choices)
+        problem = DesignProblem.of(Model(Arm(chain, sigma=0.05)), choices=choices)
         case = robust_problem(problem, missing_effects(problem, ["encoder_eccentricity", "gear_ratio"]))
         model = case.model.model  # type: ignore[attr-defined]
         assert case.model.dimension == 2 * each

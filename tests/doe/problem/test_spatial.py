@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
-from doe.problem.bayesian import ensemble_problem, prior_draws
+from doe.bounds.certificate import Bound
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import tip_jacobians
-from doe.problem.spatial import OFF_AXIS, EveryPoint, designed, with_center, with_points
+from doe.problem.uncertain import ensemble_problem, prior_draws, tip_jacobians
 from doe.solvers import Gradient, solve
 from identification.arm import Arm
 from identification.errors import InputError
+from identification.for_design import OFF_AXIS, ArmModel, with_center, with_points
+from identification.instruments import Distance, Sphere
 from identification.kinematics.frames import pose
-from identification.kinematics.instrument import Instrument
 from identification.model import Model
 from identification.model.minimal import minimal
 from tests.doe.arms import FOUR
@@ -75,9 +74,9 @@ def test_points_that_are_not_known_lie_beside_the_last_axis() -> None:
 
 def test_every_point_is_measured_at_every_posture() -> None:
     tools = {"1": REFLECTOR, "2": np.array([-50.0, 20.0, 80.0])}
-    arm = Arm.of_chain(replace(CHAIN, tools=tools), sigma=0.05)
+    arm = Arm(replace(CHAIN, tools=tools), sigma=0.05)
     problem = six_axis(arm)
-    assert isinstance(problem.model, EveryPoint)
+    assert isinstance(problem.model, ArmModel)
     assert problem.model.dimension == 6
     blocks = problem.model.jacobian(POSTURES[:3])
     np.testing.assert_allclose(blocks, problem.scaled_jacobians(POSTURES[:3]) * problem.model.parameters.scales)
@@ -90,17 +89,17 @@ def test_every_point_is_measured_at_every_posture() -> None:
 
 def test_uncertain_arms_keep_their_prior() -> None:
     problem = six_axis()
-    placed, _, _ = designed(Model(SIX_AXIS))
+    placed = ArmModel.of(SIX_AXIS).placed()
     draws = prior_draws(placed, 2, np.random.default_rng(0))
     uncertain = ensemble_problem(problem, draws)
     assert uncertain.parameters == 78
-    each = [replace(problem, model=replace(placed, known=None)).objective(POSTURES)]
+    each = [replace(problem, model=placed).objective(POSTURES)]
     assert uncertain.objective(POSTURES) == pytest.approx(2.0 * each[0], rel=1e-2)
 
 
 def bar(**changes: Any) -> Arm:
-    chain = replace(CHAIN, instrument=Instrument("distance"), **changes)
-    return Arm.of_chain(chain, sigma=0.01, lower=np.full(6, -2.0), upper=np.full(6, 2.0))
+    chain = replace(CHAIN, instrument=Distance(), **changes)
+    return Arm(chain, sigma=0.01, lower=np.full(6, -2.0), upper=np.full(6, 2.0))
 
 
 def test_distances_have_one_coordinate() -> None:
@@ -154,6 +153,6 @@ def test_an_optimal_plan_of_distances_is_better_than_a_random_one() -> None:
 
 
 def test_contacts_at_an_unknown_place_have_no_plans() -> None:
-    arm = Arm.of_chain(replace(CHAIN, instrument=Instrument("sphere", 20.0)))
+    arm = Arm(replace(CHAIN, instrument=Sphere(20.0)))
     with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
         DesignProblem.of(Model(arm))

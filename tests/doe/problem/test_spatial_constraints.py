@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from doe.bounds.bound import Bound
-from doe.problem.constraints import Constraint, constraints_of
-from doe.problem.feasible import random_postures
+from doe.bounds.certificate import Bound
+from doe.problem.constraints import LINK_RADIUS, Constraint, constraints_of, distance_between, smallest
+from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
-from doe.problem.spatial_constraints import LINK_RADIUS, distance_between, smallest
 from doe.solvers import solve
 from identification.arrays import Array
 from identification.kinematics.denavit_hartenberg import DHRow

@@ -11,21 +11,17 @@ import numpy as np
 import pytest
 
 from doe.advise import advise
-from doe.bounds.relaxation import relax
+from doe.bounds.column_generation import relax
 from doe.design import score
 from doe.problem.problem import DesignProblem
 from doe.report.design import advice_document, design_document, relax_document
-from doe.report.gap import diagnosis_document
-from doe.report.identification import (
-    compensation_document,
-    identification_document,
-    inspection_document,
-)
-from doe.report.library import entry_document, gravity_document, library_document
 from doe.report.page import Origin, page
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.compensate import compensate
 from identification.document import Document, Part, Section, Sheet, as_text
+from identification.documents.diagnosis import diagnosis_document
+from identification.documents.identification import identification_document
+from identification.documents.library import entry_document, gravity_document, library_document
 from identification.effects.catalogue import entries
 from identification.estimation import estimate
 from identification.gap.diagnose import diagnose
@@ -57,12 +53,12 @@ def documents() -> Iterator[tuple[str, Document]]:
     yield "design", design_document(score(problem, data.postures[:30]))
     yield "advice", advice_document(advise(problem, [4, 5, 6], target=0.1, seconds=1.0))
     yield "weights", relax_document(relax(problem, 5))
-    yield "inspection", inspection_document(inspect(ARM, data), "arm.toml", "data.csv")
+    yield "inspection", inspect(ARM, data).document()
     yield "identification", identification_document(fit, fit.to_json())
-    yield "diagnosis", diagnosis_document(diagnosis.to_json(), diagnosis)
+    yield "diagnosis", diagnosis.document()
     yield "diagnosis by JSON", diagnosis_document(diagnosis.to_json())
     yield "validation", validate(calibrated, fresh).document()
-    yield "commands", compensation_document(compensate(calibrated, fresh.positions))
+    yield "commands", compensate(calibrated, fresh.positions).document()
     yield "library", library_document(entries())
     yield "effect", entry_document(entries()[0])
     yield "gravity", gravity_document(["link_bending"])

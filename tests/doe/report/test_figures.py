@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from doe.report.figures import outlines, plan_figure, workspace_arrows
+from doe.report.figures import outlines, plan_figure
 from identification.arm import Arm, Calibration, EffectSpec
+from identification.documents.pictures import workspace_arrows
 from tests.doe.problem.test_spatial_constraints import ARM, PILLAR, POSTURES, SIGHT, SPHERE
 
 

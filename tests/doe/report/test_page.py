@@ -12,11 +12,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from doe.design import score
-from doe.plan.file import load_plan
+from doe.plan.plan import load_plan
 from doe.problem.problem import DesignProblem
-from doe.report.gap import estimate_rows
 from doe.report.page import page, page_picture, strips, svg
 from identification.document import Action, Document, PlanSteps, Section, Sheet
+from identification.documents.diagnosis import estimate_rows
 from identification.files.arm import load_arm
 from identification.model import Model
 from tests.doe.cli.conftest import Folder

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.solvers import Offer, solve
 from doe.solvers.solving import AGREEMENT
 from identification.errors import JobError

@@ -9,7 +9,7 @@ import pytest
 
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Calibration
-from identification.compensate import compensate, seeds
+from identification.compensate import compensate, inverse_kinematics
 from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.model import Model
 from identification.workspace import KeepOutCircle, WorkspaceBox
@@ -29,7 +29,7 @@ def test_no_posture_is_searched_for_at_a_target_outside_the_workspace(monkeypatc
     arm = three(BOX)
     generator = np.random.default_rng(0)
     outside = np.column_stack([generator.uniform(260.0, 330.0, 20), generator.uniform(-200.0, 200.0, 20)])
-    monkeypatch.setattr(seeds, "_turned_away", lambda *_: pytest.fail("searched"))
+    monkeypatch.setattr(inverse_kinematics, "_turned_away", lambda *_: pytest.fail("searched"))
     found = compensate(arm, outside, constraints=constraints_of(Model(arm)))
     assert not found.reached.any()
     assert np.all(found.errors < TOLERANCE)  # the tip would be there
@@ -72,7 +72,7 @@ def test_poses_that_few_starts_lead_to_are_reached() -> None:
     """Poses of random postures can be reached, whatever 32 starts say: of 2,000 these are the ones that they missed."""
     missed = [282, 467, 498, 597, 854, 903, 979, 1200, 1936]
     chain = replace(CHAIN, tools={"1": np.array([0.0, 0.0, 100.0])}, angle_scale=1000.0)
-    arm = replace(Arm.of_chain(chain), calibration=Calibration({"base.x": 0.0}))
+    arm = replace(Arm(chain), calibration=Calibration({"base.x": 0.0}))
     postures = np.random.default_rng(11).uniform(-np.pi, np.pi, (2000, 6))[missed]
     model = Model(arm)
     found = compensate(arm, model.position(postures)[:, :3], orientations=model.orientations(postures))

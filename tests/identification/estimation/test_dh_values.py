@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import Identification, estimate
-from identification.estimation.dh_values import Calibrated, dh_places, dh_values
+from identification.estimation.corrected_values import Calibrated, dh_places, dh_values
 from identification.kinematics.corrected import corrected
 from identification.kinematics.corrected_dh import corrected_links, drawn_links
 from identification.kinematics.denavit_hartenberg import chain_of
@@ -20,7 +20,7 @@ from tests.identification.kinematics.test_corrected_dh import UR10, elementary
 
 @cache
 def fitted() -> Identification:
-    arm = Arm.of_chain(chain_of(UR10), sigma=0.05)
+    arm = Arm(chain_of(UR10), sigma=0.05)
     model, generator = Model(arm), np.random.default_rng(4)
     parameters = model.parameters
     truth = 0.3 * parameters.vector(model.prior, default=0.0) * generator.standard_normal(len(parameters))

@@ -9,13 +9,15 @@ import pytest
 from scipy.optimize import least_squares
 
 from identification.estimation.levenberg_marquardt import (
+    BLOCK,
     GRADIENT_TOLERANCE,
+    MANY,
     LeastSquares,
     Linearize,
+    compressed,
     damped_steps,
     levenberg_marquardt,
 )
-from identification.estimation.triangle import MANY
 from identification.status import Status
 
 INF = np.inf
@@ -134,19 +136,6 @@ def linear(matrix: np.ndarray, right: np.ndarray) -> Callable[..., tuple[np.ndar
         return right[index] - x @ matrix.T, np.broadcast_to(matrix, (len(index), *matrix.shape)).copy()
 
     return linearize
-
-
-def test_equal_values_are_those_of_summed_columns() -> None:
-    generator = np.random.default_rng(5)
-    matrix, right = generator.standard_normal((20, 5)), generator.standard_normal((3, 20))
-    tied, spread = problem(linear(matrix, right), 5, 3).tied([[1, 3], [4, 0]])
-    found = levenberg_marquardt(tied, np.zeros((3, spread.shape[1])))
-    values = found.parameters @ spread.T
-    np.testing.assert_array_equal(values[:, 1], values[:, 3])
-    np.testing.assert_array_equal(values[:, 0], values[:, 4])
-    summed = np.column_stack([matrix[:, 0] + matrix[:, 4], matrix[:, 1] + matrix[:, 3], matrix[:, 2]])
-    expected = np.linalg.lstsq(summed, right.T, rcond=None)[0].T
-    np.testing.assert_allclose(values[:, [0, 1, 2]], expected, rtol=0, atol=1e-9)
 
 
 def test_what_is_not_determined_stays_where_it_was() -> None:
@@ -375,3 +364,18 @@ def test_a_corner_is_left_where_the_other_factor_has_room() -> None:
     found = levenberg_marquardt(least, np.array([[0.0, -0.3, -0.8]]))
     assert found.status[0] is Status.converged
     assert found.squares[0] <= 1e-20
+
+
+@pytest.mark.parametrize("rows", [150, 2 * BLOCK + 3])
+def test_a_tall_problem_is_its_triangle(rows: int) -> None:
+    """Sums of products stay, and with them the solution, here by the normal equations."""
+    generator = np.random.default_rng(2)
+    jacobian, residual = generator.standard_normal((1, rows, 4)), generator.standard_normal((1, rows))
+    short_residual, short = compressed(residual, jacobian)
+    assert short.shape == (1, 5, 4)
+    table, triangle = (np.column_stack([j[0], r[0]]) for j, r in ((jacobian, residual), (short, short_residual)))
+    np.testing.assert_allclose(triangle.T @ triangle, table.T @ table, rtol=0, atol=1e-13 * rows)
+    expected = np.linalg.solve(jacobian[0].T @ jacobian[0], jacobian[0].T @ residual[0])
+    np.testing.assert_allclose(np.linalg.lstsq(short[0], short_residual[0])[0], expected, atol=1e-13)
+    few = jacobian[:, :90], residual[:, :90]
+    assert compressed(few[1], few[0])[1] is few[0]

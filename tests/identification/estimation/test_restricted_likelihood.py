@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 from scipy.optimize import minimize_scalar
 
-from identification.estimation.restricted_likelihood import Restricted
+from identification.estimation.prior import likeliest_noise, restricted_likelihood
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def minus_log(noise: float, size: float) -> float:
 @pytest.mark.parametrize("size", [0.0, 0.1, 1.0, 7.0])
 def test_likeliest_noise_and_its_likelihood(size: float) -> None:
     target, free, effects = drawn()
-    value, noise = Restricted.of(target, free, size * effects).likeliest(1e-3, 10.0)
+    value, noise = likeliest_noise(restricted_likelihood(target, free, size * effects), 1e-3, 10.0)
     best = minimize_scalar(minus_log, args=(size,), bounds=(1e-3, 10.0), method="bounded", options={"xatol": 1e-9})
     assert value == pytest.approx(best.fun, rel=1e-9)
     assert noise == pytest.approx(best.x, rel=1e-6)  # SciPy compares values, flat at the square root of rounding
@@ -47,15 +47,15 @@ def test_more_effects_than_residuals() -> None:
     for noise, size in ((0.3, 1.0), (2.0, 0.1)):
         covariance = size**2 * outside.T @ effects @ effects.T @ outside + noise**2 * np.eye(5)
         expected = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)
-        found = Restricted.of(target, free, size * effects).minus_log(np.array(noise))
+        found = restricted_likelihood(target, free, size * effects)(np.array(noise))
         assert found == pytest.approx(expected, rel=1e-12)
 
 
 def test_noise_ends_at_its_limits_exactly() -> None:
     """A given sigma above the scatter is kept to the last digit, and so is a given noise."""
-    found = Restricted.of(*drawn())
-    assert found.likeliest(2.0, 10.0)[1] == 2.0
-    value, noise = found.likeliest(1.0, 1.0)
+    found = restricted_likelihood(*drawn())
+    assert likeliest_noise(found, 2.0, 10.0)[1] == 2.0
+    value, noise = likeliest_noise(found, 1.0, 1.0)
     assert noise == 1.0
     assert value == pytest.approx(minus_log(1.0, 1.0), rel=1e-12)
 
@@ -70,5 +70,5 @@ def test_rows_that_stand_for_a_share_of_themselves(rows: int) -> None:
     covariance = columns @ columns.T + 0.7**2 * np.eye(rows - 2)
     expected = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)
     expected += (spare - (rows - 2)) * 2.0 * np.log(0.7)
-    found = Restricted.of(0.5 * target, free, 0.5 * effects, spare).minus_log(np.array(0.7))
+    found = restricted_likelihood(0.5 * target, free, 0.5 * effects, spare)(np.array(0.7))
     assert found == pytest.approx(expected, rel=1e-10)

@@ -13,10 +13,8 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.checks import weighting
-from identification.estimation.prior import Prior
-from identification.estimation.problem import Problem
-from identification.estimation.restricted_likelihood import WIDTHS, ZERO_WIDTHS, LinearizedProblem, Widths, likeliest
+from identification.estimation.prior import WIDTHS, ZERO_WIDTHS, Prior, likeliest
+from identification.estimation.problem import LinearProblem, Problem
 from identification.gap.library.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -54,7 +52,7 @@ def test_what_the_prior_holds_is_determined_beside_rows_without_noise(sigma: flo
     chain = chain_of(
         [DHRow(0.0, np.pi / 2, 400.0), DHRow(-600.0, 0.0, 0.0), DHRow(-500.0, 0.0, 0.0), DHRow(120.0, np.pi / 2, 150.0)]
     )
-    model = Model(Arm.of_chain(chain, sigma=sigma))
+    model = Model(Arm(chain, sigma=sigma))
     q, fresh = generator.uniform(-2.0, 2.0, (60, 4)), generator.uniform(-2.0, 2.0, (20, 4))
     truth = 0.3 * model.parameters.vector(model.prior, 0.0) * generator.standard_normal(len(model.names))
     found = estimate(model, Measurements(q, model.position(q, truth)))
@@ -65,7 +63,7 @@ def test_what_the_prior_holds_is_determined_beside_rows_without_noise(sigma: flo
 
 def test_what_neither_rows_nor_prior_determine_stays_undetermined() -> None:
     """One joint that turns about z: how high base and tool are is a sum, and nothing holds either."""
-    model = Model(Arm.of_chain(chain_of([DHRow(300.0, 0.0, 0.0)]), sigma=1e-9))
+    model = Model(Arm(chain_of([DHRow(300.0, 0.0, 0.0)]), sigma=1e-9))
     q = np.linspace(-2.0, 2.0, 30)[:, None]
     found = estimate(model, Measurements(q, model.position(q)))
     assert found.status is Status.not_identifiable
@@ -148,6 +146,12 @@ def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
     assert np.mean(plain) < 0.8
 
 
+@pytest.mark.parametrize("deviation", [0.0, -1.0, np.inf, np.nan])
+def test_wrong_deviation(deviation: float) -> None:
+    with pytest.raises(InputError, match="prior: length_error:1"):
+        Prior({"length_error:1": deviation})
+
+
 def test_fewer_rows_than_parameters_are_enough() -> None:
     data, _ = measured(np.random.default_rng(4), 3, 0.1)
     assert estimate_with_prior(MODEL, data, PRIOR).identifiable.all()
@@ -174,7 +178,7 @@ CHAIN = replace(
     tools={"1": np.array([60.0, 20.0, 30.0])},
     base=np.eye(4),
 )
-SPATIAL = Model(Arm.of_chain(CHAIN))
+SPATIAL = Model(Arm(CHAIN))
 
 
 def far_off(times: float, generator: np.random.Generator) -> tuple[Measurements, Measurements, Array]:
@@ -208,12 +212,12 @@ def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing(
     sizes = SPATIAL.parameters.vector(SPATIAL.prior, 0.0)
     # 20 mm: so large that the rows once leave the machining's errors open, and ten times do not
     misfit = 400.0 * generator.standard_normal(len(jacobian))
-    problem = replace(Problem.of(SPATIAL, data, np.full(1000, 0.05**-2)), prior=Prior(SPATIAL.prior))
+    problem = Problem.of(SPATIAL, data, prior=Prior(SPATIAL.prior))
 
     def width(times: float, copies: int) -> float:
         target, columns = (np.concatenate([a] * copies) for a in (misfit + jacobian @ (times * sizes), jacobian))
-        linear = LinearizedProblem.of(problem, zero, target, columns)._replace(equations=3000 * copies)
-        return likeliest(linear, weighting(SPATIAL, data, None, None), sigma_holds=False)[1][0]
+        copied = replace(problem, weights=np.ones(1000 * copies))
+        return likeliest(LinearProblem(copied, zero, target, columns))[1][0]
 
     once = [width(times, 1) for times in (0.5, 1.0, 1.2, 1.4, 1.6, 2.0, 4.0)]
     assert once[0] == 1.0 < once[-1]
@@ -238,12 +242,12 @@ def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[
         left = float(np.linalg.slogdet(covariance)[1] + residual @ np.linalg.solve(covariance, residual))
         return left + 4.0 * sum(width != 1.0 for width in widths)
 
-    problem = replace(Problem.of(SPATIAL, data, np.full(len(data), 0.05**-2)), prior=Prior(SPATIAL.prior))
-    linear = LinearizedProblem.of(problem, zero, residual / 0.05, jacobian / 0.05)
-    noise = weighting(SPATIAL, data, 0.05, None)
+    linear = LinearProblem(
+        Problem.of(SPATIAL, data, 0.05, prior=Prior(SPATIAL.prior)), zero, residual / 0.05, jacobian / 0.05
+    )
     expected = min(product(WIDTHS, ZERO_WIDTHS), key=minus_log)
     assert (expected[0] > 1.0, expected[1] > 1.0) == (factors[0] > 1.0, factors[1] > 1.0)
-    assert likeliest(linear, noise, sigma_holds=True) == (1.0, Widths(*expected))
+    assert likeliest(linear) == (1.0, expected)
 
 
 @pytest.mark.parametrize("degrees", [20.0, 110.0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 import warnings
 from pathlib import Path
@@ -17,7 +16,7 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import readonly
 from identification.errors import InputError
 from identification.files.arm import arm_from_tables, load_arm
-from identification.files.arm_text import append_tables, dump_arm, replace_table, with_calibration, with_effects
+from identification.files.arm_text import dump_arm, with_calibration, with_effects
 from identification.files.io import read_text
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
@@ -107,37 +106,11 @@ def same(a: object, b: object) -> None:
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("rows = -3", "calibration.provenance.rows: found -3, allowed: a whole number >= 1"),
-        ("rows = 0", "rows: found 0"),
-        ('rows = "many"', "rows: found 'many'"),
-        ("rows = true", "rows: found True"),
-        (
-            "joint_range_deg = [[0.0, 90.0], [90.0, -90.0]]",
-            "joint_range_deg[2]: found [90.0, -90.0], allowed: two finite",
-        ),
-        ("joint_range_deg = [[0.0, 90.0, 100.0]]", "joint_range_deg[1]: found [0.0, 90.0, 100.0]"),
-        ("joint_range_deg = [0.0, 90.0]", "joint_range_deg[1]: found 0.0"),
-        ("joint_range_deg = 5", "joint_range_deg[1]: found 5"),
-        ("joint_range_mm = [[nan, 1.0]]", "joint_range_mm[1]: found [nan, 1.0]"),
-        ('joint_range_mm = [["a", 1.0]]', "joint_range_mm[1]: found ['a', 1.0]"),
-    ],
-)
-def test_provenance_that_cannot_be(tmp_path: Path, line: str, expected: str) -> None:
-    """Of numbers that the program itself reads again."""
-    text = "links_mm = [300.0, 200.0]\n[calibration]\nlength_errors_mm = [0.0, 0.0]\njoint_offsets_deg = [0.0, 0.0]\n"
-    (tmp_path / "arm.toml").write_text(f"{text}[calibration.provenance]\n{line}\n")
-    with pytest.raises(InputError, match=re.escape(expected)):
-        load_arm(tmp_path / "arm.toml")
-
-
 def test_every_documented_key_is_read(tmp_path: Path) -> None:
     arm = load(tmp_path, FULL)
     degree = np.pi / 180.0
     expected = Arm(
-        lengths=[260.0, 180.0, 120.0, 100.0],
+        chain=[260.0, 180.0, 120.0, 100.0],
         lower=degree * np.array([-180.0, -120.0, -100.0, -90.0]),
         upper=degree * np.array([180.0, 120.0, 60.0, 90.0]),
         sigma=0.1,
@@ -165,21 +138,11 @@ def test_every_documented_key_is_read(tmp_path: Path) -> None:
 
 
 def test_what_is_left_out_has_its_default(tmp_path: Path) -> None:
-    same(Arm(lengths=[260.0, 180.0]), load(tmp_path, PLAIN))
+    same(Arm([260.0, 180.0]), load(tmp_path, PLAIN))
     arm = load(tmp_path, PLAIN + "[gravity]\nacceleration_m_s2 = [0, -9.81]\nlink_masses_kg = [1, 0]\n")
     assert arm.gravity is not None
     assert arm.gravity.center_of_mass.tolist() == [0.5, 0.5]
     assert arm.gravity.payload == 0.0
-
-
-def test_limits_may_span_more_than_a_turn(tmp_path: Path) -> None:
-    arm = load(tmp_path, PLAIN + "[joint_limits_deg]\nlower = [-360, -400]\nupper = [360, 400]\n")
-    np.testing.assert_allclose(arm.upper, [2 * np.pi, 400 * np.pi / 180])
-
-
-def test_a_whole_number_setting_is_known(tmp_path: Path) -> None:
-    arm = load(tmp_path, PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 6\n')
-    assert arm.effects == (EffectSpec("transmission_ripple", 1, {"k": 6.0}),)
 
 
 def test_limits_that_look_like_radians_warn(tmp_path: Path) -> None:
@@ -188,125 +151,87 @@ def test_limits_that_look_like_radians_warn(tmp_path: Path) -> None:
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------------
-LIMITS = "[joint_limits_deg]\nlower = {}\nupper = {}\n"
-GRAVITY = "[gravity]\nacceleration_m_s2 = [0, -9.81]\n"
-TWO = "[calibration]\nlength_errors_mm = [0, 0]\njoint_offsets_deg = [0, 0]\n"
-TWO += 'parameters = ["length_error:1", "joint_offset:2"]\n'
-THREE = (
-    TWO.replace('", "', '", "length_error:2", "') + "covariance = [[1, -0.6, -0.6], [-0.6, 1, -0.6], [-0.6, -0.6, 1]]\n"
-)
-CALIBRATION = "[calibration]\nlength_errors_mm = [0, 0]\njoint_offsets_deg = [0, 0]\n"
+def refused(path: Path, *named: str) -> None:
+    """In one line that begins with the file and names all of this."""
+    with pytest.raises(InputError) as caught:
+        load_arm(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(f"{path}: ")
+    assert [part for part in named if part not in message] == [], message
+
+
+PLANAR = PLAIN + "[gravity]\nacceleration_m_s2 = [0, -9.81]\nlink_masses_kg = [1, 1]\n"
+LIMITS = PLAIN + "[joint_limits_deg]\n"
+CIRCLE = PLAIN + '[[constraints]]\nkind = "keep_out_circle"\ncenter_mm = [0, 0]\n'
+SIGHT = PLAIN + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [1, 0]\n'
 BASE = '[[effects]]\nname = "base_offset"\n'
-BAD = [
-    ("", ["empty"]),
-    ("name = 'a'\n", ["links_mm: is missing", "allowed: 1 to 12 link lengths > 0 [mm]"]),
-    ("links_mm = []\n", ["links_mm", "found 0 values", "allowed: 1 to 12"]),
-    (f"links_mm = {[1.0] * 13}\n", ["links_mm", "found 13 values", "allowed: 1 to 12"]),
-    ("links_mm = [260, 0]\n", ["links_mm[2]", "found 0", "> 0"]),
-    ("links_mm = [-260.0, 1]\n", ["links_mm[1]", "found -260.0", "> 0"]),
-    ("lenghts_mm = [1]\n", ["lenghts_mm: unknown key", "did you mean 'links_mm'", "allowed: calibration"]),
-    (PLAIN + LIMITS.format("[0, 0]", "[90, -90]"), ["joint_limits_deg", "joint 2", "-90", "allowed: lower < upper"]),
-    (PLAIN + LIMITS.format("[0]", "[90, 90]"), ["joint_limits_deg.lower", "1 values", "allowed: 2"]),
-    (PLAIN + "[joint_limits_deg]\nlower = [0, 0]\n", ["joint_limits_deg.upper: is missing", "allowed: one angle"]),
-    (PLAIN + "[measurement]\nsigma_mm = 0\n", ["measurement.sigma_mm", "found 0", "allowed: a number > 0"]),
-    (PLAIN + "[measurement]\nsigma_mm = -0.1\n", ["measurement.sigma_mm", "found -0.1", "allowed: a number > 0"]),
-    (PLAIN + GRAVITY + "link_masses_kg = [1]\n", ["gravity.link_masses_kg", "found 1 values", "allowed: 2"]),
-    (PLAIN + GRAVITY + "link_masses_kg = [1, -1]\n", ["gravity.link_masses_kg[2]", "found -1", "mass >= 0"]),
+BACKLASH = PLAIN + '[[effects]]\nname = "backlash"\n'
+CALIBRATION = "[calibration]\nlength_errors_mm = [0, 0]\njoint_offsets_deg = [0, 0]\n"
+TWO = CALIBRATION + 'parameters = ["length_error:1", "joint_offset:2"]\n'
+THREE = (
+    TWO.replace('", "', '", "length_error:2", "') + "covariance = [[1, -0.6, -0.6], [-0.6, 1, -0.6], [-0.6, -0.6, 1]]"
+)
+ORIGIN = PLAIN + CALIBRATION + "[calibration.provenance]\n"
+BAD = [  # values that are of the right type
+    ("", "empty"),
+    ("links_mm = []", "links_mm: found 0"),
+    (f"links_mm = {[1.0] * 13}", "links_mm: found 13"),
+    ("links_mm = [260, 0]", "links_mm[2]: found 0"),
+    ("links_mm = [-260.0, 1]", "links_mm[1]: found -260.0"),
+    (LIMITS + "lower = [0, 0]\nupper = [90, -90]", "joint 2"),
+    (LIMITS + "lower = [0]\nupper = [90, 90]", "joint_limits_deg.lower: found 1"),
+    (PLAIN + "[measurement]\nsigma_mm = 0", "measurement.sigma_mm: found 0"),
+    (PLANAR.replace("[1, 1]", "[1]"), "gravity.link_masses_kg: found 1"),
+    (PLANAR.replace("[1, 1]", "[1, -1]"), "gravity.link_masses_kg[2]: found -1"),
+    (PLANAR.replace("[0, -9.81]", "[0]"), "gravity.acceleration_m_s2: found 1"),
+    (PLANAR + "center_of_mass = [0.5, 1.5]", "gravity.center_of_mass[2]: found 1.5"),
+    (PLANAR + "center_of_mass = [0.5]", "gravity.center_of_mass: found 1"),
+    (PLANAR + "payload_kg = -1", "gravity.payload_kg: found -1"),
+    (PLAIN + '[[constraints]]\nkind = "box"', "constraints[1].kind: found 'box'"),
     (
-        PLAIN + GRAVITY + "link_masses_kg = [1, 1]\ncenter_of_mass = [0.5, 1.5]\n",
-        ["gravity.center_of_mass[2]", "found 1.5", "fraction 0 to 1"],
+        PLAIN + '[[constraints]]\nkind = "workspace_box"\nx_mm = [1, 0]\ny_mm = [0, 1]',
+        "constraints[1].x_mm: found [1, 0]",
     ),
-    (
-        PLAIN + GRAVITY + "link_masses_kg = [1, 1]\ncenter_of_mass = [0.5]\n",
-        ["gravity.center_of_mass", "found 1 values", "allowed: 2"],
-    ),
-    (PLAIN + GRAVITY, ["gravity.link_masses_kg: is missing", "mass >= 0"]),
-    (PLAIN + "[gravity]\nacceleration_m_s2 = -9.81\n", ["gravity.acceleration_m_s2", "found -9.81", "two numbers"]),
-    (PLAIN + "[gravity]\nacceleration_m_s2 = [0]\n", ["gravity.acceleration_m_s2", "found 1 values", "two numbers"]),
-    (
-        PLAIN + GRAVITY + "link_masses_kg = [1, 1]\npayload_kg = -1\n",
-        ["gravity.payload_kg", "found -1", "allowed: a number >= 0"],
-    ),
-    (PLAIN + '[[constraints]]\nkind = "box"\n', ["constraints[1].kind", "found 'box'", "allowed: keep_out_circle"]),
-    (PLAIN + "[[constraints]]\nx_mm = [0, 1]\n", ["constraints[1].kind: is missing", "allowed: keep_out_circle"]),
-    (
-        PLAIN + '[[constraints]]\nkind = "workspace_box"\nx_mm = [1, 0]\ny_mm = [0, 1]\n',
-        ["constraints[1].x_mm", "found [1, 0]", "allowed: the lower one first"],
-    ),
-    (
-        PLAIN + '[[constraints]]\nkind = "keep_out_circle"\ncenter_mm = [0, 0]\nradius_mm = 0\n',
-        ["constraints[1].radius_mm", "found 0", "allowed: a number > 0"],
-    ),
-    (
-        PLAIN
-        + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [0, 0]\nhalf_angle_deg = 200\ntoward_mm = [1, 0]\n',
-        ["constraints[1].half_angle_deg", "found 200", "<= 180"],
-    ),
-    (
-        PLAIN
-        + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [1, 0]\nhalf_angle_deg = 20\ntoward_mm = [1, 0]\n',
-        ["constraints[1].toward_mm", "found [1.0, 0.0]", "allowed: another point"],
-    ),
-    (PLAIN + '[[effects]]\nname = "base_ofset"\n', ["effects", "'base_ofset'", "did you mean 'base_offset'"]),
-    (PLAIN + "[[effects]]\njoint = 1\n", ["effects[1].name: is missing", "allowed: the name"]),
-    (PLAIN + '[[effects]]\nname = "backlash"\n', ["effects", "backlash needs a joint", "allowed: 1 to 2"]),
-    (PLAIN + '[[effects]]\nname = "backlash"\njoint = 3\n', ["effects", "joint 3", "allowed: 1 to 2"]),
-    (PLAIN + '[[effects]]\nname = "backlash"\njoint = 1.5\n', ["effects[1].joint", "found 1.5", "allowed: the whole"]),
-    (PLAIN + BASE + "joint = 1\n", ["effects", "base_offset", "not allowed"]),
-    (PLAIN + BASE + "x0 = 1\n", ["effects[1].x0", "did you mean 'x0_mm'", "y0_mm"]),
-    (PLAIN + BASE + BASE, ["effects", "base_offset", "2 times", "allowed: once"]),
-    (
-        PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 0\n',
-        ["transmission_ripple:1", "k", "0", "allowed: a number 0.25 to 2000"],
-    ),
-    (
-        PLAIN + '[[effects]]\nname = "gravity_backlash"\njoint = 1\nb_deg = -1\n',
-        ["effects[1].b_deg", "found -1", "allowed: a number >= 0"],
-    ),
-    (
-        PLAIN + "[calibration]\nlength_errors_mm = [0]\njoint_offsets_deg = [0, 0]\n",
-        ["calibration.length_errors_mm", "found 1 values", "allowed: 2"],
-    ),
-    (PLAIN + "[calibration]\nlength_errors_mm = [0, 0]\n", ["calibration.joint_offsets_deg: is missing", "allowed"]),
-    (PLAIN + CALIBRATION + "covariance = [[1]]\n", ["calibration.parameters: is missing", "allowed"]),
-    (
-        PLAIN + CALIBRATION + 'parameters = ["length_error:1"]\ncovariance = [[1], [2]]\n',
-        ["calibration.covariance", "found 2 rows", "allowed: 1"],
-    ),
-    (
-        PLAIN + CALIBRATION + 'parameters = ["length_error:1"]\ncovariance = [[1, 2]]\n',
-        ["calibration.covariance", "found 2 values in a row", "allowed: 1"],
-    ),
-    (PLAIN + TWO + "covariance = [[1, 0], [0, -2]]\n", ["variance -2 of joint_offset:2", "allowed: >= 0"]),
-    (PLAIN + TWO + "covariance = [[4, 1], [0, 1]]\n", ["found 1 and 0 of length_error:1 and joint_o", "symmetric"]),
-    (PLAIN + TWO + "covariance = [[1, 2], [2, 1]]\n", ["found 2 and 2 of length_error:1", "correlation of -1 to 1"]),
-    (PLAIN + TWO + "covariance = [[1, 1], [1, 0]]\n", ["found 1 and 1 of length_error:1", "correlation of -1 to 1"]),
+    (CIRCLE + "radius_mm = 0", "constraints[1].radius_mm: found 0"),
+    (SIGHT + "half_angle_deg = 200\ntoward_mm = [2, 0]", "constraints[1].half_angle_deg: found 200"),
+    (SIGHT + "half_angle_deg = 20\ntoward_mm = [1, 0]", "constraints[1].toward_mm: found [1.0, 0.0]"),
+    (BACKLASH, "backlash needs a joint"),
+    (BACKLASH + "joint = 3", "joint 3"),
+    (BACKLASH + "joint = 1.5", "effects[1].joint: found 1.5"),
+    (PLAIN + BASE + "joint = 1", "base_offset"),
+    (PLAIN + BASE + BASE, "base_offset"),
+    (PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 0', "transmission_ripple:1"),
+    (PLAIN + '[[effects]]\nname = "gravity_backlash"\njoint = 1\nb_deg = -1', "effects[1].b_deg: found -1"),
+    (PLAIN + CALIBRATION.replace("mm = [0, 0]", "mm = [0]"), "calibration.length_errors_mm: found 1"),
+    (PLAIN + CALIBRATION + "covariance = [[1]]", "calibration.parameters: is missing"),
+    (PLAIN + TWO + "covariance = [[1, 0]]", "calibration.covariance: found 1 rows"),
+    (PLAIN + TWO + "covariance = [[1], [2]]", "calibration.covariance: found 1 values"),
+    (PLAIN + TWO + "covariance = [[1, 0], [0, -2]]", "variance -2 of joint_offset:2"),
+    (PLAIN + TWO + "covariance = [[4, 1], [0, 1]]", "found 1 and 0 of length_error:1"),
+    (PLAIN + TWO + "covariance = [[1, 2], [2, 1]]", "found 2 and 2 of length_error:1"),
+    (PLAIN + TWO + "covariance = [[1, 1], [1, 0]]", "found 1 and 1 of length_error:1"),
     # correlations -0.6 of each two of three: the sum has variance 3 - 6 * 0.6 = -0.6, a third of it per unit vector
-    (PLAIN + THREE, ["correlations with eigenvalue -0.2", "allowed: positive semidefinite"]),
-    (
-        PLAIN + CALIBRATION + 'parameters = ["lenght_error:1"]\n',
-        ["calibration.parameters", "did you mean 'length_error:1'"],
+    (PLAIN + THREE, "eigenvalue -0.2"),
+    (PLAIN + CALIBRATION + 'parameters = ["lenght_error:1"]', "'length_error:1'"),
+    (PLAIN + CALIBRATION + '[calibration.effects]\n"base_offset.x0_mm" = 1', "'base_offset.x0_mm'"),
+    (PLAIN + BASE + CALIBRATION + '[calibration.effects]\n"base_offset.x0" = 1', "'base_offset.x0_mm'"),
+    # of what is kept of a fit, what the program itself reads again
+    *(
+        (f"{ORIGIN}rows = {value}", f"rows: found {said}")
+        for value, said in (("0", "0"), ('"many"', "'many'"), ("true", "True"))
     ),
-    (
-        PLAIN + CALIBRATION + '[calibration.effects]\n"base_offset.x0_mm" = 1\n',
-        ["calibration.effects", "'base_offset.x0_mm'", "allowed: parameters of effects that the file has"],
-    ),
-    (
-        PLAIN + BASE + CALIBRATION + '[calibration.effects]\n"base_offset.x0" = 1\n',
-        ["calibration.effects", "'base_offset.x0'", "did you mean 'base_offset.x0_mm'"],
-    ),
+    (ORIGIN + "joint_range_deg = [[0.0, 90.0], [90.0, -90.0]]", "joint_range_deg[2]: found [90.0, -90.0]"),
+    (ORIGIN + "joint_range_deg = [[0.0, 90.0, 100.0]]", "joint_range_deg[1]: found [0.0, 90.0, 100.0]"),
+    (ORIGIN + "joint_range_deg = 5", "joint_range_deg[1]: found 5"),
+    (ORIGIN + "joint_range_mm = [[nan, 1.0]]", "joint_range_mm[1]: found [nan, 1.0]"),
 ]
 
 
-@pytest.mark.parametrize(("text", "parts"), BAD, ids=[" ".join(parts)[:50] for _, parts in BAD])
-def test_bad_input_gets_one_line(tmp_path: Path, text: str, parts: list[str]) -> None:
-    with pytest.raises(InputError) as caught:
-        load(tmp_path, text)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert message.startswith(f"{tmp_path / 'arm.toml'}: ")
-    missing = [part for part in parts if part not in message]
-    assert not missing, f"{missing} not in {message!r}"
+@pytest.mark.parametrize(("text", "named"), BAD, ids=[named[:50] for _, named in BAD])
+def test_bad_input_gets_one_line(tmp_path: Path, text: str, named: str) -> None:
+    (tmp_path / "arm.toml").write_text(text)
+    refused(tmp_path / "arm.toml", named)
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
@@ -322,13 +247,6 @@ def test_calibration_is_replaced_where_it_stands_and_the_rest_stays(tmp_path: Pa
     )
     assert written == moved.replace(text[start:end], new)
     same(found, load(tmp_path, written).calibration)
-
-
-def test_calibration_is_added_at_the_end() -> None:
-    text = PLAIN.rstrip("\n")  # the file's last line has no end
-    written = with_calibration(text, Calibration.of(readonly([1, 2]), readonly([0, 0])))
-    added = "[calibration]\nlength_errors_mm = [1.0, 2.0]\njoint_offsets_deg = [0.0, 0.0]\n"
-    assert written == f"{PLAIN}\n{added}"
 
 
 @pytest.mark.parametrize(
@@ -387,16 +305,6 @@ def test_effects_in_other_layouts(tmp_path: Path, text: str) -> None:
     same(spec, load(tmp_path, with_effects(text, [spec])).effects[-1])
 
 
-def test_effects_the_arm_cannot_have_are_refused() -> None:
-    with pytest.raises(InputError, match="joint 3, allowed: 1 to 2"):
-        with_effects(PLAIN, [EffectSpec("backlash", 3)])
-
-
-def test_toml_text_makes_tables() -> None:
-    assert append_tables("a = 1\n", "b", [{"c": 1}, {"c": 2}]) == "a = 1\n\n[[b]]\nc = 1\n\n[[b]]\nc = 2\n"
-    assert replace_table("a = 1\n[b]\nc = 1 # one\nd = 2\n", "b", {"c": 3}) == "a = 1\n[b]\nc = 3 # one\n"
-
-
 numbers = st.floats(-1e3, 1e3, allow_subnormal=False)
 angles = st.floats(-7.0, 7.0, allow_subnormal=False)
 
@@ -425,7 +333,7 @@ def arms(draw: st.DrawFn) -> Arm:
     )
     masses, center = (draw(arrays(float, n, elements=st.floats(0, 1))) for _ in range(2))
     return Arm(
-        lengths=lengths,
+        chain=lengths,
         lower=lower,
         upper=lower + draw(arrays(float, n, elements=st.floats(0.1, 7.0))),
         sigma=draw(st.none() | st.floats(1e-6, 10)),

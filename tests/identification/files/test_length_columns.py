@@ -13,14 +13,11 @@ from identification.errors import InputError
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm
 from identification.files.measurement import load_measurements, measurement_text
+from identification.instruments import Distance, Plane, Sphere
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
-from identification.kinematics.instrument import Instrument
 
 CHAIN = chain_of([DHRow(300.0, 0.0, 10.0), DHRow(200.0, 1.0, 0.0)])
-BAR, BALL, FACE = (
-    Arm.of_chain(replace(CHAIN, instrument=one))
-    for one in (Instrument("distance"), Instrument("sphere", 12.5), Instrument("plane"))
-)
+BAR, BALL, FACE = (Arm(replace(CHAIN, instrument=one)) for one in (Distance(), Sphere(12.5), Plane()))
 HEAD = 'kind = "spatial"\n[[dh]]\na_mm = 300.0\nalpha_deg = 0.0\nd_mm = 10.0\n'
 
 
@@ -83,13 +80,13 @@ def test_arm_files(tmp_path: Path) -> None:
     text = f'{HEAD}[instrument]\nkind = "distance"\ncenter_mm = [700.0, -200.0, 300.0]\n'
     arm = load_arm(saved(tmp_path, text, "arm.toml"))
     assert arm.chain is not None
-    assert arm.chain.instrument == Instrument("distance")
+    assert arm.chain.instrument == Distance()
     np.testing.assert_array_equal(arm.chain.base[:3, 3], [-700.0, 200.0, -300.0])
     assert not arm.chain.known
     ball = load_arm(saved(tmp_path, f'{HEAD}[instrument]\nkind = "sphere"\nradius_mm = 12.5\n', "arm.toml"))
     unknown = load_arm(saved(tmp_path, f'{HEAD}[instrument]\nkind = "sphere"\n', "arm.toml"))
     assert unknown.chain is not None
-    assert unknown.chain.instrument == Instrument("sphere", None)
+    assert unknown.chain.instrument == Sphere()
     for given in (arm, ball, unknown):
         again = load_arm(saved(tmp_path, dump_arm(given), "again.toml"))
         assert again.chain is not None
@@ -101,7 +98,7 @@ def test_arm_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ('kind = "tracker"', "instrument.kind: found 'tracker', allowed: distance, sphere or plane"),
+        ('kind = "tracker"', "instrument.kind: found 'tracker', allowed: distance, plane or sphere"),
         ('kind = "distance"\nradius_mm = 3.0', "instrument.radius_mm: found for kind distance, allowed: for sphere"),
         ('kind = "plane"\nradius_mm = 3.0', "instrument.radius_mm: found for kind plane"),
         ('kind = "sphere"\nradius_mm = -3.0', "instrument.radius_mm: found -3.0, allowed: a number > 0"),

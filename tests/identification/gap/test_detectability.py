@@ -8,12 +8,12 @@ import pytest
 from scipy import stats
 
 from identification.arm import Arm, EffectSpec, Gravity
+from identification.documents.diagnosis import order_clauses
 from identification.errors import InputError
 from identification.gap.blocks import linearized
 from identification.gap.detectability import NEAR, Beside, assess, detectability, detectable_lambda, order_ranges
 from identification.gap.fit import Rows, fit
 from identification.gap.hypotheses import hypotheses
-from identification.gap.words import order_clauses
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from scipy.linalg import null_space
 from scipy.special import logsumexp, softmax
 
 from identification.arm import Arm, EffectSpec
+from identification.documents.diagnosis import findings
 from identification.gap.diagnose import diagnose
 from identification.gap.evidence import SIZES
 from identification.gap.fit import Rows, fit
@@ -18,9 +21,9 @@ from identification.gap.replication import (
     CurveColumns,
     Replication,
     _in_session,
-    replication_clauses,
     replications,
 )
+from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
@@ -75,9 +78,8 @@ def test_what_returns_and_what_does_not(
     for there, size in zip(one.sessions, sizes, strict=True):
         errors = (np.radians(there.values) - [size.real, size.imag]) / np.radians(there.deviations)
         assert np.all(np.abs(errors) < 5.0)
-    assert list(replication_clauses((one,))) == [
-        f"{'replicates' if answer else 'does not replicate'} across sessions: {one.effect}"
-    ]
+    told = cast(Diagnosis, SimpleNamespace(shape=None, misfit=None, replication=(one,), shapes=()))
+    assert findings(told) == [f"{'replicates' if answer else 'does not replicate'} across sessions: {one.effect}"]
 
 
 @pytest.mark.parametrize(("second", "right", "wrong"), [(SIZE, True, False), (0.0j, False, True)])

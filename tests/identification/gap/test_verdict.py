@@ -9,9 +9,9 @@ import pytest
 
 from doe.studies.blind.score import contradictions
 from identification.arm import EffectSpec
+from identification.documents.diagnosis import SHORT
 from identification.gap.result import Candidate, Diagnosis
 from identification.gap.verdict import CREDIBLE, MOST, RIVAL, Probabilities
-from identification.gap.words import SHORT
 from tests.identification.gap.test_diagnose import diagnosed
 
 

@@ -1,0 +1,221 @@
+"""Designs for an arm whose parameters are not known yet: good on average, or at worst, over a prior.
+
+Effects make the Jacobian depend on the parameters, so one guess may give a plan that is poor for the real arm. Draw K
+parameter vectors from the prior and imagine K arms that are measured together: the Jacobian of a posture is
+block-diagonal of the K Jacobians, and so is the information matrix. Then log det M = sum_k log det M_k, so that
+D-optimality of this model is the average over the prior, and `Worst` takes the smallest of the M_k. Solvers,
+relaxation, column generation and certificates need no change: it is a model like any other, with d K coordinates and
+p K parameters.
+
+Designs for an arm whose model may lack something: what it may lack enters with its prior.
+
+The parameters are those of the model and of all effects of the library, error curves among them; the latter have a
+normal prior of zero mean, and each posture has an error of its own, which is noise to all others
+(`identification.gap.library.library_prior`). With K the information of the prior the posterior of a plan is
+(sum B^T B + K)^-1 sigma^2, and every criterion of it is concave as before (doe/README.md, "Prior information").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doe.criteria import Criterion, D, I
+from doe.criteria.log_determinants import Average, Worst
+from doe.problem.model import DesignModel, offered, offers
+from doe.problem.postures import listed_candidates, random_and_at_limits, random_postures
+from doe.problem.problem import NEEDS_SIGMA, DesignProblem
+from identification.arrays import Array, readonly
+from identification.errors import InputError, nearest
+from identification.for_design import for_design
+from identification.kinematics.parameters import ParameterSet
+
+# -- several arms ------------------------------------------------------------------------------------------------------
+KINDS = ("average", "worst")
+
+
+@dataclass(frozen=True)
+class EnsembleModel:
+    """K arms measured at the same postures. draws : (K, p) parameter vectors [mm, rad]."""
+
+    model: DesignModel
+    draws: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", for_design(self.model))
+        draws = readonly(np.atleast_2d(self.draws))
+        p = len(self.model.parameters)
+        if draws.shape[1] != p or not np.all(np.isfinite(draws)):
+            raise InputError(f"draws: shape {draws.shape}, allowed: (K, {p}) finite numbers")
+        object.__setattr__(self, "draws", draws)
+
+    @property
+    def joint_types(self) -> tuple[str, ...]:
+        """As of the model."""
+        return self.model.joint_types
+
+    @property
+    def lower(self) -> Array:
+        """As of the model."""
+        return self.model.lower
+
+    @property
+    def upper(self) -> Array:
+        """As of the model."""
+        return self.model.upper
+
+    @property
+    def sigma(self) -> float | None:
+        """As of the model."""
+        return self.model.sigma
+
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """(K p) parameters of the model, with the number of the draw in their names."""
+        draws = range(1, len(self.draws) + 1)
+        return ParameterSet.of(replace(p, name=f"{p.name} [draw {k}]") for k in draws for p in self.model.parameters)
+
+    @property
+    def prior(self) -> dict[str, float]:
+        """That of the model, for every draw."""
+        return self.of_draws(self.model.prior)
+
+    def of_draws(self, deviations: Mapping[str, float]) -> dict[str, float]:
+        """Standard deviations of the model's parameters as those of every draw."""
+        numbers = range(1, len(self.draws) + 1)
+        return {f"{name} [draw {k}]": size for k in numbers for name, size in deviations.items()}
+
+    @property
+    def dimension(self) -> int:
+        """K d coordinates per posture."""
+        return self.model.dimension * len(self.draws)
+
+    @property
+    def values(self) -> Array:
+        """(K p) the draws."""
+        return self.draws.ravel()
+
+    def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        """(K d) positions of the K arms."""
+        each = ca.vertsplit(p, self.draws.shape[1])
+        return ca.vertcat(*(self.model.symbolic_position(q, part) for part in each))
+
+
+def prior_draws(model: Any, count: int, generator: np.random.Generator) -> Array:
+    """(count, p) parameter vectors around the best known values of an arm.
+
+    With a calibration that has a covariance of the same parameters, from it; else independent normal deviations of the
+    sizes of its machining, see `deviated_draws`, where an angle of unknown place turns a link of mean length.
+    """
+    model = for_design(model)
+    if (covariance := offered(model, "covariance", "uncertain")) is not None:
+        return generator.multivariate_normal(model.values, covariance, count, method="eigh")
+    return deviated_draws(model, count, generator, *offered(model, "machining", "uncertain"))
+
+
+def deviated_draws(
+    model: DesignModel, count: int, generator: np.random.Generator, length: float, angle: float, arm: float
+) -> Array:
+    """(count, p) parameter vectors: independent normal deviations from the best known values, within physical bounds.
+
+    Lengths deviate by `length` [mm], angles by `angle` [rad], everything else such that it moves the tip as an angle
+    does at the end of a lever `arm` [mm].
+    """
+    by_unit = {"mm": length, "rad": angle}
+    deviations = np.array([by_unit.get(p.unit, angle * arm / p.scale) for p in model.parameters])
+    drawn = model.values + deviations * generator.standard_normal((count, len(deviations)))
+    return np.clip(drawn, model.parameters.lower, model.parameters.upper)
+
+
+def ensemble_problem(problem: DesignProblem, draws: Array, kind: str = "average") -> DesignProblem:
+    """The same design space for an uncertain arm: D-optimal on `average`, or at `worst`, over the draws (K, p).
+
+    Raises `InputError` for another kind, a problem whose criterion is not D, draws of the wrong shape.
+    """
+    if kind not in KINDS:
+        raise InputError(f"uncertain: unknown kind {kind!r}, {nearest(kind, KINDS)}")
+    if not isinstance(problem.criterion, D):
+        raise InputError(f"criterion: {problem.criterion.name} for an uncertain arm, allowed: D")
+    if isinstance(problem.model, EnsembleModel):
+        raise InputError("uncertain: the model is one of several arms already, allowed: the model of one arm")
+    model = EnsembleModel(problem.model, draws)
+    criterion: Criterion = (Average if kind == "average" else Worst)(len(model.draws))
+    return replace(problem, model=model, criterion=criterion, deviations=model.of_draws(problem.deviations))
+
+
+# -- one arm that may have more effects --------------------------------------------------------------------------------
+# reasons: doe/README.md, "Robust designs"
+FASTEST = 24.0  # order of the fastest wave of an error curve that a plan is to show
+POSES = 1000  # random postures that stand for the workspace
+LIBRARY = "library-prior"  # what its criterion promises is of a fit with `armcal identify --library-prior`
+CHOICES = 2000  # postures to choose from where none are listed
+
+
+def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) -> Any:
+    """What a problem's model may lack of what postures can show; what order, time and temperature show is left out.
+
+    names : of effects, None: all. Raises `InputError` for a model that does not know, unknown names, no sigma.
+    """
+    missing = offered(problem.model, "missing_effects", "robust")
+    if problem.model.sigma is None:
+        raise InputError(f"--robust {NEEDS_SIGMA}")
+    return missing(names, FASTEST)
+
+
+def robust_problem(
+    problem: DesignProblem, missing: Any = None, criterion: Criterion | None = None, poses: Array | None = None
+) -> DesignProblem:
+    """The same design space for an arm that may have these effects too.
+
+    missing : None: all that postures can show, `missing_effects`
+    criterion : None: I, the mean squared error of the tip over `poses`, with the estimated effects in the model
+    poses : (k, n) where the tip is needed, None: the `workspace`
+    """
+    added = missing_effects(problem) if missing is None else missing
+    model, deviations, beyond = offered(problem.model, "with_effects", "robust")(added)
+    wide = replace(problem, model=model, deviations={**problem.deviations, **deviations}, fit=LIBRARY)
+    poses = workspace(wide) if poses is None else poses
+    wide = replace(wide, beyond=beyond(poses))
+    return replace(wide, criterion=average_error(wide, poses) if criterion is None else criterion)
+
+
+def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignProblem:
+    """The problem with a list to choose from, its own or one of random allowed postures, half of them at limits.
+
+    also : (k, n) postures that are among them too
+
+    Fast waves give a criterion thousands of local optima over all postures, none much better than the next: a list has
+    enough of them to choose from. No proof over a random list says anything of all postures: it is `sampled`.
+    """
+    sampled = problem.choices is None
+    choices = random_and_at_limits(problem, CHOICES, np.random.default_rng(0)) if sampled else problem.choices
+    assert choices is not None
+    listed = choices if also is None else np.concatenate([choices, also])
+    return replace(problem, choices=listed, sampled=sampled or problem.sampled)
+
+
+def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:
+    """Criterion I at test poses (k, n) [rad]; None: over the `workspace`."""
+    return I(tip_jacobians(problem, workspace(problem) if poses is None else poses))
+
+
+def tip_jacobians(problem: DesignProblem, poses: ArrayLike) -> Array:
+    """(k, P, c, p) scaled Jacobians of the positions of P measured points at poses (k, n), whatever is read of them; of
+    a model that knows no tip what is measured, as of one point."""
+    if not offers(problem.model, "tip_jacobian"):
+        return problem.scaled_jacobians(poses)[:, None]
+    return np.asarray(offered(problem.model, "tip_jacobian", "tip")(poses) / problem.model.parameters.scales)
+
+
+def workspace(problem: DesignProblem) -> Array:
+    """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints, as
+    where a probe is to touch something."""
+    if problem.choices is not None and not getattr(problem.model, "tied", False):
+        return listed_candidates(problem, problem.choices).postures
+    return random_postures(problem, POSES, np.random.default_rng(0))

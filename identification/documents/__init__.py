@@ -1,0 +1,1 @@
+"""What results of identification say, as documents; and their pictures."""

@@ -1,0 +1,308 @@
+"""Signs of a doubtful fit: flipped links, another frame, postures outside the limits.
+
+Whether measurements and an earlier calibration as their prior agree, and which of its parameters they contradict.
+
+The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one degree
+of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors of one
+parameter look like errors of others, and the fit is made again without it before the others are tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from identification.arm import Arm
+from identification.arrays import Array, rows_in_words
+from identification.estimation.prior import Earlier
+from identification.estimation.uncertainty import LEVEL
+from identification.information import RANK_TOLERANCE
+from identification.inspection.data_checks import DRAWN
+from identification.inspection.readings import read_differently
+from identification.kinematics.closed_form import PlanarClosedForm
+from identification.kinematics.counting import in_columns
+from identification.kinematics.parameters import (
+    FILE_UNITS,
+    JOINT_OFFSET,
+    JOINT_UNITS,
+    LENGTH_ERROR,
+    REVOLUTE,
+    Parameter,
+)
+from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
+from identification.kinematics.turns import turned_into
+from identification.measurements import POINT, Measurements, distances, rms_distance
+from identification.model import Model
+from identification.workspace import ColumnLimits
+
+if TYPE_CHECKING:
+    from identification.estimation.result import Identification
+
+# reasons: identification/README.md, "Doubtful fits"
+FLIPPED = 0.5  # of a link's nominal length: no drawing and no machining is that wrong
+TURNED = np.radians(30.0)  # of a frame of a spatial arm: no machining is that wrong, a joint with the wrong sign is
+MOVED = 0.1  # of the reach, of a frame of a spatial arm
+FAR_ZERO = np.radians(5.0)  # an offset that is no machining error
+FAR = 0.05  # of the reach: residuals of another arm, frame or unit
+FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
+OTHER_FRAME = "the data are in another frame than the arm"
+OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
+SPARE = 4  # degrees of freedom
+ROUNDING = 1e-13  # of the largest coordinate: the sums of a fit to data without noise are rounded by less
+
+
+class Doubts(NamedTuple):
+    """sentences : what is doubtful, worst first;  implausible : the fit is no result to work with."""
+
+    sentences: tuple[str, ...]
+    implausible: bool
+
+
+def doubts(
+    model: Model,
+    parameters: Array,
+    identifiable: NDArray[np.bool_],
+    before: Array,
+    residual: Array,
+    measurements: Measurements,
+) -> Doubts:
+    """What is doubtful about a fit; parameters, identifiable : (p,);  before, residual : (m, d) [mm], of the arm as it
+    was and as fitted."""
+    arm = getattr(model, "arm", None)  # other models have none
+    read, implausible = Doubts((), False)
+    if arm is not None and rms_distance(before) > DRAWN * arm.reach:
+        read, implausible = misread(arm, measurements)
+    bad = [*read] if implausible else []
+    bad += [*far_off(residual, model), *([] if arm is None else flipped(model, parameters, identifiable))]
+    if arm is None:
+        return Doubts(tuple(bad), bool(bad))
+    sentences = [
+        *bad,
+        *([] if implausible else (read and far_zeros(model, parameters)) or read),
+        *another_frame(arm, measurements),
+        *outside_limits(arm, measurements),
+        *copied_rows(measurements),
+    ]
+    sentences += [] if residual.size <= parameters.size else only_rounding(residual, measurements)
+    return Doubts(tuple(sentences), bool(bad))
+
+
+def far_off(residual: Array, model: Model) -> list[str]:
+    """Residuals that no effect of an arm explains, nor the noise that its file gives."""
+    left, reach = rms_distance(residual), model.reach
+    noise = getattr(getattr(model, "arm", None), "sigma", None) or 0.0
+    if left <= max(FAR * reach, 2.0 * noise * np.sqrt(model.dimension)):
+        return []
+    share = f"{100.0 * left / reach:.0f} % of the reach"
+    return [f"implausible: the fit leaves {left:.4g} mm RMS, {share}; another arm, frame, unit or order of joints?"]
+
+
+def misread(arm: Arm, measurements: Measurements) -> Doubts:
+    """Columns that look swapped, reversed or mirrored, which a fit may hide in errors of the geometry, and zeros that
+    are elsewhere, which it finds."""
+    reading = read_differently(arm, measurements)
+    if reading.better is None or reading.better.moved_zeros:
+        return Doubts(tuple(reading.sentences), False)
+    return Doubts(tuple(f"implausible: {sentence}; armcal check tells more" for sentence in reading.sentences), True)
+
+
+def far_zeros(model: Model, parameters: Array) -> list[str]:
+    """Joints whose zero is another one than the drawing's; that of a planar arm's first is the frame's rotation."""
+    values = {p.joint: x for p, x in zip(model.parameters, parameters, strict=True) if p.kind == JOINT_OFFSET}
+    turning = [joint for joint, kind in enumerate(model.arm.joint_types, start=1) if joint > 1 and kind == REVOLUTE]
+    counting = model.arm.counting
+    shares = np.eye(model.arm.links) if counting is None else counting.matrix
+    added = shares @ [values.get(j, 0.0) for j in range(1, model.arm.links + 1)]  # as the controller counts
+    offsets = {j: (added[j - 1] + np.pi) % (2.0 * np.pi) - np.pi for j in turning}
+    far = [f"{np.degrees(x):.1f} deg at joint {j}" for j, x in offsets.items() if abs(x) > FAR_ZERO]
+    return [f"zeros differ from the drawing's: {', '.join(far)}"] if far else []
+
+
+def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:
+    """Which rows nothing explains; residual : (m, d) [mm];  outlier, together : (m,) by themselves, and those that come
+    together (`outlying.together`)."""
+    off, sentences = distances(residual[:, POINT]), []
+    for rows in (outlier, together):
+        if rows.any():
+            far = f"{rows_in_words(rows)}: up to {off[rows].max():.4g} mm off"
+            sentences.append(f"{far}, the others {np.median(off[~(outlier | together)]):.3g} mm in the median: ")
+    causes = []
+    if outlier.any():
+        causes.append(
+            "a lost beam, an arm that was still moving, or what the model lacks there. armcal diagnose tells these "
+            "apart; identify --without-outliers leaves such rows out"
+        )
+    if together.any():
+        causes.append(
+            "not single rows but whole postures or neighbors: what the model lacks there (gravity, play), or postures "
+            "where the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong"
+        )
+    return [sentence + cause for sentence, cause in zip(sentences, causes, strict=True)]
+
+
+def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
+    """True for residuals of the size of rounding: data without noise, for which standard deviations mean nothing."""
+    left, largest = rms_distance(residual), float(np.max(np.abs(measurements.positions)))
+    if left > ROUNDING * largest:
+        return []
+    return [f"the fit leaves {left:.2g} mm RMS, which is rounding: data without noise, deviations mean nothing"]
+
+
+def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
+    """Links whose length changes sign or by the order of the length; in space frames far from where they are drawn."""
+    sentences = frames_far_off(model, parameters)
+    for p, value, estimable in zip(model.parameters, parameters, identifiable, strict=True):
+        if p.kind == LENGTH_ERROR and p.joint is not None and estimable:
+            length = float(model.arm.lengths[p.joint - 1])
+            if abs(value) > FLIPPED * length:
+                comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
+                sentences.append(f"implausible: {comparison}; another arm, frame or unit?")
+    return sentences
+
+
+def frames_far_off(model: Model, parameters: Array) -> list[str]:
+    """Which correction of a spatial arm's frames is the largest, where no machining is that wrong."""
+    limits = {ROTATION_ERROR: TURNED, TRANSLATION_ERROR: MOVED * model.reach}
+    excess = [
+        abs(x) / limits[p.kind] if p.kind in limits else 0.0 for p, x in zip(model.parameters, parameters, strict=True)
+    ]
+    worst = int(np.argmax(excess))
+    if excess[worst] <= 1.0:
+        return []
+    parameter = model.parameters[worst]
+    correction = f"{parameter.name} comes out as {parameters[worst] * parameter.to_file:.4g} {parameter.file_unit}"
+    return [f"implausible: {correction}; other units, joints in another order or with another sign? armcal check tells"]
+
+
+def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
+    """The offer of `base_offset` where the residuals fall by a large factor with it.
+
+    Any rotation of the frame is the offset of joint 1, so that only the position of the base can be missing.
+    """
+    spare = measurements.positions.size - 2 * (arm.links + 1)
+    if measurements.dimension != 2 or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
+        return []
+    without, with_base = (_left(arm, measurements, offset) for offset in (False, True))
+    if not without > FALL**2 * with_base:
+        return []
+    if fdtrc(2, spare, (without - with_base) / 2.0 / max(with_base / spare, np.finfo(float).tiny)) > LEVEL:
+        return []
+    before, after = (np.sqrt(squares / len(measurements)) for squares in (without, with_base))
+    fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
+    return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']
+
+
+def _left(arm: Arm, measurements: Measurements, offset: bool) -> float:
+    """Sum of squares [mm^2] that the closed form leaves, with or without a base offset."""
+    form = PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True)
+    solve = form.solver(measurements.postures, np.ones(len(measurements)), RANK_TOLERANCE)
+    return float(solve(measurements.positions[None])[1][0])
+
+
+def limited(arm: Arm) -> NDArray[np.bool_]:
+    """(n,) joints whose limits are given."""
+    return np.asarray((np.abs(arm.lower + np.pi) > OVERSHOOT) | (np.abs(arm.upper - np.pi) > OVERSHOOT))
+
+
+def beyond_limits(arm: Arm, postures: Array) -> NDArray[np.bool_]:
+    """(m, n) True where a joint lies outside its limits, one that is counted together with others outside those of the
+    controller; limits left out do not count."""
+    beyond = limited(arm) & ((postures < arm.lower - OVERSHOOT) | (postures > arm.upper + OVERSHOOT))
+    for tied in (each for each in arm.constraints if isinstance(each, ColumnLimits)):
+        column = postures @ np.array(tied.coefficients)
+        beyond[:, tied.joint - 1] = (column < tied.lower - OVERSHOOT) | (column > tied.upper + OVERSHOOT)
+    return beyond
+
+
+def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
+    """How many postures lie outside the joint limits, and the first of them."""
+    q = measurements.postures
+    outside = beyond_limits(arm, q)
+    if not outside.any():
+        return []
+    row = int(np.argmax(outside.any(axis=1)))
+    joint = int(np.argmax(outside[row]))
+    _, factor, unit = FILE_UNITS[JOINT_UNITS[arm.joint_types[joint]]]
+    low, high, place = (v[joint] * factor for v in (*arm.column_limits, in_columns(q[row], arm.joint_types)))
+    count = int(outside.any(axis=1).sum())
+    first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
+    return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}{_turns(arm, q)}"]
+
+
+def _turns(arm: Arm, postures: Array) -> str:
+    """Joints that are within their limits if whole turns are taken off, in words."""
+    within = ~beyond_limits(arm, turned_into(postures, arm.lower, arm.upper, arm.joint_types, OVERSHOOT))
+    joints = np.flatnonzero(np.any(beyond_limits(arm, postures) & within, axis=0)) + 1
+    if not joints.size:
+        return ""
+    which = f"joint{'s' if joints.size > 1 else ''} {', '.join(map(str, joints.tolist()))}"
+    return f"; {which} would be within them whole turns (360 deg) away: count these readings from the drawing's zero"
+
+
+def copied_rows(measurements: Measurements) -> list[str]:
+    """Rows that repeat posture and position of another row to the last digit, as hardly any instrument does."""
+    rows = np.flatnonzero(measurements.originals != np.arange(len(measurements)))
+    if not rows.size:
+        return []
+    copy, original = int(rows[0]) + 1, int(measurements.originals[rows[0]]) + 1
+    number = "1 row is an exact copy" if rows.size == 1 else f"{rows.size} rows are exact copies"
+    no = "it is no measurement of its own" if rows.size == 1 else "they are no measurements of their own"
+    seen = f"{number} of another (of {len(measurements)} rows): the first row {copy} of row {original}"
+    return [f"{seen}: {no}, which identify does not count"]
+
+
+SHOWN = 3  # parameters in a sentence
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A parameter in file units: as the prior has it, and as the measurements do without that prior; both with the
+    parameters that are not contradicted as the earlier calibration has them."""
+
+    name: str
+    unit: str
+    prior: float
+    prior_std: float
+    value: float
+    std: float
+    instead: tuple[str, ...] = ()  # parameters that would explain the measurements as well
+
+    @classmethod
+    def of(cls, name: str, before: Earlier, fit: Identification, instead: tuple[str, ...]) -> Contradiction:
+        """Of a parameter before, and of a fit without that prior."""
+        p, deviations = fit.model.parameters[k := fit.names.index(name)], np.sqrt(np.diag(before.covariance))
+        k_before = before.names.index(name)
+        figures = before.values[k_before], deviations[k_before], fit.parameters[k], fit.std[k]
+        prior, prior_std, value, std = (float(x * p.to_file) for x in figures)
+        return cls(name, p.file_unit, prior, prior_std, value, std, instead)
+
+    def __str__(self) -> str:
+        before, now = f"{self.prior:.4g} +- {self.prior_std:.2g}", f"{self.value:.4g} +- {self.std:.2g}"
+        return f"{self.name} is {before} {self.unit} in the earlier calibration, {now} by these measurements" + (
+            f" (or instead {', '.join(self.instead)}: they do not tell)" if self.instead else ""
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `contradicted` (identification/files/README.md, "JSON keys")."""
+        return dict(vars(self))
+
+
+def contradiction_warnings(contradictions: Sequence[Contradiction], without_prior: Sequence[Parameter]) -> list[str]:
+    """The warning;  without_prior : parameters without a prior."""
+    if not contradictions:
+        return []
+    rest = f"; and {len(contradictions) - SHOWN} more" if len(contradictions) > SHOWN else ""
+    words = [one.name for one in contradictions] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
+    sentence = (
+        f"the measurements contradict the prior: {'; '.join(map(str, contradictions[:SHOWN]))}{rest} (others as there)"
+    )
+    do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
+    lacks = "the model lacks what differs between both measurements: armcal diagnose"
+    return [
+        f"{sentence}. The fit is right for neither. Either they changed and are to be estimated again: {do}; or {lacks}"
+    ]

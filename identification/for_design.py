@@ -1,0 +1,395 @@
+"""What the model of an arm offers to designs of its calibration; `doe.problem.model` says what each member means.
+
+More errors are possible in a chain than measurements distinguish. With a sigma each is held by the prior of its
+machining, as `identify` holds it, and the criterion is that of the posterior; without one the design is for a minimal
+set. A measured point that the arm does not know is assumed beside the last axis, since on it the last joint shows
+nothing. The base stays where the arm has it, at the origin where it is not known: no criterion that a change of frame
+does not matter to depends on it.
+
+A contact ties the posture: the measured point is on a sphere or a plane. Such postures form a surface in the space of
+joints, on which no solver for free postures can move; so random postures are led onto it by Newton's method (the
+shortest step that closes the gap, over and over), and plans are chosen from those, as from any list. Links and stylus
+stay outside.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.conditions import BY_ORDER, Conditions
+from identification.errors import InputError
+from identification.kinematics.frames import pose
+from identification.kinematics.parameters import ParameterSet
+from identification.kinematics.spatial import BASE, TOOL, SpatialChain
+from identification.measurements import directions_from_order, past_from_order, session_time
+from identification.model import Model
+from identification.model.minimal import PRACTICAL, minimal
+from identification.model.positions import of_positions, tip_jacobian
+from identification.validate.row_groups import diagnosed
+from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
+
+if TYPE_CHECKING:
+    from identification.gap.detectability import Detectability
+    from identification.gap.library.library_prior import LibraryPrior
+
+AHEAD = 0.5  # of the reach: where the center of measured distances is assumed
+OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
+CHOICES = 2000  # postures that touch to choose from, as for robust designs
+BATCH, BATCHES = 4000, 10  # effort: random postures that are led to the surface at once, and how often
+STEPS = 30  # effort: Newton's method doubles the digits once it is near
+LONGEST = 0.5  # [rad] of a step; of a prismatic joint that share of its range / (2 pi)
+TOUCHES = 1e-6  # [mm] how near is on the surface
+FEWEST = 100  # with fewer a plan has no choice
+
+
+@dataclass(frozen=True)
+class ArmModel:
+    """The model of an arm, all of its measured points read at every posture: d is that of one times their number."""
+
+    model: Model
+
+    @classmethod
+    def of(cls, arm: Arm) -> ArmModel:
+        """That of an arm with its effects."""
+        return cls(Model(arm))
+
+    # -- what every design needs -----------------------------------------------------------------------------------
+    @property
+    def parameters(self) -> ParameterSet:
+        """(p) the parameters to identify."""
+        return self.model.parameters
+
+    @property
+    def values(self) -> Array:
+        """(p,) their best known values."""
+        return self.model.values
+
+    @property
+    def dimension(self) -> int:
+        """d, coordinates per posture, point by point."""
+        return self.model.dimension * self.points_read
+
+    @property
+    def joint_types(self) -> tuple[str, ...]:
+        """(n) `revolute` or `prismatic`."""
+        return self.model.joint_types
+
+    @property
+    def lower(self) -> Array:
+        """(n,) joint limits [rad, mm]."""
+        return self.arm.lower
+
+    @property
+    def upper(self) -> Array:
+        """(n,) joint limits [rad, mm]."""
+        return self.arm.upper
+
+    @property
+    def sigma(self) -> float | None:
+        """Standard deviation of a coordinate [mm], None: the arm does not say."""
+        return self.model.sigma
+
+    @property
+    def prior(self) -> Mapping[str, float]:
+        """Name -> standard deviation before the data, of machining; empty in the plane and for a minimal set."""
+        return self.model.prior
+
+    def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        """(d,) coordinates [mm] at a posture (n,) and parameters (p,), under conditions of which nothing is said."""
+        if self.points_read == 1:
+            return self.model.position_function(q, ca.DM(self.model.neutral_conditions), p)
+        place, each = Conditions.columns(self.model.joints, self.model.remembers), []
+        for point in range(self.points_read):
+            conditions = np.array(self.model.neutral_conditions)
+            conditions[place] = point
+            each.append(self.model.position_function(q, ca.DM(conditions), p))
+        return ca.vertcat(*each)
+
+    # -- what constraints need -------------------------------------------------------------------------------------
+    @property
+    def constraints(self) -> Sequence[WorkspaceConstraint]:
+        """Those of the arm file."""
+        return self.arm.constraints
+
+    @property
+    def space(self) -> int:
+        """2 in the plane, 3 in space."""
+        return self.arm.dimension
+
+    @property
+    def reach(self) -> float:
+        """Length of the stretched arm [mm]."""
+        return self.model.reach
+
+    def points(self, postures: ArrayLike) -> Array:
+        """(m, k, 2 or 3) base, joints and tip [mm] at postures (m, n)."""
+        return self.model.points(postures)
+
+    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
+        """The same k points at one posture (n,)."""
+        return self.model.symbolic_points(q)
+
+    def with_tip_moved(self, offset: Array) -> ArmModel:
+        """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""
+        chain = self.arm.chain
+        if chain.planar:
+            return self
+        tools = {name: place + offset for name, place in chain.tools.items()}
+        return ArmModel(replace(self.model, arm=replace(self.arm, chain=replace(chain, tools=tools))))
+
+    # -- before a plan is made -------------------------------------------------------------------------------------
+    def placed(self) -> ArmModel:
+        """The same with its measured points in place, and without a sigma for a minimal set of parameters.
+
+        Raises `InputError` for contacts with a surface whose place is not known. Warns (`UserWarning`) of points that
+        are assumed.
+        """
+        if self.arm.chain.planar:
+            return self
+        model = replace(self.model, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
+        return ArmModel(minimal(model) if model.sigma is None and model.prior else model)
+
+    @property
+    def tied(self) -> bool:
+        """Whether the instrument allows some postures only, as a probe that touches a surface."""
+        return self.arm.chain.instrument.contact
+
+    def tied_postures(
+        self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
+    ) -> Array:
+        """(N, n) random postures at which the measured point is on the surface and all else of the arm outside.
+
+        lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
+
+        Raises `InputError` where there are hardly any, and for a sphere whose radius nobody knows. Warns
+        (`UserWarning`) of what plans and bounds are of.
+        """
+        chain = self.arm.chain
+        if unknown := [p for p in chain.instrument.parameters if self.model.best_known.get(p.name, 0.0) <= 0.0]:
+            key = unknown[0].toml_key
+            reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
+            raise InputError(f"instrument: {reason}, allowed for plans: with {key}, or a calibrated arm")
+        generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
+        for _ in range(BATCHES):
+            q = self._led_to_surface(generator.uniform(lower, upper, (BATCH, len(chain))), units)
+            q = q[np.all((q >= lower) & (q <= upper), axis=1) & (np.abs(self.heights(q)) < TOUCHES)]
+            q = q[self.clear_of_surface(q)]
+            kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
+            if len(kept) == CHOICES:
+                break
+        if len(kept) < FEWEST:
+            reason = f"touched within limits and constraints at {len(kept)} of {BATCH * BATCHES} random postures led to"
+            raise InputError(f"instrument: the {chain.instrument.kind} is {reason} it, allowed: one within reach")
+        what = f"{len(kept)} random postures that touch the {chain.instrument.kind} as the arm is best known"
+        warnings.warn(f"instrument: plans are chosen from {what}, and bounds are over these", stacklevel=2)
+        return kept
+
+    def heights(self, postures: Array) -> Array:
+        """(m,) how far the measured point is above the surface [mm] at postures (m, n)."""
+        return np.asarray(self.model.position(postures)[:, 0] - self.arm.chain.instrument.touched)
+
+    def _led_to_surface(self, postures: Array, units: Array) -> Array:
+        """Postures (m, n) led to the surface by the shortest steps, most of them; limits apart."""
+        q, touched, model = np.array(postures), self.arm.chain.instrument.touched, self.model
+        for _ in range(STEPS):
+            conditions = model.condition_table(q, Conditions())
+            distance, slopes = model.expressions.posture_jacobian(q, conditions, model.values[None])
+            slope = slopes[:, 0] * units
+            gap = (distance[:, 0, 0] - touched) / np.maximum(np.sum(slope**2, axis=1), 1e-300)
+            steps = -slope * gap[:, None]
+            q = q + steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / LONGEST, 1.0) * units
+        return q
+
+    def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
+        """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the
+        surface that the point touches."""
+        chain = self.arm.chain
+        points = self.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3]
+        # of a segment the nearest point to a sphere is that to its center, to a plane an end
+        points = np.concatenate([points, nearest_on_segment(np.zeros(3), points[:, :-1], points[:, 1:])], axis=1)
+        own = np.array([self.model.best_known[p.name] for p in chain.instrument.parameters])
+        above = chain.instrument.linearized(points, own, np.zeros(1))[0][..., 0] - chain.instrument.touched
+        return np.asarray(np.all(above > -2.0 * TOUCHES, axis=1))
+
+    # -- what accuracy is about ------------------------------------------------------------------------------------
+    @property
+    def points_read(self) -> int:
+        """Number of measured points."""
+        return len(self.arm.chain.tools)
+
+    def jacobian(self, postures: ArrayLike) -> Array:
+        """(m, d, p) derivative of the coordinates with respect to the parameters, at their best known values."""
+        q = np.atleast_2d(np.asarray(postures, dtype=float))
+        if self.points_read == 1:
+            return self.model.jacobian(q)
+        points = (Conditions(marker=np.full(len(q), float(k))) for k in range(self.points_read))
+        return np.concatenate([self.model.jacobian(q, None, at) for at in points], axis=1)
+
+    def tip_jacobian(self, postures: ArrayLike) -> Array:
+        """(k, P, c, p) derivative of the P measured points' positions at postures (k, n), whatever is read of them: x
+        and y, or x, y, z and of a measured frame its orientation [mm]."""
+        if of_positions(self.model) is not self.model:  # something else is read
+            return tip_jacobian(self.model, postures)[:, None]
+        jacobian = self.jacobian(postures)
+        return jacobian.reshape(len(jacobian), self.points_read, self.model.dimension, -1)
+
+    @property
+    def covariance(self) -> Array | None:
+        """(p, p) of the calibration, None: it has none of these parameters."""
+        calibration = self.arm.calibration
+        same = calibration is not None and calibration.parameter_names == self.model.names
+        return calibration.covariance if calibration is not None and same else None
+
+    @property
+    def machining(self) -> tuple[float, float, float]:
+        """Standard deviations of lengths [mm] and angles [rad] of such arms, and the lever [mm] of an angle of which
+        nothing else is known."""
+        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.lengths))
+
+    # -- what may be missing ---------------------------------------------------------------------------------------
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is missing: what the data of a diagnosed arm could show is in its model."""
+        return diagnosed(self.arm)
+
+    def missing_effects(self, names: Sequence[str] | None, fastest: float) -> LibraryPrior:
+        """Effects that the arm may have too, with their sizes;  names : of them, None: all;  fastest : order of the
+        fastest wave of an error curve. Raises `InputError` for unknown names."""
+        from identification.gap.library.library_prior import library_prior
+
+        return library_prior(self.arm, names=names, fastest=fastest)
+
+    def with_effects(self, missing: LibraryPrior) -> tuple[ArmModel, Mapping[str, float], Callable[[Array], float]]:
+        """The model with these effects in it, each posture's own error in its sigma; the standard deviations of their
+        parameters; and the mean square [mm^2] of the tip's distance at postures (k, n) that no plan can lower."""
+        own_error = missing.prior.own_error
+        arm = replace(missing.arm, sigma=float(np.hypot(self.sigma or 0.0, own_error)))
+        model = replace(Model(arm), known=self.model.known)
+
+        def beyond(poses: Array) -> float:
+            levers = of_positions(model).joint_levers(poses)
+            return float(np.mean(np.einsum("kdj,j->k", levers**2, missing.faster))) + levers.shape[1] * own_error**2
+
+        return ArmModel(model), missing.prior.deviations, beyond
+
+    def rival_effects(self) -> tuple[int, ArmModel, tuple[Array, ...], Array, Callable[[Array], Array], Any]:
+        """The fields of `doe.discrimination.misidentification.EffectLibrary`: what a plan distinguishes, the effects
+        of the library that an arm can have besides its own, without the rare ones, beside a minimal set of parameters.
+
+        An effect that acts at every joint alike has one size for all of them: that is what is seen first.
+        """
+        from identification.gap.detectability import detectability
+        from identification.gap.hypotheses import hypotheses
+
+        arm = without_prior(self.arm)
+        common = [h for h in hypotheses(arm, frozenset()).unscanned if h.effect.prior == 1.0]
+        shown = [h for h in common if not h.effect.needs & BY_ORDER]
+        model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown)))
+        base, bases = len(Model(arm).parameters), []
+        for hypothesis in shown:
+            columns = [model.parameters.index(parameter.name) - base for parameter in hypothesis.effect.parameters]
+            basis = np.zeros((len(model.parameters) - base, len(columns)))
+            basis[columns, range(len(columns))] = model.scales[base:][columns]
+            bases.append(basis.sum(axis=1, keepdims=True) if hypothesis.family else basis)
+        weights = np.array([hypothesis.weight for hypothesis in shown])
+        ordered = Model(arm.with_effects(*arm.effects, *(h.spec for h in common if h.effect.needs & BY_ORDER)))
+
+        def by_order(postures: Array) -> Array:
+            """(m, d, p) scaled sensitivities to postures (m, n) that are measured in their order."""
+            time = session_time(np.arange(len(postures), dtype=float))
+            past = past_from_order(postures) if ordered.remembers else None
+            conditions = Conditions(time=time, directions=directions_from_order(postures), past=past)
+            each = (replace(conditions, marker=np.full(len(postures), k)) for k in range(self.points_read))
+            return np.concatenate([ordered.jacobian(postures, conditions=at) for at in each], axis=1) / ordered.scales
+
+        def preflight(postures: Array) -> Detectability:
+            return detectability(arm, postures)
+
+        return base, ArmModel(model), tuple(bases), weights, by_order, preflight
+
+    # -- what theory knows -----------------------------------------------------------------------------------------
+    @property
+    def planar(self) -> bool:
+        """Whether it is a chain of links in a plane, of which Table I of the paper holds."""
+        return self.arm.chain.planar
+
+    @property
+    def theorem_joints(self) -> tuple[int, ...] | None:
+        """Joints (from 0) on which det M depends where the planar theorem holds, that is for all lengths and joint
+        offsets of a planar chain: all but the first, and the first too with a base offset; None: it does not hold."""
+        if not self.planar or not self.model.linear_in_links:
+            return None
+        offset = any(effect.name == "base_offset" for effect in self.model.effects)
+        return tuple(range(0 if offset else 1, self.model.joints))
+
+    @property
+    def arm(self) -> Arm:
+        """The arm."""
+        return self.model.arm
+
+
+def for_design(model: Any) -> Any:
+    """The `ArmModel` of the model of an arm; any other model as it is."""
+    return ArmModel(model) if isinstance(model, Model) else model
+
+
+def without_prior(arm: Arm) -> Arm:
+    """An arm with its measured points in place and a minimal set of parameters, as tests for effects see it."""
+    if arm.chain.planar:
+        return arm
+    return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
+
+
+def refuse_contacts(chain: SpatialChain) -> None:
+    """Raises `InputError` for a chain whose probe touches a surface, where postures have to be free."""
+    if chain.instrument.contact:
+        reason = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
+        raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
+
+
+def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
+    """The chain with the center of measured distances where the arm says, or before it; any other chain as it is.
+
+    contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
+    has no place.
+    """
+    if chain.instrument.reads_positions:
+        return chain
+    stands = BASE in chain.known or not np.array_equal(chain.base, np.eye(4))
+    if not contacts:
+        refuse_contacts(chain)
+    if chain.instrument.contact and not stands:
+        reason = f"kind {chain.instrument.kind} without center_mm: where it is touched is not known"
+        how = " and ".join(sorted(chain.instrument.keys & {"center_mm", "normal"}))
+        raise InputError(f"instrument: found {reason}, allowed for plans: with {how}, or a calibrated arm")
+    if stands:
+        return chain
+    away = AHEAD * chain.reach
+    assumed = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
+    warnings.warn(f"instrument: the center is not known, {assumed}", stacklevel=2)
+    return replace(chain, base=pose([-away, 0.0, 0.0]))
+
+
+def with_points(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
+    """The chain with the measured points that it does not know beside the last axis, evenly around it, and a center of
+    distances `with_center`."""
+    chain = with_center(chain, contacts)
+    names = [name for name, place in chain.tools.items() if not np.any(place)]
+    if TOOL in chain.known or not names:
+        return chain
+    beside = ", ".join(names) if len(chain.tools) > 1 else "the measured point"
+    warnings.warn(f"tool: {beside} is not known, {OFF_AXIS:g} mm beside the last axis is assumed", stacklevel=2)
+    axis = chain.end[:3, :3].T @ chain.joints[-1].axis
+    across, other = circle_across(axis)
+    turns = 2.0 * np.pi * np.arange(len(names)) / len(names)
+    places = OFF_AXIS * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * other)
+    return replace(chain, tools={**chain.tools, **dict(zip(names, places, strict=True))})

@@ -1,0 +1,212 @@
+"""What an instrument is to the rest of the program: one class, which says all that depends on the kind of instrument.
+
+The frame of an instrument is chosen such that readings are simplest in it: its origin is the center of measured
+distances, or its z axis the normal of a plane that is touched. What nobody knows of center or plane is then where the
+base of the arm stands in that frame, as with a tracker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.instruments.search import Placement, searched
+from identification.kinematics.frames import AXES, own_axes_angles
+from identification.kinematics.parameters import Parameter
+from identification.vectorize import Evaluate, vectorize
+
+
+class Coordinate(NamedTuple):
+    """A number of a reading and its column in files, `distance_mm` of a length named distance.
+
+    quantity : `length` [mm] or `pixel`;  positive : whether it must be
+    """
+
+    name: str
+    quantity: str = "length"
+    positive: bool = False
+
+
+class Guide(NamedTuple):
+    """What the first files (`armcal init`) say of an instrument.
+
+    about : in short, behind `[instrument]`;  table : the lines below
+    reads : what it is that has the standard deviation;  stands : what stands or lies somewhere
+    labels, touches : of a contact, what the column `target` names, and how many of these are needed
+    """
+
+    about: str
+    table: str
+    reads: str
+    stands: str
+    labels: str = ""
+    touches: str = ""
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """An instrument that reads a function of where the measured point is; a new one is one class.
+
+    Each coordinate of a reading has the same standard deviation, `sigma` of the arm. Subclasses are frozen dataclasses,
+    whose fields, numbers or tuples of them, are what is known of the instrument.
+
+    kind : the word in arm files; empty: these need none
+    keys : of `[instrument]` that it has, besides `kind`
+    coordinates : of a reading; none: it reads nothing, a target is touched (`contact`)
+    target : column of files that names what is touched, each with a place of its own; empty: there is none
+    offers : what effects may need of it (`Effect.needs`)
+    reads_positions : whether a reading is the position of the measured point, or with its orientation the pose
+    guide : what the first files say of it, where it has a `kind`
+    """
+
+    kind: ClassVar[str] = ""
+    keys: ClassVar[frozenset[str]] = frozenset()
+    coordinates: ClassVar[tuple[Coordinate, ...]] = ()
+    target: ClassVar[str] = ""
+    offers: ClassVar[frozenset[str]] = frozenset()
+    reads_positions: ClassVar[bool] = False
+    guide: ClassVar[Guide]
+
+    # -- what a row reads ------------------------------------------------------------------------------------------
+    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+        """(d,) what it reads of a point (3,) [mm] in its frame.
+
+        values : of its own `parameters`;  session : number of the row's session, from 0
+        """
+        raise NotImplementedError
+
+    def linearized(self, points: Array, values: Array, session: Array) -> tuple[Array, Array, Array]:
+        """(..., d) what it reads of points (..., 3) in its frame with values (..., k) of its own parameters in sessions
+        (..., 1), and the derivatives by points and values, (..., d, 3) and (..., d, k)."""
+        reading, by_point, by_values = _linearized(self)(points, values, session)
+        return reading[..., 0], by_point, by_values
+
+    @property
+    def dimension(self) -> int:
+        """d, numbers of a reading; 1 of a contact: the length that it stands for."""
+        return max(len(self.coordinates), 1)
+
+    @property
+    def contact(self) -> bool:
+        """Whether it reads nothing but the joints."""
+        return not self.coordinates
+
+    @property
+    def touched(self) -> float:
+        """What a contact stands for, as if it had been read [mm]."""
+        return 0.0
+
+    # -- what it does not show, and what is to be found besides the arm --------------------------------------------
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its own, which are estimated with those of the arm."""
+        return ()
+
+    @property
+    def neutral(self) -> Array:
+        """(k,) values of these where nothing is known."""
+        return np.array([parameter.neutral for parameter in self.parameters])
+
+    def names(self, parameter: Parameter) -> tuple[str, str]:
+        """What tables of corrected values call one of its own parameters, and what they say of it."""
+        return parameter.name, self.kind
+
+    def hidden(self, base: Array) -> frozenset[str]:
+        """Names of those parameters of the base that move arm and instrument together, or turn the frame of the
+        instrument about what it reads: no reading depends on them.
+
+        base : (4, 4) about where the base stands in the frame of the instrument
+        """
+        return frozenset()
+
+    @property
+    def places(self) -> bool:
+        """Whether its readings say where the arm stands in its frame; else positions are asked for in the base's."""
+        return not self.hidden(np.eye(4))
+
+    def between(self, first: Array, base: Array) -> tuple[dict[str, float], frozenset[str]]:
+        """What brings a base (4, 4) to where it stands in a later session, `x y z wx wy wz` [mm, rad] (`session_base`),
+        and those of them on which no reading depends."""
+        return relative(first, base), frozenset()
+
+    @property
+    def size_is_open(self) -> tuple[str, str]:
+        """Where an arm twice as large would read the same: what reads so, and what to do about it; empty else."""
+        return "", ""
+
+    # -- where a fit starts ----------------------------------------------------------------------------------------
+    def place(
+        self,
+        frames: Array,
+        readings: Array,
+        reach: float,
+        base: Array | None = None,
+        tool: Array | None = None,
+        hopeless: float = np.inf,
+    ) -> Placement:
+        """Base and measured point that explain readings (m, d) best, from nothing.
+
+        frames : (m, 4, 4) nominal poses of the tip in the base;  reach : [mm] that gives the starts their size
+        base, tool : (4, 4) and (3,), known; None: to be found
+        hopeless : root mean square residual; where more must be left the search may end early, and say about how much
+        """
+        return searched(self, frames, readings, reach, base, tool, hopeless)
+
+    def settled(self, starts: Array, residuals: Callable[[Array], Array], own: list[int]) -> tuple[Array, list[int]]:
+        """Starts (K, p) with its own parameters, whose numbers are `own`, as they explain the readings best, and the
+        numbers of those that a first fit of the others is to hold.
+
+        residuals : of parameters (K, p) what is left, readings minus model (K, m, d)
+        """
+        return starts, []
+
+    # -- files -----------------------------------------------------------------------------------------------------
+    @classmethod
+    def of_table(cls, table: Mapping[str, Any]) -> Instrument:
+        """Of a table `[instrument]`."""
+        return cls()
+
+    def table(self) -> dict[str, Any]:
+        """What `[instrument]` says of it."""
+        return {"kind": self.kind}
+
+
+PLACE = "base"  # kind of a parameter that says where something stands, as that of the base
+
+
+@lru_cache(maxsize=32)
+def _linearized(instrument: Instrument) -> Evaluate:
+    """Compiled once for equal instruments."""
+    point, values, session = (ca.SX.sym(*name) for name in (("p", 3), ("v", len(instrument.parameters)), ("session",)))
+    reading = ca.SX(instrument.reading(point, values, session))
+    outputs = [ca.densify(reading), ca.jacobian(reading, point), ca.jacobian(reading, values)]
+    return vectorize(ca.Function("reading", [point, values, session], ca.cse(outputs)))
+
+
+def relative(first: Array, base: Array) -> dict[str, float]:
+    """Shift along the axes of the instrument and rotations about the own axes from a base (4, 4) to another."""
+    shift, turn = base[:3, 3] - first[:3, 3], own_axes_angles(first[:3, :3].T @ base[:3, :3])
+    return {name: float(x) for name, x in zip((*AXES, *(f"w{axis}" for axis in AXES)), (*shift, *turn), strict=True)}
+
+
+KINDS: dict[str, type[Instrument]] = {}  # word of arm files -> class
+OWN = "identification.instruments"
+
+
+def register_instrument(cls: type[Instrument]) -> type[Instrument]:
+    """Class decorator that makes an instrument known to arm files under its `kind`.
+
+    A user's own class may be defined again, as in notebooks. Raises `InputError` for a word that is taken.
+    """
+    taken = KINDS.get(cls.kind)
+    if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):
+        raise InputError(f"instrument: the kind {cls.kind!r} is taken, allowed: another word")
+    KINDS[cls.kind] = cls
+    return cls

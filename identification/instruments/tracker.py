@@ -1,0 +1,47 @@
+"""A laser tracker, a camera system, a coordinate measuring machine: what is read is where the measured point is, of one
+or several reflectors, or the pose of a measured frame (identification/kinematics/orientations.py)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from identification.arrays import Array
+from identification.instruments.base import Coordinate, Instrument
+from identification.instruments.registration import placed, placed_tool, registered
+from identification.instruments.search import Placement
+
+
+@dataclass(frozen=True)
+class Tracker(Instrument):
+    """Positions in the frame of the instrument; in the plane the first two."""
+
+    coordinates = (Coordinate("x"), Coordinate("y"), Coordinate("z"))
+    reads_positions = True
+
+    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+        return point
+
+    def place(
+        self,
+        frames: Array,
+        readings: Array,
+        reach: float,
+        base: Array | None = None,
+        tool: Array | None = None,
+        hopeless: float = np.inf,
+    ) -> Placement:
+        """In closed form, whatever is `hopeless`."""
+        if base is not None:
+            tool = placed_tool(frames, readings, base) if tool is None else tool
+        elif tool is not None:
+            base = registered(frames[:, :3, 3] + frames[:, :3, :3] @ tool, readings)
+        else:
+            return placed(frames, readings, reach)
+        points = (frames[:, :3, 3] + frames[:, :3, :3] @ tool) @ base[:3, :3].T + base[:3, 3]
+        return Placement(base, tool, float(np.sqrt(np.mean(np.sum((readings - points) ** 2, axis=1)))))
+
+
+TRACKER = Tracker()

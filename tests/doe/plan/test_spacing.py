@@ -1,0 +1,95 @@
+"""Repeats only when asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from doe.plan import spacing as replicate_spacing
+from doe.plan.spacing import distance_to_keep, neighbor_counts, separated, spread_free_joints, too_near
+from doe.solvers import solve
+from identification.arm import Arm
+from tests.doe.arms import FOUR, OFFSET, problem
+
+NARROW = Arm([200.0, 150.0], np.radians([-40, -50]), np.radians([40, 60]))
+
+
+def smallest_gap(postures: np.ndarray) -> float:
+    return min(np.abs(a - b).max() for k, a in enumerate(postures) for b in postures[:k])
+
+
+def test_repeats_are_moved_apart_at_little_loss() -> None:
+    case = problem(NARROW, OFFSET)
+    corners = np.array([[a, b] for a in (NARROW.lower[0], NARROW.upper[0]) for b in (NARROW.lower[1], NARROW.upper[1])])
+    plan = np.vstack([corners, corners])
+    assert len(too_near(case, plan)) == 4
+    apart = separated(case, plan)
+    assert smallest_gap(apart) >= np.radians(1.0) * (1 - 1e-9)
+    assert np.all((apart >= case.lower) & (apart <= case.upper))
+    assert case.objective(plan) > case.objective(apart) > case.objective(plan) - 0.1
+    np.testing.assert_array_equal(separated(case, apart), apart)
+
+
+@pytest.mark.parametrize("solver", ["exchange", "ipopt", "exchange_ipopt"])
+def test_plans_have_repeats_only_when_asked_for(solver: str) -> None:
+    """On two joints, eight runs want the four corners twice."""
+    apart = solve(problem(NARROW, OFFSET), 8, solver, starts=10)
+    assert smallest_gap(apart.plan.postures) >= np.radians(1.0) * (1 - 1e-9)
+    repeated = solve(problem(NARROW, OFFSET, minimum_distance=0.0), 8, solver, starts=10)
+    assert repeated.value > apart.value
+    wide = solve(problem(NARROW, OFFSET, minimum_distance=np.radians(25.0)), 8, solver, starts=10)
+    assert smallest_gap(wide.plan.postures) >= np.radians(25.0) * (1 - 1e-9)
+    assert wide.value < apart.value
+
+
+def test_a_free_joint_sets_postures_apart() -> None:
+    case = problem(FOUR)
+    assert distance_to_keep(case, 20) == 0.0
+    assert distance_to_keep(case, 1000) == 0.0
+    tied = problem(NARROW, OFFSET)  # a base offset: every joint plays a part
+    assert distance_to_keep(tied, 20) == tied.minimum_distance
+    design = solve(case, 16)
+    assert smallest_gap(design.plan.postures) >= np.radians(360 / 16) * (1 - 1e-9)
+
+
+def test_a_free_joint_has_no_more_places_than_fit_at_the_minimum_distance() -> None:
+    """Joint 1 turns by 3.5 deg: three alike postures may stay, the others are moved in the joints that matter."""
+    arm = Arm(FOUR.lengths, np.r_[0.0, FOUR.lower[1:]], np.r_[np.radians(3.5), FOUR.upper[1:]])
+    case = problem(arm)
+    alike = np.tile((arm.lower + arm.upper) / 2, (5, 1))
+    assert too_near(case, alike).tolist() == [3, 4]
+    spread = spread_free_joints(case, separated(case, alike), np.random.default_rng(0))
+    assert smallest_gap(spread) >= np.radians(1.0) * (1 - 1e-9)
+    assert np.all((spread >= arm.lower) & (spread <= arm.upper))
+
+
+def test_alike_postures_stay_clear_of_measured_ones_on_the_free_joint() -> None:
+    arm = Arm(FOUR.lengths, np.r_[0.0, FOUR.lower[1:]], np.r_[np.radians(6.0), FOUR.upper[1:]])
+    middle = (arm.lower + arm.upper) / 2
+    case = problem(arm, kept=middle[None])
+    alike = np.tile(middle, (7, 1))
+    assert too_near(case, alike).tolist() == [4, 5, 6]  # of six places the measured posture blocks two
+    spread = spread_free_joints(case, separated(case, alike), np.random.default_rng(0))
+    assert smallest_gap(np.vstack([spread, middle])) >= np.radians(1.0) * (1 - 1e-9)
+
+
+def test_measured_postures_are_not_repeated() -> None:
+    kept = np.array([[a, b] for a in (NARROW.lower[0], NARROW.upper[0]) for b in (NARROW.lower[1], NARROW.upper[1])])
+    design = solve(problem(NARROW, OFFSET, kept=kept), 4, starts=10)
+    assert smallest_gap(np.vstack([design.plan.postures, kept])) >= np.radians(1.0) * (1 - 1e-9)
+
+
+def test_long_plans_are_compared_by_a_tree(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neighbors are those of all pairs; of rows that are too near each other one is found at least."""
+    generator = np.random.default_rng(0)
+    points = generator.uniform(0.0, 1.0, (300, 2))
+    near = np.abs(points[:, None] - points).max(axis=2) < 0.02
+    np.testing.assert_array_equal(neighbor_counts(points, 0.02), near.sum(axis=1) - 1)
+    case = problem(NARROW, OFFSET)
+    few = generator.uniform(case.lower, case.upper, (400, 2))
+    exact = too_near(case, few)
+    monkeypatch.setattr(replicate_spacing, "CHUNK", 10)
+    by_tree = too_near(case, few)
+    assert set(exact.tolist()) <= set(by_tree.tolist())
+    assert len(exact)
+    assert not len(too_near(case, np.delete(few, exact, axis=0)))

@@ -1,0 +1,152 @@
+"""What an arm offers to designs: points by an independent chain, postures that touch, nothing of the arm inside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doe.problem.problem import DesignProblem
+from doe.problem.uncertain import EnsembleModel, workspace
+from doe.solvers import solve
+from identification import for_design
+from identification.arm import Arm, Calibration
+from identification.conditions import Conditions
+from identification.errors import InputError
+from identification.for_design import ArmModel
+from identification.instruments import Plane, Sphere
+from identification.instruments.sphere import RADIUS
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import pose, rotation_to_z
+from identification.kinematics.spatial import BASE, TOOL
+from identification.model import Model
+from tests.doe.six_axis import CHAIN, REFLECTOR
+from tests.identification.kinematics.test_spatial import tip_by_exponentials
+
+CENTER, BALL = np.array([550.0, -250.0, 400.0]), 40.0
+NORMAL = np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0])
+LOW = np.array([0.0, 0.0, -150.0])  # a point of the plane
+pytestmark = pytest.mark.filterwarnings("ignore:instrument. plans are chosen")
+
+
+def arm_of(kind: str, **changes: object) -> Arm:
+    """Its limits are 2 rad; the surface where `center_mm` and `normal` say."""
+    axes = rotation_to_z(NORMAL).T if kind == "plane" else np.eye(3)
+    base = pose(-axes @ (LOW if kind == "plane" else CENTER), axes)
+    instrument = Sphere(BALL) if kind == "sphere" else Plane()
+    known = frozenset({TOOL})
+    chain = replace(CHAIN, instrument=instrument, base=base, tools={"1": REFLECTOR}, known=known)
+    joints = tuple(replace(joint, lower=-2.0, upper=2.0) for joint in chain.joints)
+    return Arm(replace(chain, joints=joints), sigma=0.01, **changes)
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(for_design, "CHOICES", 150)
+
+
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("kind", ["sphere", "plane"])
+def test_choices_touch_and_nothing_is_inside(kind: str) -> None:
+    problem = DesignProblem.of(Model(arm_of(kind)))
+    assert problem.choices is not None
+    assert len(problem.choices) == 150
+    assert np.abs(problem.choices).max() <= 2.0
+    for q in problem.choices[:20]:
+        tip = tip_by_exponentials(replace(CHAIN, base=np.eye(4)), q, {}, REFLECTOR)
+        height = (tip - LOW) @ NORMAL if kind == "plane" else np.linalg.norm(tip - CENTER) - BALL
+        assert height == pytest.approx(0.0, abs=1e-6)
+        points = Model(arm_of(kind)).points(q[None])[0]
+        for share in np.linspace(0.0, 1.0, 21):
+            between = points[:-1] + share * np.diff(points, axis=0)
+            above = (between - LOW) @ NORMAL if kind == "plane" else np.linalg.norm(between - CENTER, axis=1) - BALL
+            assert above.min() > -1e-5
+    # the stylus comes from outside at all of them, and at half of those that would touch if it could pass through
+    assert len(workspace(problem)) == 1000  # targets are anywhere
+
+
+@pytest.mark.usefixtures("few")
+def test_a_stylus_that_passes_through_does_not_touch() -> None:
+    arm = arm_of("plane")
+    model, q = ArmModel.of(arm), DesignProblem.of(Model(arm)).choices
+    assert q is not None
+    assert model.clear_of_surface(q).all()
+    assert np.abs(model.heights(q)).max() < 1e-6
+    assert arm.chain is not None
+    over = replace(arm.chain, base=pose(rotation=np.diag([1.0, -1.0, -1.0])) @ arm.chain.base)  # from below
+    assert not ArmModel.of(replace(arm, chain=over)).clear_of_surface(q).any()
+
+
+@pytest.mark.usefixtures("few")
+def test_a_plan_and_its_certificate() -> None:
+    """The plan is of choices alone, better than choices at random, and its efficiency that of the definition."""
+    problem = DesignProblem.of(Model(arm_of("sphere")))
+    assert problem.choices is not None
+    design = solve(problem, 30, starts=2, seed=0)
+    chosen = {tuple(row) for row in problem.choices}
+    assert all(tuple(row) in chosen for row in design.plan.postures)
+    assert design.efficiency is not None
+    assert design.bound is not None
+    by_hand = np.exp((problem.objective(design.plan.postures) - design.bound.value) / problem.parameters)
+    assert design.efficiency == pytest.approx(by_hand, rel=1e-9)
+    generator = np.random.default_rng(1)
+    at_random = [problem.objective(generator.choice(problem.choices, 30, replace=False)) for _ in range(20)]
+    assert max(at_random) < design.log_det <= design.bound.value
+
+
+def test_what_no_plan_can_be_made_for() -> None:
+    arm = arm_of("sphere")
+    assert arm.chain is not None
+    nowhere = replace(arm.chain, base=np.eye(4))
+    with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
+        DesignProblem.of(Model(replace(arm, chain=nowhere)))
+    far = replace(arm.chain, base=pose(-20.0 * CENTER), known=frozenset({BASE, TOOL}))
+    with pytest.raises(InputError, match="sphere is touched within limits and constraints at 0 of 40000 random"):
+        DesignProblem.of(Model(replace(arm, chain=far)))
+    unknown = replace(arm, chain=replace(arm.chain, instrument=Sphere()))
+    with pytest.raises(InputError, match="radius_mm is not known"):
+        DesignProblem.of(Model(unknown))
+
+
+@pytest.mark.usefixtures("few")
+def test_a_calibration_says_the_radius() -> None:
+    arm = arm_of("sphere")
+    assert arm.chain is not None
+    chain = replace(arm.chain, instrument=Sphere())
+    found = Model(replace(arm, chain=chain, calibration=Calibration({RADIUS: BALL})))
+    problem = DesignProblem.of(found)
+    expected = DesignProblem.of(Model(arm)).choices
+    assert expected is not None
+    assert problem.choices is not None
+    np.testing.assert_allclose(problem.choices, expected, atol=1e-6)
+
+
+SHORT = chain_of([DHRow(0.0, np.pi / 2, 200.0), DHRow(-300.0, 0.0, 0.0), DHRow(-250.0, 0.1, 40.0)])
+TOOLS = {"a": np.array([50.0, 0.0, 20.0]), "b": np.array([-40.0, 30.0, 10.0])}
+MODEL = Model(Arm(replace(SHORT, tools=TOOLS), sigma=0.05))
+POSTURES = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 3))
+
+
+def test_the_points_are_stacked_in_numbers_and_in_symbols() -> None:
+    offer = ArmModel(MODEL)
+    assert (offer.joint_types, offer.sigma, offer.dimension) == (MODEL.joint_types, MODEL.sigma, 6)
+    each = [MODEL.jacobian(POSTURES, None, Conditions(marker=np.full(4, float(k)))) for k in range(2)]
+    expected = np.concatenate(each, axis=1)
+    np.testing.assert_allclose(offer.jacobian(POSTURES), expected, atol=1e-9)
+    np.testing.assert_allclose(offer.tip_jacobian(POSTURES).reshape(4, 6, -1), expected, atol=1e-9)
+    problem = DesignProblem(MODEL, np.full(3, -2.0), np.full(3, 2.0))
+    np.testing.assert_allclose(problem.scaled_jacobians(POSTURES), expected / MODEL.scales, atol=1e-9)
+
+
+def test_an_ensemble_has_a_block_for_each_draw() -> None:
+    draws = 1e-3 * np.random.default_rng(1).standard_normal((2, len(MODEL.names)))
+    one = Model(Arm(replace(SHORT, tools={"a": TOOLS["a"]}), sigma=0.05))
+    draws = draws[:, : len(one.names)]
+    problem = DesignProblem(EnsembleModel(one, draws), np.full(3, -2.0), np.full(3, 2.0))
+    jacobian, p = problem.scaled_jacobians(POSTURES), len(one.names)
+    for k, draw in enumerate(draws):
+        own = jacobian[:, 3 * k : 3 * k + 3, p * k : p * (k + 1)]
+        np.testing.assert_allclose(own, one.jacobian(POSTURES, draw) / one.scales, atol=1e-9)
+    assert not jacobian[:, :3, p:].any()
+    assert not jacobian[:, 3:, :p].any()
