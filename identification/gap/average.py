@@ -221,11 +221,11 @@ def _curve(found: Posterior, mixed: Mixture, block: Block, part: Index, values: 
     assert basis is not None
     angles = np.linspace(basis.start, basis.stop, 2 * WAVES + 1)
     functions = basis.at(angles)
-    error, variance = (
-        functions @ mixed.mean[part],
-        np.sum((functions @ mixed.covariance[np.ix_(part, part)]) * functions, axis=1),
-    )
-    geometry = dict(zip(found.library.base.names, mixed.response[:, part] @ mixed.mean[part], strict=True))
+    # beside the geometry that goes with it: what the two exchange makes no difference to any point
+    base = found.library.base.names
+    covariance = beside_known(mixed.covariance, part, np.arange(len(base)))
+    error, variance = functions @ mixed.mean[part], np.sum((functions @ covariance) * functions, axis=1)
+    geometry = dict(zip(base, mixed.response[:, part] @ mixed.mean[part], strict=True))
     table = basis.table(np.radians(np.round(np.degrees(error[::2]), TIDY)))
     table = replace(table, geometry=_tied(model, geometry, values))
     std = np.sqrt(np.maximum(variance, 0.0))

@@ -232,12 +232,12 @@ def linearized(
     at: Fit,
     rows: Rows,
     wrong: Sequence[int] = (),
-    outside: frozenset[str] | None = None,
+    outside: bool = True,
 ) -> Linearized:
     """All blocks at a fitted model `at`, which may have effects of the library in it, for rows with any noise model.
 
     wrong : rows that may be outlying
-    outside : labels of blocks outside the library, None: all
+    outside : whether blocks outside the library are among them
     """
     model, (y, jacobian, base) = at.model, library.as_base(at, rows)
     # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
@@ -250,7 +250,7 @@ def linearized(
         for h, c in zip(library.members, neutral, strict=True)
     ]
     where = Where(model, at.values, rows.postures, rows.conditions)
-    further = [one for one in outside_blocks(rows, where) if outside is None or one.label in outside]
+    further = list(outside_blocks(rows, where)) if outside else []
     columns = [*of_library, *(one.columns(where) for one in further if one.columns is not None)]
     blocks: list[Block] = [*library.members, *further]
     for k in wrong:
@@ -275,7 +275,7 @@ def linearized(
     right, inside = turn @ right, np.ascontiguousarray((turn @ np.ascontiguousarray(inside.T)).T)
     ends = np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])])
     many = [k for k, b in enumerate(blocks) if _common(b, library)]
-    if len(many) > 1 and (outside is None or REST in outside):
+    if len(many) > 1 and outside:
         # the rest of the library as one block: each of its effects, and each error curve, with the same expected square
         own = np.concatenate([np.arange(*ends[k : k + 2]) for k in many])
         values, vectors = np.linalg.eigh(gram[np.ix_(own, own)] / len(many))

@@ -123,7 +123,7 @@ def detectability(arm: Arm, postures: Array, conditions: Conditions | None = Non
     library = hypotheses(arm, frozenset({"temperature"} & {*given}), rows)
     exact = fit(library.base, rows, {})
     require_spare(exact.freedom, len(rows))
-    return assess(library, Beside(linearized(library, exact, rows, outside=frozenset())), rows, arm.sigma or 1.0)
+    return assess(library, Beside(linearized(library, exact, rows, outside=False)), rows, arm.sigma or 1.0)
 
 
 def require_spare(freedom: int, rows: int) -> None:

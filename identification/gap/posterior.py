@@ -27,6 +27,7 @@ UNLIKELY = 3.0  # log odds below the best, of a noise model that is not searched
 STRIKING = 3.0  # robust standard deviations of a row that may be outlying
 WRITTEN = 0.05  # probability of a block that is part of the model that is written
 MOST_WRONG = 30  # effort: rows that may be
+STAGES = PASSES + NOISES + 1  # that are told, at most
 
 
 @dataclass(frozen=True)
@@ -170,23 +171,18 @@ def _climbed(library: HypothesisSet, rows: Rows, passes: int, tell: Tell) -> Cli
 
 
 def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
-    """The set of a sample, with the blocks and noises that are not unlikely there, in the problem of all rows."""
+    """The set of a sample, and the noises that are not unlikely there, in the problem of all rows."""
     tell("all rows")
-    blocks, search = sample.problem.blocks, sample.search
-    writable = search.products.state([(b, size) for b, size in sample.top.key if _holds(blocks[b])])
-    labels = frozenset(blocks[b].label for b in {*search.near(sample.top), *search.near(writable)})
-    least = sample.scores.max() - UNLIKELY
-    chosen = sample.every[sample.noise]
+    chosen, least = sample.every[sample.noise], sample.scores.max() - UNLIKELY
     names = {chosen.name, *(n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least)}
-    library = replace(sample.library, members=tuple(h for h in sample.library.members if h.label in labels))
     at = fit(sample.at.model, rows, sample.at.by_name)
     every = [n for n in noises(rows, at) if n.name in names]
     number = next(k for k, n in enumerate(every) if (n.name, n.size) == (chosen.name, chosen.size))
     wrong = _striking(rows, at)
-    problem = linearized(library, at, every[number].rows, wrong, labels)
-    search = search_of(library, problem)
+    problem = linearized(sample.library, at, every[number].rows, wrong)
+    search = search_of(sample.library, problem)
     top = _same_set(sample, problem, search)
-    return _with_noises(library, at, every, number, wrong, problem, search, top)
+    return _with_noises(sample.library, at, every, number, wrong, problem, search, top)
 
 
 def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> State:
@@ -247,14 +243,13 @@ def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: 
     """The posterior around a likely set, under each noise that is not unlikely."""
     order = [int(k) for k in np.argsort(-climbed.scores, kind="stable") if k != climbed.noise]
     order = [k for k in order if climbed.scores[k] > climbed.scores.max() - UNLIKELY][: NOISES - 1]
-    labels = frozenset(climbed.problem.numbers)
     models = []
     for k in [climbed.noise, *order]:
         noise = climbed.every[k]
         tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
         there = climbed
         if k != climbed.noise:
-            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong, labels)
+            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong)
             search = search_of(climbed.library, problem)
             there = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
         models.append((noise, *_near_walk(there, generator), float(climbed.offset[k])))

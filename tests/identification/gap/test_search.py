@@ -118,3 +118,12 @@ def test_two_blocks_that_hide_each_other_are_found() -> None:
     search = Search(given, np.ones(12), np.zeros(12, dtype=bool))
     assert search.climb().blocks == (0, 1)
     assert search.walk(search.climb(), np.random.default_rng(1)).sets[0].blocks == (0, 1)
+
+
+def test_the_climb_ends_where_rows_are_fitted_exactly() -> None:
+    """Without noise every further block makes what is left smaller, in the ratio of rounding."""
+    rng = np.random.default_rng(7)
+    z = rng.normal(size=(12, 40)) / np.sqrt(12.0)
+    given = Products.of(z, z[:, :3] @ [40.0, -30.0, 20.0], 9, np.arange(41), np.zeros(40, dtype=bool), np.full(40, 14))
+    search = Search(given, np.ones(40), np.zeros(40, dtype=bool))
+    assert len(search.climb().blocks) <= 9
