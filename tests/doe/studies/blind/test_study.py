@@ -166,10 +166,10 @@ def test_the_study_in_space_of_few_sets(tmp_path: Path) -> None:
 
 
 def test_an_ambiguous_set_is_measured_further(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first one. More postures tell its candidates apart better."""
+    """One of them, here the first to be tried. More postures tell its candidates apart better."""
     monkeypatch.setattr(blind, "FURTHER_RUNS", (2, 8))
     key = {"cell": blind.AMBIGUOUS, "sets": 1, "seed": 0, "draws": 399}
-    rows = (blind.examine({**key, "first": number}, np.random.SeedSequence(0))[0] for number in range(200))
+    rows = (blind.examine({**key, "first": number}, np.random.SeedSequence(0))[0] for number in (32, *range(200)))
     row = next(row for row in rows if row["verdict"] == "ambiguous")
     ways = {way for way in FURTHER if not way.endswith("_16")}
     assert len(ways) == 6
