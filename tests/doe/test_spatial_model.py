@@ -13,13 +13,12 @@ import numpy as np
 import pytest
 
 from doe.advise import advise
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.column_generation import continuous_design
+from doe.bounds.certificate import ApproximateDesign
+from doe.bounds.column_generation import continuous_design, relax
 from doe.bounds.planar_theorem import closed_form_bound
-from doe.bounds.relaxation import relax
 from doe.design import score_plan
 from doe.plan.order import ordered, travel
-from doe.plan.replicate_spacing import too_near
+from doe.plan.spacing import too_near
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
 from doe.report.design import accuracy, design_document
 from doe.solvers import solve

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from doe.cli.demo import next_free
-from doe.jobs.row_table import RowTable
+from doe.jobs.rows import RowTable
 from tests.doe.cli.conftest import Folder
 from tests.doe.faults import COMMANDS, ROOT, STUDY, Command, Reference, content, prepare, start, verdict
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.cli.common import Answer, with_collisions
+from doe.cli.common import with_collisions
 from doe.problem.constraints import COLLISIONS
+from identification.document import Answer
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements

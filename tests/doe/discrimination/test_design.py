@@ -11,9 +11,16 @@ import pytest
 
 from doe.design import Design
 from doe.discrimination import design
-from doe.discrimination.design import DiscriminationDesign, discrimination_design, initial_plans
+from doe.discrimination.design import (
+    DiscriminationDesign,
+    Swaps,
+    discrimination_design,
+    extended_problem,
+    has_repeats,
+    improving_swaps,
+    initial_plans,
+)
 from doe.discrimination.misidentification import effect_library
-from doe.discrimination.swaps import Swaps, extended_problem, has_repeats, improving_swaps
 from doe.problem.constraints import InsideBox
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem

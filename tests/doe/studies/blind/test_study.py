@@ -23,7 +23,7 @@ from click.testing import CliRunner
 from scipy.stats import binom
 
 from doe.cli.study import command
-from doe.jobs.row_table import frame_of
+from doe.jobs.rows import frame_of
 from doe.report.studies import blind_parts, blind_pictures, confusion_matrix
 from doe.studies.blind import cells
 from doe.studies.blind import study as blind

@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from scipy.optimize import least_squares
 
 from doe.cli.study import command
-from doe.jobs.row_table import frame_of
-from doe.jobs.workers import processes
+from doe.jobs.rows import frame_of
+from doe.jobs.running import processes
 from doe.plan.plan import Plan
 from doe.report.studies import cell_table
 from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled_rows, run_study
@@ -116,7 +116,7 @@ def test_optimal_plan_has_the_deviations_of_equation_25() -> None:
 def test_random_plans_are_new_for_each_replication() -> None:
     study = Study([ARM], ["random"], [6], sigma=[0.2], truths=[PAPER], replications=30, block=30)
     result = run_study(study, seed=3)
-    from doe.jobs.tasks import seed_of
+    from doe.jobs.running import seed_of
 
     key = json.loads(result.blocks["key"][0])
     generator = np.random.default_rng(seed_of(key, 3))
@@ -183,7 +183,7 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append(postures)
         return estimate_each(model, postures, measured, conditions)
 
-    monkeypatch.setattr("doe.studies.monte_carlo.replications.estimate_each", spy)
+    monkeypatch.setattr("doe.studies.monte_carlo.study.estimate_each", spy)
     found = run_study(Study([boxed], ["random", "dft"], [8], truths=[PAPER], replications=300)).cells
     heights = positions(np.concatenate(seen), LENGTHS, np.zeros(4))[..., 1]
     assert heights.shape == (300, 8)
@@ -337,7 +337,7 @@ def test_parts_of_a_block_are_one_stream(monkeypatch: pytest.MonkeyPatch) -> Non
     """Long plans go through memory in parts: the same draws, and sums that do not tell."""
     study = Study([ARM], ["dft"], [6], truths=[PAPER], replications=50)
     whole = run_study(study).cells
-    monkeypatch.setattr("doe.studies.monte_carlo.replications.MOST_ROWS", 6 * 7)
+    monkeypatch.setattr("doe.studies.monte_carlo.study.MOST_ROWS", 6 * 7)
     parts = run_study(study).cells
     numbers = ["mean_error", "std", "expected_std", "coverage", "rms_mm"]
     np.testing.assert_allclose(parts.select(numbers).to_numpy(), whole.select(numbers).to_numpy(), rtol=1e-9)
