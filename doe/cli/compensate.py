@@ -26,7 +26,7 @@ def command(
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets
     from identification.model import Model
-    from identification.validate.row_groups import check_calibrated
+    from identification.validate.origin import check_calibrated
 
     arm = load_arm(calibrated)
     check_calibrated(arm, str(calibrated))

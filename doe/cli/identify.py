@@ -84,8 +84,8 @@ def command(
     from identification.model import Model
     from identification.servo import following_errors, with_servo_errors
     from identification.sessions import with_sessions
+    from identification.validate.origin import diagnosed
     from identification.validate.reuse import at_reference, with_base_doubt, with_mounting_doubt, words_of
-    from identification.validate.row_groups import diagnosed
     from identification.validate.validation import prior_judged
 
     loaded, words = load_arm(arm), words_of(only)

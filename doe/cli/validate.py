@@ -37,7 +37,7 @@ def command(
     from identification.documents.use import is_better, validation_actions
     from identification.files.arm import load_arm
     from identification.validate import validate
-    from identification.validate.row_groups import check_calibrated, mostly_outside
+    from identification.validate.origin import check_calibrated, mostly_outside
 
     arm = load_arm(model)
     check_calibrated(arm, str(model))
