@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from doe.bounds.best_known import bound_that_holds, bounds_of_runs
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.design import Design
-from doe.plan.addition import with_additions
+from doe.plan.accuracy import TipError, TipErrors
 from doe.plan.plan import Plan
-from doe.plan.tip_error import TipError, TipErrors
+from doe.plan.spacing import with_additions
 from doe.problem.problem import NEEDS_SIGMA, DesignProblem
 from doe.solvers import solve
 from identification.arm import SIGMA_RANGE, Arm

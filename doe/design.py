@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
-from doe.bounds.bound import NUMERICAL, PROVEN, Bound, postures_in_words
-from doe.bounds.equivalence import CERTIFIED
+from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, postures_in_words
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.criteria import D
-from doe.plan.expected_accuracy import (
+from doe.plan.accuracy import (
     ExpectedDeviations,
     deviations_per_draw,
     error_at_poses,
@@ -26,8 +25,8 @@ from doe.plan.expected_accuracy import (
     plan_spectrum,
 )
 from doe.plan.plan import Plan
-from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem
+from doe.problem.uncertain import EnsembleModel
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import identifiability

@@ -253,7 +253,7 @@ class ArmModel:
     def machining(self) -> tuple[float, float, float]:
         """Standard deviations of lengths [mm] and angles [rad] of such arms, and the lever [mm] of an angle of which
         nothing else is known."""
-        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.lengths))
+        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.chain.levers))
 
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property

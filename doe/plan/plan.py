@@ -1,16 +1,26 @@
-"""A plan: the postures to measure, in the order of measurement, or an approximate design with weights."""
+"""A plan: the postures to measure, in the order of measurement, or an approximate design with weights; its file; and
+from weights to whole numbers of runs by efficient apportionment, which loses least in the worst case.
+
+F. Pukelsheim, S. Rieder, "Efficient rounding of approximate designs", Biometrika 79 (1992): start from
+ceil((m - k/2) w_i) runs on each of the k support postures; while there are too few, add one where n_i / w_i is
+smallest, while too many, take one where (n_i - 1) / w_i is largest. No rounding has a better guaranteed efficiency.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array, ByValue, readonly
 from identification.data_frames import frame_of_columns
 from identification.document import html_lines, html_table
+from identification.errors import InputError
+from identification.files.plan import plan_file_text, read_plan
 from identification.kinematics.counting import counting_in, in_columns
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
 
@@ -78,3 +88,51 @@ class Plan(ByValue):
     def shares(self) -> Array:
         """(m,) weight of every posture; 1/m for an exact plan."""
         return np.full(len(self), 1.0 / len(self)) if self.weights is None else self.weights
+
+
+# -- files: CSV in degrees ---------------------------------------------------------------------------------------------
+def load_plan(path: str | PathLike[str], joints: int | Sequence[str] | None = None) -> Plan:
+    """The plan of a CSV file `run,q1_deg,...,qn_deg[,weight]`, rows in the order of measurement, `# fit: ...` above.
+
+    joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
+
+    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
+    once about columns that are not used.
+    """
+    file = read_plan(path, joints)
+    return Plan(file.postures, file.weights, fit=file.fit)
+
+
+def plan_text(plan: Plan, joint_types: int | Sequence[str] | None = None) -> str:
+    """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad)."""
+    return plan_file_text(plan.postures, plan.weights, plan.fit, joint_types)
+
+
+# -- from weights to whole numbers of runs -----------------------------------------------------------------------------
+SUM = 1e-6  # by which the weights may miss one
+
+
+def apportion(weights: Array, runs: int) -> NDArray[np.int64]:
+    """(k,) whole numbers that sum to `runs`, near runs * weights; at least one each where runs >= k.
+
+    weights : (k,) positive, summing to one. With fewer runs than postures only the heaviest `runs` get one.
+    """
+    shares = np.asarray(weights, dtype=float)
+    if not np.all(shares > 0.0) or abs(shares.sum() - 1.0) > SUM:
+        raise InputError(f"weights: sum {shares.sum():g}, smallest {shares.min():g}, allowed: positive, sum one")
+    if runs <= len(shares):
+        heaviest = np.argsort(-shares, kind="stable")[:runs]
+        return np.isin(np.arange(len(shares)), heaviest).astype(np.int64)
+    numbers = np.ceil((runs - len(shares) / 2.0) * shares).astype(np.int64)
+    while numbers.sum() < runs:
+        numbers[np.argmin(numbers / shares)] += 1
+    while numbers.sum() > runs:
+        numbers[np.argmax((numbers - 1) / shares)] -= 1
+    return numbers
+
+
+def rounded_plan(plan: Plan, runs: int) -> Array:
+    """(runs, n) postures of an approximate design, each as often as its weight asks for."""
+    carried = plan.shares > 0.0
+    numbers = apportion(plan.shares[carried] / plan.shares[carried].sum(), runs)
+    return np.repeat(plan.postures[carried], numbers, axis=0)

@@ -136,6 +136,11 @@ class SpatialChain(ByValue):
         return (2,) if self.planar else (0, 1, 2)
 
     @property
+    def turn_names(self) -> tuple[str, ...]:
+        """Names of the parts of a rotation: `w` in the plane, `wx`, `wy`, `wz` in space."""
+        return ("w",) if self.planar else tuple(f"w{axis}" for axis in self.axes)
+
+    @property
     def redundant(self) -> bool:
         """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
         return not (self.planar or self.fixed)

@@ -14,11 +14,11 @@ from identification.information import (
     covariance,
     covariances,
     describe,
+    effective_count,
     full_rank,
     identifiability,
     information_matrix,
     sparse_basis,
-    spectrum,
 )
 from identification.model import Model
 
@@ -66,11 +66,6 @@ def test_aliases_together_are_named_apart() -> None:
         "length_error:4 + tool_offset.x",
         "joint_offset:4 + tool_offset.y",
     }
-
-
-def test_constant_temperature_tells_nothing_of_thermal_growth() -> None:
-    _, told = found(["thermal_growth"], postures())
-    assert told.combinations == ("thermal_growth.a",)
 
 
 def test_a_joint_that_never_moves_ties_two_links() -> None:
@@ -126,14 +121,6 @@ def test_covariance_is_the_inverse_information_and_never_huge() -> None:
     # what is told keeps its variance; the rest is shared, not inflated
     np.testing.assert_allclose(lost[:4, :4], expected[:4, :4], rtol=1e-9)
     assert np.max(lost) <= np.max(expected) * (1 + 1e-9)
-
-
-def test_spectrum_takes_any_leading_shape_and_more_columns_than_rows() -> None:
-    jacobian = np.random.default_rng(0).normal(size=(2, 2, 7))
-    wide = spectrum(jacobian, np.ones(7))
-    assert wide.rank == 4
-    assert wide.null_space.shape == (7, 3)
-    np.testing.assert_allclose((jacobian.reshape(4, 7) / wide.lengths) @ wide.null_space, 0.0, atol=1e-12)
 
 
 @given(st.integers(0, 2**32), st.integers(2, 4), st.integers(1, 3))
@@ -206,3 +193,10 @@ def test_many_at_once_are_as_each_alone() -> None:
     scales = np.append(model.scales, model.scales[-1])
     assert full_rank(aliased, scales).tolist() == [False] * 4
     assert np.isnan(covariances(aliased, scales)).all()
+
+
+def test_effective_count_without_data_of_a_parameter() -> None:
+    """One parameter known by the prior only, one by both equally, one by the data only: 0 + 1/2 + 1."""
+    jacobian = np.diag([0.0, 2.0, 3.0])
+    rows = np.array([[5.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    assert effective_count(jacobian, rows, np.ones(3)) == pytest.approx(1.5)

@@ -11,9 +11,16 @@ import pytest
 
 from doe.design import Design
 from doe.discrimination import design
-from doe.discrimination.design import DiscriminationDesign, discrimination_design, initial_plans
+from doe.discrimination.design import (
+    DiscriminationDesign,
+    Swaps,
+    discrimination_design,
+    extended_problem,
+    has_repeats,
+    improving_swaps,
+    initial_plans,
+)
 from doe.discrimination.misidentification import effect_library
-from doe.discrimination.swaps import Swaps, extended_problem, has_repeats, improving_swaps
 from doe.problem.constraints import InsideBox
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -96,7 +103,7 @@ def test_links_that_bend_and_joints_that_twist_are_told_apart_better_than_by_ran
     cell = "one, lambda 6, 4 links"
     truth = truth_of(CELLS[cell], np.random.default_rng(1))
     arm = arm_of(CELLS[cell], truth, np.random.default_rng(0))
-    found = discrimination_design(DesignProblem.of(Model(arm)), arm, 50)
+    found = discrimination_design(DesignProblem.of(Model(arm)), arm, 50, starts=1)
     generator = np.random.default_rng(3)
     random = [likeness_of_sag(truth, generator.uniform(arm.lower, arm.upper, (50, 4))) for _ in range(20)]
     angle = np.degrees(np.arccos(likeness_of_sag(truth, found.design.plan.postures)))
@@ -212,11 +219,6 @@ def test_repeats_of_a_whole_plan_are_those_of_its_postures(kept: int) -> None:
         assert has_repeats(case, points[kept:]) == expected
         answers.add(expected)
     assert answers == {True, False}
-
-
-def test_same_seed_same_plan() -> None:
-    one, two = (designed([-180] * 4, [180] * 4, 12, seed=3) for _ in range(2))
-    np.testing.assert_array_equal(one.design.plan.postures, two.design.plan.postures)
 
 
 def test_bad_loss() -> None:

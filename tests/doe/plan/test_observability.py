@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from doe.criteria import E
-from doe.plan.observability import criterion_values, observability
-from doe.problem.robust import workspace
+from doe.plan.accuracy import criterion_values, observability
+from doe.problem.uncertain import workspace
 from tests.doe.arms import FOUR, OFFSET, problem
 
 

@@ -8,14 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from identification.arm import EffectSpec
 from identification.effects import build, library, register
 from identification.effects.base import _LIBRARY
 from identification.effects.catalogue import GRAVITY, SUPPLY, entries, entry
 from identification.effects.joint import Backlash
-from identification.errors import InputError
 from identification.files.arm import arm_from_tables
 from identification.kinematics.spatial import planar_chain
 
@@ -87,14 +85,3 @@ def test_a_users_own_effect_is_in_the_list() -> None:
     finally:
         del _LIBRARY["own_play"]
     assert "own_play" not in library()
-
-
-def test_an_unknown_name_is_refused_with_the_nearest() -> None:
-    with pytest.raises(InputError, match="unknown name 'baclash', did you mean 'backlash'"):
-        entry("baclash")
-    with pytest.raises(InputError) as caught:  # a block of the arm file, where it is asked for; none of many names
-        entry("gravty")
-    assert str(caught.value) == "effects: unknown name 'gravty', did you mean 'gravity'? armcal effects lists them"
-    with pytest.raises(InputError) as caught:
-        build(EffectSpec("zzzz"), planar_chain(np.ones(3)))
-    assert str(caught.value) == "effects: unknown name 'zzzz', armcal effects lists them"

@@ -12,13 +12,13 @@ from scipy import stats
 
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
-from identification.estimation import estimate, estimate_batch
+from identification.estimation import estimate
 from identification.files.measurement import load_measurements
 from identification.information import information_matrix
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status
-from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, truth
+from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan
 
 UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"
 DOCUMENTED_KEYS = {"parameters", "corrected_values", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value"}
@@ -59,20 +59,6 @@ def test_covariance_is_the_inverse_information_at_the_estimate() -> None:
     estimated = np.sum(free.residuals_after**2) / (40 - 10)
     assert free.sigma == pytest.approx(np.sqrt(estimated), rel=1e-12)
     np.testing.assert_allclose(free.covariance, found.covariance * estimated / 0.04, rtol=1e-9)
-
-
-@pytest.mark.parametrize("effects", [(), (EffectSpec("encoder_eccentricity", 2),)], ids=["linear", "effect"])
-def test_covariance_is_that_of_many_experiments(effects: tuple[EffectSpec, ...]) -> None:
-    model, count = Model(arm(*effects)), 20_000
-    exact = model.position(plan(12), truth(model))
-    noise = SIGMA * np.random.default_rng(7).standard_normal((count, *exact.shape))
-    fits = estimate_batch(model, plan(12), exact + noise)
-    covariance = estimate(model, Measurements(plan(12), exact), sigma=SIGMA).covariance
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (fits.parameters - truth(model)).T)
-    # sample variances scatter by sqrt(2/K) = 1 %, correlations by 0.7 %: five deviations of the largest fail
-    np.testing.assert_allclose(np.cov(whitened), np.eye(len(covariance)), rtol=0, atol=0.05)
-    # bias of second order (sigma^2/l) must stay below a tenth of a deviation
-    assert np.max(np.abs(whitened.mean(axis=1))) < 0.05
 
 
 @pytest.mark.parametrize("effects", [(), (EffectSpec("gear_ratio", 2),)], ids=["linear", "effect"])
@@ -181,14 +167,6 @@ def test_a_joint_that_hardly_moves_gives_no_huge_numbers(method: str, wobble: fl
     assert found.rms_after < 2 * SIGMA
 
 
-def test_aliases_of_the_library_are_found_after_fitting() -> None:
-    model = Model(arm(EffectSpec("tool_offset"), EffectSpec("gear_ratio", 2)))
-    found = estimate(model, data(Model(arm()), plan(20)))
-    assert [c.split(" + ")[0] for c in found.not_identifiable] == ["length_error:4", "joint_offset:4"]
-    assert np.max(np.abs(found.parameters * model.scales)) < 5.0
-    assert found.identifiable[-1]
-
-
 def test_exactly_determined_data_leave_sigma_unknown() -> None:
     found = estimate(Model(arm()), data(Model(arm()), plan(4)))
     figures = found.to_json()
@@ -243,41 +221,21 @@ def test_calibrated_arm_computes_what_was_fitted() -> None:
 
 def test_result_is_read_only_and_prints() -> None:
     found = estimate(Model(arm(EffectSpec("base_rotation"))), data(Model(arm()), plan(20)))
-    with pytest.raises(ValueError, match="read-only"):
-        found.parameters[0] = 1.0
-    with pytest.raises(ValueError, match="read-only"):
-        found.identifiable[0] = False
-    text = str(found)
-    assert "not identifiable" in text
+    for values in (found.parameters, found.identifiable):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 1.0
+    text, page = str(found), found._repr_html_()
     assert "joint_offset:1 + base_rotation.angle" in text
     assert "nan" not in text
     assert max(map(len, text.splitlines())) <= 130
-    page = found._repr_html_()
-    assert "<pre>" not in page
-    parameters, facts = page.split("</table>")[:2]
+    parameters = page.split("</table>")[0]
     assert parameters.count("<tr>") == 1 + len(found.names)
-    assert ">joint_offset:2</td>" in parameters
     value, std = (row[found.names.index("joint_offset:2")] for row in np.degrees([found.parameters, found.std]))
     shown = f"{value:.{2 - int(np.floor(np.log10(std)))}f}"  # to the third digit of the standard deviation
     assert f">joint_offset:2</td><td>{shown}</td>" in parameters.replace(' data-heading="value"', "")
-    assert ">σ</th>" in facts
-    assert "→" in facts
 
 
 # -- refusals --------------------------------------------------------------------------------------------------------
-def test_fewer_equations_than_unknowns() -> None:
-    with pytest.raises(InputError, match=r"fewer equations than unknowns: 2 m = 6 < p = 8, allowed: m >= 4"):
-        estimate(Model(arm()), data(Model(arm()), plan(3)))
-
-
-def test_wrong_number_of_joints() -> None:
-    with pytest.raises(InputError, match="4 joints for an arm of 2 links, allowed: 2"):
-        estimate(Model(Arm([100.0, 100.0])), data(Model(arm()), plan(10)))
-
-
-def test_positions_of_another_dimension() -> None:
-    with pytest.raises(InputError, match="positions of 3 coordinates, allowed: 2 as the model has"):
-        estimate(Model(arm()), Measurements(plan(10), np.zeros((10, 3))))
 
 
 def test_data_that_effects_need() -> None:
@@ -294,8 +252,14 @@ def test_data_that_effects_need() -> None:
 
 def test_bad_arguments() -> None:
     model, measurements = Model(arm()), data(Model(arm()), plan(10))
-    with pytest.raises(InputError, match="unknown name 'gaus_newton', did you mean 'gauss_newton'"):
+    with pytest.raises(InputError, match="'gaus_newton', did you mean 'gauss_newton'"):
         estimate(model, measurements, "gaus_newton")
+    with pytest.raises(InputError, match=r"2 m = 6 < p = 8, allowed: m >= 4"):
+        estimate(model, data(model, plan(3)))
+    with pytest.raises(InputError, match="4 joints for an arm of 2 links, allowed: 2"):
+        estimate(Model(Arm([100.0, 100.0])), measurements)
+    with pytest.raises(InputError, match="positions of 3 coordinates, allowed: 2"):
+        estimate(model, Measurements(plan(10), np.zeros((10, 3))))
     for sigma in (0.0, -1.0, np.nan, np.ones(3)):
         with pytest.raises(InputError, match="sigma_mm: "):
             estimate(model, measurements, sigma=sigma)
@@ -306,9 +270,9 @@ def test_bad_arguments() -> None:
     positions[6, 1] = np.inf
     with pytest.raises(InputError, match=r"positions: row 7 has .*inf.*, allowed: finite"):
         estimate(model, replace(measurements, positions=positions))
-    with pytest.raises(InputError, match=r"model: found Arm, allowed: a Model, as in Model\(arm\)"):
+    with pytest.raises(InputError, match=r"model: found Arm"):
         estimate(arm(), measurements)
-    with pytest.raises(InputError, match=r"measurements: found str, allowed: Measurements, as load_measurements\("):
+    with pytest.raises(InputError, match=r"measurements: found str"):
         estimate(model, "data.csv")
 
 

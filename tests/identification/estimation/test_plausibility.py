@@ -22,11 +22,6 @@ def moved(measurements: Measurements, shift: tuple[float, float], turn: float = 
     return replace(measurements, positions=turned + np.array(shift))
 
 
-def test_a_good_fit_is_not_doubted() -> None:
-    found = estimate(Model(arm()), data(Model(arm()), plan(30)))
-    assert (found.status, found.doubts) == (Status.converged, ())
-
-
 def test_data_in_the_frame_of_a_tracker_are_offered_a_base_offset() -> None:
     measured = moved(data(Model(arm()), plan(30)), (2500.0, -800.0), 1.2)
     found = estimate(Model(arm()), measured)

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from identification.arm import Arm
 from identification.compensate import compensate
 from identification.estimation import Identification, estimate
-from identification.files.measurement import load_measurements
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -111,47 +110,6 @@ def test_data_without_noise_are_fitted_exactly_and_said_to_be_so() -> None:
             assert "data without noise" in said(found)
         few = measured(lengths, q[:n], 0.1, generator)  # as many equations as parameters leave nothing either
         assert "without noise" not in said(estimate(Model(Arm(tuple(lengths), sigma=0.1)), few))
-
-
-def test_one_posture_short_of_full_rank_is_named() -> None:
-    """n - 1 different postures, each repeated, or a joint that never moves: rank 2 n - 2."""
-    generator = np.random.default_rng(6)
-    for n in (2, 3, 12):
-        lengths, q = np.full(n, 100.0), generator.uniform(-3.0, 3.0, (n + 4, n))
-        still = q.copy()
-        still[:, -1] = 0.3
-        for postures in (np.repeat(q[: n - 1], 40, axis=0), still):
-            data = measured(lengths, postures, 0.1, generator)
-            found = estimate(Model(Arm(tuple(lengths), sigma=0.1)), data)
-            assert found.status.name == "not_identifiable"
-            assert len(found.not_identifiable) == 2
-            assert found.dof == data.positions.size - (2 * n - 2)
-
-
-def test_a_short_link_before_a_long_one_is_what_is_named() -> None:
-    """Its angle is lost beside the long one's; both lengths are as well known as ever."""
-    generator = np.random.default_rng(7)
-    lengths = np.array([1e-3, 1e6])
-    data = measured(lengths, generator.uniform(-3.0, 3.0, (50, 2)), 1e-3, generator)
-    found = estimate(Model(Arm(tuple(lengths), sigma=1e-3)), data)
-    assert found.not_identifiable == ("joint_offset:2",)
-    np.testing.assert_allclose(found.std[:2], 1e-3 / np.sqrt(50), rtol=0.1)
-
-
-def test_units_of_a_file_do_not_matter(tmp_path) -> None:
-    generator = np.random.default_rng(8)
-    arm = Arm((300.0, 200.0), sigma=0.1)
-    data = measured(np.array([300.0, 200.0]), generator.uniform(-3.0, 3.0, (12, 2)), 0.1, generator)
-    columns = {
-        "a": ("q1_deg,q2_deg,x_mm,y_mm", np.c_[np.degrees(data.postures), data.positions]),
-        "b": ("q1_rad,q2_rad,x_m,y_m", np.c_[data.postures, data.positions / 1000.0]),
-    }
-    fits = []
-    for name, (header, table) in columns.items():
-        path = tmp_path / f"{name}.csv"
-        path.write_text("\n".join([header, *(",".join(map(repr, row)) for row in table.tolist())]) + "\n")
-        fits.append(estimate(Model(arm), load_measurements(path, arm)))
-    np.testing.assert_allclose((fits[0].parameters - fits[1].parameters) / fits[0].std, 0.0, atol=DIGITS)
 
 
 @given(n=st.integers(2, 6), seed=st.integers(0, 2**32))

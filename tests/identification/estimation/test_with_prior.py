@@ -146,6 +146,12 @@ def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
     assert np.mean(plain) < 0.8
 
 
+@pytest.mark.parametrize("deviation", [0.0, -1.0, np.inf, np.nan])
+def test_wrong_deviation(deviation: float) -> None:
+    with pytest.raises(InputError, match="prior: length_error:1"):
+        Prior({"length_error:1": deviation})
+
+
 def test_fewer_rows_than_parameters_are_enough() -> None:
     data, _ = measured(np.random.default_rng(4), 3, 0.1)
     assert estimate_with_prior(MODEL, data, PRIOR).identifiable.all()

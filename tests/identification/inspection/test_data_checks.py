@@ -40,22 +40,6 @@ def test_good_data_are_not_doubted() -> None:
     assert data_warnings(measured(8), ARM) == []  # too few to tell
 
 
-def test_radians_and_metres() -> None:
-    data = measured()
-    radians = replace(data, postures=np.radians(data.postures))  # as a file with q1_deg is read
-    assert data_warnings(radians, ARM) == [
-        "the joint angles look like radians: name the columns q1_rad.. instead of q1_deg.."
-    ]
-    metres = replace(data, positions=data.positions / 1000.0)
-    (said,) = data_warnings(metres, ARM)
-    assert said.startswith("the lengths of the arm file are ")
-    assert said.endswith(
-        "agree if the positions are in metres (name the columns x_m, y_m, z_m instead of x_mm, y_mm, z_mm)"
-    )
-    assert ratio(said) == pytest.approx(1000.0, rel=0.005)
-    assert len(data_warnings(replace(radians, positions=metres.positions), ARM)) == 2
-
-
 def ratio(said: str) -> float:
     """The measured factor that a sentence states."""
     return float(said.partition(" times ")[0].rpartition(" ")[2])
@@ -146,16 +130,6 @@ def simulated(span: float, *, angles: float = 1.0, lengths: float = 1.0) -> Meas
     return Measurements(q * angles, (tip + generator.normal(0.0, 1.0, tip.shape)) * lengths)
 
 
-def test_right_units_do_not_warn() -> None:
-    for span in (3.0, 0.1):
-        assert data_warnings(simulated(span), PLANAR) == []
-
-
-def test_radians_in_a_column_of_degrees() -> None:
-    (sentence,) = data_warnings(simulated(3.0, angles=np.pi / 180.0), PLANAR)
-    assert "look like radians: name the columns q1_rad" in sentence
-
-
 def test_degrees_in_a_column_of_radians() -> None:
     (sentence,) = data_warnings(simulated(3.0, angles=180.0 / np.pi), PLANAR)
     assert sentence == "the joint angles look like degrees: name the columns q1_deg.. instead of q1_rad.."
@@ -164,15 +138,6 @@ def test_degrees_in_a_column_of_radians() -> None:
     assert sentence.startswith("the joint angles look like degrees")
     whole_turns = simulated(3.0)  # an axis that counts on
     assert data_warnings(replace(whole_turns, postures=whole_turns.postures + 20.0 * np.pi), PLANAR) == []
-
-
-def test_metres_in_a_column_of_millimetres() -> None:
-    (sentence,) = data_warnings(simulated(3.0, lengths=1e-3), PLANAR)
-    assert "in metres (name the columns x_m, y_m" in sentence
-
-
-def test_both_units_wrong() -> None:
-    assert len(data_warnings(simulated(3.0, angles=np.pi / 180.0, lengths=1e-3), PLANAR)) == 2
 
 
 @pytest.mark.parametrize(("angles", "lengths"), [(np.pi / 180.0, 1.0), (1.0, 1e-3), (np.pi / 180.0, 1e-3), (1.0, INCH)])
