@@ -112,8 +112,8 @@ class Products:
         ratios = -0.5 * np.add.reduceat(np.log(spread), starts, axis=1)
         ratios -= 0.5 * self.freedom * np.log(squares / left.squares)
         if self.signs.any():
-            own = starts[self.signs]
-            deviations = parts[own] * np.sqrt(squared / spread[:, own] * self.freedom / squares[:, self.signs])
+            places = starts[self.signs]
+            deviations = parts[places] * np.sqrt(squared / spread[:, places] * self.freedom / squares[:, self.signs])
             ratios[:, self.signs] += np.log(2.0) + log_ndtr(deviations)
         return np.where(np.arange(len(SIZES)) < self.limits[:, None], ratios.T, -np.inf)
 
