@@ -34,7 +34,7 @@ from identification.measurements import directions_from_order, past_from_order, 
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.positions import of_positions, tip_jacobian
-from identification.validate.row_groups import diagnosed
+from identification.validate.origin import diagnosed
 from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
 
 if TYPE_CHECKING:

@@ -199,7 +199,7 @@ def diagnosis_of(
         confirmation=confirmation,
         cross_validation=tests,
         warnings=(
-            *misread(library.arm, measurements).sentences,
+            *misread(library.arm, measurements)[0],
             *far_off(after[kept], fitted.model),
             *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
             *another_frame(library.arm, measurements),
