@@ -27,7 +27,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.parameters import LENGTH_ERROR
 from identification.progress import Progress, silent
-from identification.validate.row_groups import identified
+from identification.validate.origin import identified
 
 FRESH = 5  # random starts beside the plan of fewer runs, where a start climbs on gradients
 SHARE = 0.25  # of the time, at most, for the bounds

@@ -34,7 +34,7 @@ from identification.measurements import directions_from_order, past_from_order, 
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.positions import of_positions, tip_jacobian
-from identification.validate.row_groups import diagnosed
+from identification.validate.origin import diagnosed
 from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
 
 if TYPE_CHECKING:
@@ -253,7 +253,7 @@ class ArmModel:
     def machining(self) -> tuple[float, float, float]:
         """Standard deviations of lengths [mm] and angles [rad] of such arms, and the lever [mm] of an angle of which
         nothing else is known."""
-        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.lengths))
+        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.chain.levers))
 
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property

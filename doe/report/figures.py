@@ -74,10 +74,9 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
     for line, color in zip(Model(arm).points(postures), run_colors(len(postures)), strict=True):
         axes.plot(*line.T, color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1:].T, "o", color=color, ms=3)
-    dimension = arm.dimension
-    axes.plot(*np.zeros((dimension, 1)), "ks", ms=6)
-    axes.set(aspect="equal" if dimension == 2 else "auto")
-    axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in "xyz"[:dimension]})
+    axes.plot(*np.zeros((arm.dimension, 1)), "ks", ms=6)
+    axes.set(aspect="equal" if arm.chain.planar else "auto")
+    axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in arm.chain.axes})
 
 
 def draw_constraints(axes: Any, arm: Arm) -> None:
