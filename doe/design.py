@@ -206,7 +206,7 @@ class Design:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return self.plan.to_html(self, "run", map(str, range(1, len(self.plan) + 1)))
+        return self.plan.to_html(self)
 
 
 def optimality_in_words(optimality: str | None, bound: Mapping[str, Any] | None) -> str:

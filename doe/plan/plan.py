@@ -8,8 +8,9 @@ smallest, while too many, take one where (n_i - 1) / w_i is largest. No rounding
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,8 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array, ByValue, readonly
 from identification.data_frames import frame_of_columns
-from identification.document import html_lines, html_table
 from identification.errors import InputError
-from identification.files.csv import Table, read_table
+from identification.files.csv import read_table
 from identification.files.io import PathLike
 from identification.files.measurement_columns import (
     JointTypes,
@@ -30,8 +30,8 @@ from identification.files.measurement_columns import (
     read_postures,
     warn_unknown,
 )
-from identification.kinematics.counting import counting_in, in_columns
-from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
+
+SUM = 1e-6  # by which weights may miss one
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,6 @@ class Plan(ByValue):
     fit: str = ""
 
     def __post_init__(self) -> None:
-        if set(self.joint_types) == {REVOLUTE} and counting_in(self.joint_types) is None:
-            object.__setattr__(self, "joint_types", ())
         object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
         if self.weights is not None:
             object.__setattr__(self, "weights", readonly(self.weights))
@@ -65,42 +63,41 @@ class Plan(ByValue):
         return int(self.postures.shape[1])
 
     @property
-    def units(self) -> tuple[str, ...]:
-        """(n) units in which joints are shown: deg, or mm."""
-        return tuple(FILE_UNITS[unit][0] for unit in self._units)
-
-    @property
-    def displayed(self) -> Array:
-        """(m, n) postures in `units`, as the controller counts."""
-        return readonly(in_columns(self.postures, self.joint_types) * [FILE_UNITS[unit][1] for unit in self._units])
-
-    def to_frame(self, kind: str = "polars") -> Any:
-        """A row for each posture, as in a plan file; polars or pandas."""
-        columns = {f"q{j}_{unit}": q for j, (unit, q) in enumerate(zip(self.units, self.displayed.T, strict=True), 1)}
-        weight = {} if self.weights is None else {"weight": self.weights}
-        return frame_of_columns({"run": range(1, len(self) + 1), **columns, **weight}, kind)
-
-    def _repr_html_(self) -> str:
-        return str(self.to_frame()._repr_html_())
-
-    def to_html(self, caption: object, heading: str, labels: Iterable[str]) -> str:
-        """A caption and a table of the postures for notebooks, each row beginning with its label."""
-        head = (f"q{j} [{unit}]" for j, unit in enumerate(self.units, start=1))
-        rows = ([label, *(f"{q:.2f}" for q in row)] for label, row in zip(labels, self.displayed, strict=True))
-        return html_lines(str(caption).splitlines()) + html_table([heading, *head], rows)
-
-    @property
-    def _units(self) -> list[str]:
-        return [JOINT_UNITS[joint_type] for joint_type in self.joint_types or (REVOLUTE,) * self.links]
-
-    @property
     def shares(self) -> Array:
         """(m,) weight of every posture; 1/m for an exact plan."""
         return np.full(len(self), 1.0 / len(self)) if self.weights is None else self.weights
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """(n) units in which joints are shown: deg, or mm."""
+        return tuple(name.partition("_")[2] for name in posture_columns(self.postures, self.joint_types or None))
+
+    @property
+    def displayed(self) -> Array:
+        """(m, n) postures in `units`, as the controller counts."""
+        return readonly(np.column_stack([*posture_columns(self.postures, self.joint_types or None).values()]))
+
+    def columns(self, joint_types: JointTypes = None) -> dict[str, Any]:
+        """Those of a plan file: run, joints, and weight where there are weights."""
+        columns = {"run": np.arange(1, len(self) + 1)} | posture_columns(self.postures, joint_types)
+        return columns if self.weights is None else columns | {"weight": self.weights}
+
+    def to_frame(self, kind: str = "polars") -> Any:
+        """A row for each posture, as in a plan file; polars or pandas."""
+        return frame_of_columns(self.columns(self.joint_types or None), kind)
+
+    def to_html(self, caption: object) -> str:
+        """A caption and the postures, for notebooks."""
+        return f"<pre>{escape(str(caption))}</pre>\n{self._repr_html_()}"
+
+    def _repr_html_(self) -> str:
+        from polars import Config
+
+        with Config(tbl_rows=-1, tbl_cols=-1, tbl_hide_column_data_types=True):
+            return str(self.to_frame()._repr_html_())
+
 
 # -- files: CSV in degrees ---------------------------------------------------------------------------------------------
-SUM_TOLERANCE = 1e-6
 
 
 def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
@@ -111,8 +108,12 @@ def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
     Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
-    table = read_table(path)
-    plan = Plan(read_postures(table, joints), _weights(table), fit=table.fit)
+    table, weights = read_table(path), None
+    if "weight" in table:
+        weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
+        if abs((total := float(np.sum(weights))) - 1.0) > SUM:
+            raise InputError(f"{path}: column weight: found a sum of {total:.9g}, allowed: 1 (within {SUM:g})")
+    plan = Plan(read_postures(table, joints), weights, fit=table.fit)
     conditions = ["payload_kg", "temperature_C", *(f"direction{j}" for j in range(1, plan.links + 1))]
     warn_unknown(table, ["run", *joint_columns(table, joints), "weight", *conditions])
     return plan
@@ -125,27 +126,10 @@ def load_plan_conditions(path: PathLike, joints: int | Sequence[str]) -> dict[st
 
 def plan_text(plan: Plan, joint_types: JointTypes = None) -> str:
     """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad)."""
-    columns = {"run": np.arange(1, len(plan) + 1), **posture_columns(plan.postures, joint_types)}
-    if plan.weights is not None:
-        columns["weight"] = plan.weights
-    return csv_text(columns, plan.fit)
-
-
-def _weights(table: Table) -> Array | None:
-    """(m,) shares of the measurements, as they stand in the file."""
-    if "weight" not in table:
-        return None
-    weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
-    total = float(np.sum(weights))
-    if abs(total - 1.0) > SUM_TOLERANCE:
-        raise InputError(
-            f"{table.path}: column weight: found a sum of {total:.9g}, allowed: 1 (within {SUM_TOLERANCE:g})"
-        )
-    return weights
+    return csv_text(plan.columns(joint_types), plan.fit)
 
 
 # -- from weights to whole numbers of runs -----------------------------------------------------------------------------
-SUM = 1e-6  # by which the weights may miss one
 
 
 def apportion(weights: Array, runs: int) -> NDArray[np.int64]:
