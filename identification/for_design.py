@@ -23,23 +23,22 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, Conditions
 from identification.errors import InputError
 from identification.kinematics.frames import pose
-from identification.kinematics.parameters import ParameterSet
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import directions_from_order, past_from_order, session_time
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.positions import of_positions, tip_jacobian
-from identification.validate.row_groups import diagnosed
 from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
 
 if TYPE_CHECKING:
+    from identification.arm import Arm
     from identification.gap.detectability import Detectability
     from identification.gap.library.library_prior import LibraryPrior
+    from identification.kinematics.parameters import ParameterSet
 
 AHEAD = 0.5  # of the reach: where the center of measured distances is assumed
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
@@ -259,6 +258,8 @@ class ArmModel:
     @property
     def complete(self) -> bool:
         """Whether nothing is missing: what the data of a diagnosed arm could show is in its model."""
+        from identification.validate.row_groups import diagnosed
+
         return diagnosed(self.arm)
 
     def missing_effects(self, names: Sequence[str] | None, fastest: float) -> LibraryPrior:

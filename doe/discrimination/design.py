@@ -21,28 +21,30 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, islice, takewhile
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria import D
-from doe.design import Design
 from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound, effect_library
 from doe.plan.spacing import ROUNDING, allowed_value, neighbor_counts, spread_free_joints
 from doe.problem.postures import listed_candidates, random_postures
-from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, solve
 from doe.solvers.planar_theory import optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
-from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.gap.detectability import Detectability
 from identification.information import covariance, information_matrix, log_determinants
 from identification.kinematics.parameters import REVOLUTE
 from identification.progress import Progress, silent
 from identification.status import Status
+
+if TYPE_CHECKING:
+    from doe.design import Design
+    from doe.problem.problem import DesignProblem
+    from identification.arm import Arm
+    from identification.gap.detectability import Detectability
 
 # reasons: doe/README.md, "Misidentification"
 TURN = 2.0 * np.pi

@@ -5,36 +5,36 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from doe.advise import Advice
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
-from doe.cross_check import CrossCheck
 from doe.design import BEST_KNOWN, Design, optimality_in_words
-from doe.discrimination.design import MOST_SEEN, DiscriminationDesign
-from doe.discrimination.misidentification import LAMBDA
-from doe.discrimination.t_optimal import NextPostures
 from doe.plan.accuracy import ExpectedDeviations, over_draws
-from doe.plan.plan import Plan
 from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
-from identification.arm import Arm
 from identification.arrays import Array
 from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
-from identification.documents.diagnosis import untested
 from identification.documents.identification import identify_command
 from identification.estimation.corrected_values import NARROWED
-from identification.files.csv import Table as CsvTable
 from identification.files.measurement_columns import posture_columns
-from identification.gap.detectability import Detectability
-from identification.gap.result import Diagnosis
 from identification.kinematics.parameters import EFFECT
-from identification.measurements import Measurements
 from identification.model import Model
+
+if TYPE_CHECKING:
+    from doe.advise import Advice
+    from doe.cross_check import CrossCheck
+    from doe.discrimination.design import DiscriminationDesign
+    from doe.discrimination.t_optimal import NextPostures
+    from doe.plan.plan import Plan
+    from identification.arm import Arm
+    from identification.files.csv import Table as CsvTable
+    from identification.gap.detectability import Detectability
+    from identification.gap.result import Diagnosis
+    from identification.measurements import Measurements
 
 Data = Mapping[str, Any]  # what a command says with --json
 
@@ -409,6 +409,8 @@ def cross_check_table(compared: CrossCheck) -> Sheet:
 # -- missing effects ---------------------------------------------------------------------------------------------------
 def preflight_parts(sees: Detectability) -> list[Sheet | str]:
     """Visible fraction, smallest size and look-alikes of every effect."""
+    from identification.documents.diagnosis import untested
+
     rows = []
     for name, visible in zip(sees.names, sees.norm_fractions, strict=True):
         alike = [f"{other} ({likeness:.2f})" for one, other, likeness in sees.pairs() if one == name]
@@ -422,6 +424,9 @@ def preflight_parts(sees: Detectability) -> list[Sheet | str]:
 
 def discriminating_parts(result: DiscriminationDesign) -> list[Sheet | str]:
     """The efficiency that the plan gives up, and what it can detect in return."""
+    from doe.discrimination.design import MOST_SEEN
+    from doe.discrimination.misidentification import LAMBDA
+
     parts: list[Sheet | str] = [
         f"D-efficiency relative to the best plan found: {result.relative_efficiency:.4f}",
         f"probability that a missing effect gets a wrong name: at most {result.wrong:.3f} "
