@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from doe.criteria.criterion import log_determinants
 from identification.arrays import Array
 from identification.for_design import ArmModel
-from identification.information import log_determinants
 
 if TYPE_CHECKING:
     from doe.problem.model import DesignModel

@@ -11,7 +11,7 @@ import numpy as np
 
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
-from doe.plan.accuracy import ExpectedDeviations, over_draws
+from doe.plan.accuracy import ExpectedDeviations
 from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
@@ -141,10 +141,10 @@ def accuracy(design: Design) -> list[Sheet | str]:
         return ["No expected standard deviations: the arm file has no sigma_mm."]
     if mean is None:
         return ["No expected standard deviations: not every parameter is estimable from the plan."]
-    each = design.deviations_per_draw
-    over = "" if each is None else ", mean over the draws of the arm and worst of them"
+    worst_draw = design.worst_deviations
+    over = "" if worst_draw is None else ", mean over the draws of the arm and worst of them"
     columns = deviation_columns(mean)
-    worst = {} if each is None else deviation_columns(over_draws(each, np.max))
+    worst = {} if worst_draw is None else deviation_columns(worst_draw)
     missing = missing_parameters(problem)
     weak = [
         p.name
