@@ -28,7 +28,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import identifiability, spectrum
 from identification.kinematics.parameters import PRISMATIC
-from identification.kinematics.turns import TURN, turned_into
+from identification.kinematics.turns import turned_into
 from identification.status import Status
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
@@ -276,6 +276,6 @@ def whole_turns_aside(problem: DesignProblem, postures: Array) -> Array:
     """(m, n) joints that may take every angle moved into their limits by whole turns, unless the model sees it."""
     lower, upper = problem.lower, problem.upper
     moved = turned_into(postures, lower, upper, problem.model.joint_types, FITS)
-    moved = np.where(upper - lower >= TURN - FITS, moved, postures)
+    moved = np.where(upper - lower >= 2.0 * np.pi - FITS, moved, postures)
     same = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(postures)).max() < SAME
     return moved if same else postures

@@ -25,11 +25,11 @@ from scipy.special import ndtr
 
 from doe.plan.plan import Plan
 from doe.problem.postures import random_postures
-from doe.problem.problem import NEEDS_SIGMA, DesignProblem, Stop, never
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.files.measurement_columns import posture_columns
-from identification.for_design import refuse_contacts
+from identification.for_design import NEEDS_SIGMA, refuse_contacts
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status

@@ -255,50 +255,23 @@ class TipErrors:
         """(P, P) mean of the squares of the tip's Jacobian."""
         return information_matrix(self._targets) / len(self._targets)
 
-    def with_prior(self, postures: Array) -> float:
-        """Of a plan (m, n) and the postures measured already, fitted with the effects and their prior."""
-        return self._with_prior(self._information(postures))
-
-    def missing(self, postures: Array) -> float:
-        """The same without the effects, which are there."""
-        return self._missing(self._information(postures))
-
-    def of_plan(self, postures: Array) -> TipError:
-        """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
-        p, information = self.problem.parameters, self._information(postures)
-        with_prior = self._with_prior(information)
-        if not self._identified(postures):
-            return TipError(np.inf, np.inf, with_prior)
-        posterior = inverses(information[:p, :p] + np.diag(self.problem.precisions))
-        targets = self._targets[..., :p]
-        right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
-        if self.wide.parameters == p:
-            return TipError(float(np.sqrt(right.mean())), np.inf, np.inf, float(np.sqrt(right.max())))
-        missing = self._missing(information)
-        return TipError(float(np.sqrt(right.mean())), missing, with_prior, float(np.sqrt(right.max())))
-
     def _information(self, postures: Array) -> Array:
         """(P, P) sum of B^T B of the plan and of what is measured already, without any prior."""
         every = np.concatenate([postures, self.problem.kept])
         return self.wide.weighted_information(every, np.ones(len(every)))
 
-    def _identified(self, postures: Array) -> bool:
-        p = self.problem.parameters
-        rows = self.problem.scaled_jacobians(np.concatenate([postures, self.problem.kept])).reshape(-1, p)
-        held = np.diag(np.sqrt(self.problem.precisions))
-        return bool(spectrum(np.concatenate([rows, held]), np.ones(p)).rank == p)
-
-    def _with_prior(self, information: Array) -> float:
-        posterior = inverses(information + np.diag(self.wide.precisions))
-        noise = float(self.wide.model.sigma or 0.0) ** 2
+    def with_prior(self, postures: Array) -> float:
+        """Of a plan (m, n) and the postures measured already, fitted with the effects and their prior."""
+        posterior = inverses(self._information(postures) + np.diag(self.wide.precisions))
         if np.isinf(posterior[0, 0]):
             return np.inf
-        return float(np.sqrt(noise * np.sum(posterior * self._weight) + self.wide.beyond))
+        return float(np.sqrt((self.wide.model.sigma or 0.0) ** 2 * np.sum(posterior * self._weight) + self.wide.beyond))
 
-    def _missing(self, information: Array) -> float:
-        """The fit takes up of each missing effect what the geometry can, and the tip lacks the rest; it takes the noise
-        for that of the instrument, which each posture's own error comes on top of."""
-        p, wide = self.problem.parameters, self.wide
+    def missing(self, postures: Array) -> float:
+        """The same without the effects, which are there: the fit takes up of each what the geometry can, and the tip
+        lacks the rest; it takes the noise for that of the instrument, which each posture's own error comes on top of.
+        """
+        p, wide, information = self.problem.parameters, self.wide, self._information(postures)
         posterior = inverses(information[:p, :p] + np.diag(self.problem.precisions))
         if np.isinf(posterior[0, 0]):
             return np.inf
@@ -308,6 +281,19 @@ class TipErrors:
         sizes = noise / wide.precisions[p:]  # squared, in scaled parameters
         bias = float(np.sum(np.einsum("ap,ab,bp->p", lacking, self._weight, lacking, optimize=True) * sizes))
         return float(np.sqrt(np.sum(spread * self._weight[:p, :p]) + bias + wide.beyond))
+
+    def of_plan(self, postures: Array) -> TipError:
+        """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
+        p = self.problem.parameters
+        if spectrum(plan_jacobians(self.problem, postures), np.ones(p)).rank < p:
+            return TipError(np.inf, np.inf, self.with_prior(postures))
+        posterior = inverses(self._information(postures)[:p, :p] + np.diag(self.problem.precisions))
+        targets = self._targets[..., :p]
+        right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
+        mean, largest = float(np.sqrt(right.mean())), float(np.sqrt(right.max()))
+        if self.wide.parameters == p:
+            return TipError(mean, np.inf, np.inf, largest)
+        return TipError(mean, self.missing(postures), self.with_prior(postures), largest)
 
 
 @dataclass(frozen=True)
