@@ -35,7 +35,7 @@ from identification.model.positions import of_positions, tip_jacobian
 from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
 
 if TYPE_CHECKING:
-    from identification.arm import SIGMA_RANGE, Arm
+    from identification.arm import Arm
     from identification.gap.detectability import Detectability
     from identification.gap.library.library_prior import LibraryPrior
     from identification.kinematics.parameters import ParameterSet
@@ -256,7 +256,7 @@ class ArmModel:
     def machining(self) -> tuple[float, float, float]:
         """Standard deviations of lengths [mm] and angles [rad] of such arms, and the lever [mm] of an angle of which
         nothing else is known."""
-        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.lengths))
+        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.chain.levers))
 
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property
@@ -359,6 +359,7 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
     is missing without one."""
     if arm.sigma is not None:
         return arm, ""
+    from identification.arm import SIGMA_RANGE
     from identification.validate.row_groups import identified
 
     scatter = identified(arm).get("scatter_mm")

@@ -7,9 +7,11 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from doe.cli.common import Answer, CommonOptions, verb
-from doe.cli.options import Count, File, JobOptions, Seconds, WholeNumbers, Workers, interruptible, words
+from doe.cli.common import verb
+from doe.cli.options import Count, JobOptions, Seconds, WholeNumbers, Workers, interruptible, words
+from identification.document import Answer
 from identification.errors import InputError
+from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
     import polars
@@ -31,8 +33,7 @@ class OneJob(JobOptions):
 
 @verb("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs")
 def command(
-    common: CommonOptions,
-    arms: Annotated[tuple[File, ...], "ARM..."],
+    arms: Annotated[tuple[Path, ...], "ARM..."],
     *,
     runs: WholeNumbers,
     solvers: str | None = None,
@@ -41,6 +42,8 @@ def command(
     repeats: Count = 5,
     seconds: Seconds = 60.0,
     job: OneJob,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Answer:
     """Compare design solvers side by side.
 
@@ -75,7 +78,7 @@ def command(
         interruptible(table_file),
         RowTable.open(table_file, resume=job.resume, force=job.force) as table,
     ):
-        rows = compare(comparison, table, where, seed=common.seed, progress=common.report)
+        rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown = comparison_parts(rows)
     if job.out is not None and table_file != job.out:
         write_results(job.out, rows)

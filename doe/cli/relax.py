@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb, with_collisions
-from doe.cli.options import Count, File, OutFile, Seconds, written
+from doe.cli.common import verb, with_collisions
+from doe.cli.options import Count, Seconds, written
 from doe.cli.problems import CriterionOptions, PostureOptions, design_problem
+from identification.document import Answer
 from identification.errors import InputError
+from identification.progress import Progress, silent
+from identification.workflow import Written
 
 if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
@@ -34,7 +38,7 @@ class RelaxationOptions:
     """
 
     grid: Annotated[int, click.IntRange(min=2)] | None = None
-    candidates: File | None = None
+    candidates: Path | None = None
     solver: str | None = None
     check: Annotated[bool, "--check/--no-check"] = True
     runs: Count | None = None
@@ -54,13 +58,14 @@ class RelaxationOptions:
 
 @verb("armcal relax arm.toml --grid 9 --solver clarabel")
 def command(
-    common: CommonOptions,
-    arm: File,
+    arm: Path,
     *,
     chosen: RelaxationOptions,
     criterion: CriterionOptions,
-    out: OutFile | None = None,
+    out: Written | None = None,
     force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Answer:
     """Optimal weights over candidate postures.
 
@@ -82,17 +87,17 @@ def command(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )
     problem = with_choices(problem) if criterion.robust and chosen.grid is None else problem
-    common.report(0, 2, "weights")
+    progress(0, 2, "weights")
     solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
     new = chosen.runs or (problem.parameters if problem.deviations else None)
     stop, end = chosen.limits(solver)
     relaxation = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
     data, shown = relaxation.to_json(), list[Any]([relax_document(relaxation)])
     if chosen.check:
-        common.report(1, 2, "cross-check")
+        progress(1, 2, "cross-check")
         runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
         checked = with_choices(problem) if criterion.robust else problem
-        compared = cross_check(checked, relaxation, runs, seed=common.seed, seconds=end - perf_counter())
+        compared = cross_check(checked, relaxation, runs, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared.rows()
         shown.append(cross_check_table(compared))
     text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)

@@ -7,10 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from doe.cli.common import Answer, CommonOptions, verb, with_collisions
-from doe.cli.options import Content, File, Names, Picture, Seconds, plan_drawing, written
+from doe.cli.common import verb, with_collisions
+from doe.cli.options import Content, Seconds, plan_drawing, written
 from doe.cli.problems import CriterionOptions, design_problem
+from identification.document import Answer
 from identification.errors import InputError
+from identification.workflow import Names, Picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,9 +28,8 @@ ROBUST = "score --robust judges it so, this is of a fit by the model of the arm 
 
 @verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 def command(
-    common: CommonOptions,
-    arm: File,
-    plan: File,
+    arm: Path,
+    plan: Path,
     *,
     aliases: Picture | None = None,
     seconds: Seconds = 20.0,

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -19,17 +20,8 @@ from numpy.typing import NDArray
 from identification.arrays import Array, ByValue, readonly
 from identification.data_frames import frame_of_columns
 from identification.errors import InputError
-from identification.files.csv import read_table
-from identification.files.io import PathLike
-from identification.files.measurement_columns import (
-    JointTypes,
-    csv_text,
-    joint_columns,
-    posture_columns,
-    read_conditions,
-    read_postures,
-    warn_unknown,
-)
+from identification.files.measurement_columns import posture_columns
+from identification.files.plan import plan_file_text, read_plan
 
 SUM = 1e-6  # by which weights may miss one
 
@@ -77,14 +69,10 @@ class Plan(ByValue):
         """(m, n) postures in `units`, as the controller counts."""
         return readonly(np.column_stack([*posture_columns(self.postures, self.joint_types or None).values()]))
 
-    def columns(self, joint_types: JointTypes = None) -> dict[str, Any]:
-        """Those of a plan file: run, joints, and weight where there are weights."""
-        columns = {"run": np.arange(1, len(self) + 1)} | posture_columns(self.postures, joint_types)
-        return columns if self.weights is None else columns | {"weight": self.weights}
-
     def to_frame(self, kind: str = "polars") -> Any:
         """A row for each posture, as in a plan file; polars or pandas."""
-        return frame_of_columns(self.columns(self.joint_types or None), kind)
+        columns = {"run": range(1, len(self) + 1)} | posture_columns(self.postures, self.joint_types or None)
+        return frame_of_columns(columns if self.weights is None else columns | {"weight": self.weights}, kind)
 
     def to_html(self, caption: object) -> str:
         """A caption and the postures, for notebooks."""
@@ -98,9 +86,7 @@ class Plan(ByValue):
 
 
 # -- files: CSV in degrees ---------------------------------------------------------------------------------------------
-
-
-def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
+def load_plan(path: str | PathLike[str], joints: int | Sequence[str] | None = None) -> Plan:
     """The plan of a CSV file `run,q1_deg,...,qn_deg[,weight]`, rows in the order of measurement, `# fit: ...` above.
 
     joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
@@ -108,25 +94,13 @@ def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
     Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
-    table, weights = read_table(path), None
-    if "weight" in table:
-        weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
-        if abs((total := float(np.sum(weights))) - 1.0) > SUM:
-            raise InputError(f"{path}: column weight: found a sum of {total:.9g}, allowed: 1 (within {SUM:g})")
-    plan = Plan(read_postures(table, joints), weights, fit=table.fit)
-    conditions = ["payload_kg", "temperature_C", *(f"direction{j}" for j in range(1, plan.links + 1))]
-    warn_unknown(table, ["run", *joint_columns(table, joints), "weight", *conditions])
-    return plan
+    file = read_plan(path, joints)
+    return Plan(file.postures, file.weights, fit=file.fit)
 
 
-def load_plan_conditions(path: PathLike, joints: int | Sequence[str]) -> dict[str, Array | None]:
-    """What else a plan may say of its rows: `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n)."""
-    return read_conditions(read_table(path), joints)
-
-
-def plan_text(plan: Plan, joint_types: JointTypes = None) -> str:
+def plan_text(plan: Plan, joint_types: int | Sequence[str] | None = None) -> str:
     """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad)."""
-    return csv_text(plan.columns(joint_types), plan.fit)
+    return plan_file_text(plan.postures, plan.weights, plan.fit, joint_types)
 
 
 # -- from weights to whole numbers of runs -----------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,6 @@ from identification.arrays import Array
 from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
 from identification.documents.identification import identify_command
 from identification.estimation.corrected_values import NARROWED
-from identification.files.measurement_columns import posture_columns
 from identification.kinematics.parameters import EFFECT
 from identification.model import Model
 
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from doe.discrimination.t_optimal import NextPostures
     from doe.plan.plan import Plan
     from identification.arm import Arm
-    from identification.files.csv import Table as CsvTable
     from identification.gap.detectability import Detectability
     from identification.gap.result import Diagnosis
     from identification.measurements import Measurements
@@ -225,27 +222,28 @@ STEPS = (
     "the plan was chosen by another criterion or with missing effects in mind (--robust)."
 )
 MOST_RUNS, MOST_NUMBERS = 200, 150_000  # that a person steps through; of the Jacobians, some 12 characters each
-DECIMAL = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
 
 
 def plan_section(
-    arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = "plan.csv", lead: str = ""
+    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan.csv", lead: str = ""
 ) -> Section:
     """A part of a page in which the plan is stepped through, reordered and cut; a long one or one of weights is drawn.
 
-    table : the file of the plan, whose columns the edited plan keeps
+    cells : columns of the file of the plan, which the edited plan keeps
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
     lead = lead if arm.chain.planar else f"{lead} {COLLISIONS}".strip()
-    title = f"The plan {name}" if table is not None else "The plan"
-    if (steps := plan_steps(arm, plan, table, Path(name).stem)) is not None:
+    title = f"The plan {name}" if cells is not None else "The plan"
+    if (steps := plan_steps(arm, plan, cells, Path(name).stem)) is not None:
         return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
     sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
 
 
-def plan_steps(arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = "plan") -> dict[str, Any] | None:
+def plan_steps(
+    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan"
+) -> dict[str, Any] | None:
     """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
     Jacobians to 12 digits. None for a plan that is too long for it, or one of weights.
 
@@ -258,16 +256,9 @@ def plan_steps(arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = 
     if plan.weights is not None or len(plan) > MOST_RUNS or numbers > MOST_NUMBERS:
         return None
     jacobians = problem.scaled_jacobians(plan.postures).reshape(len(plan), -1)
-    if table is None:  # else its cells, with decimal points as the file separates columns by commas
-        angles = posture_columns(plan.postures, plan.joint_types or None)
-        cells = {name: [repr(float(angle)) for angle in column] for name, column in angles.items()}
-    else:
-        texts = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
-        pointed = table.decimal_commas
-        cells = {
-            name: [text.replace(",", ".") if pointed and DECIMAL.fullmatch(text) else text for text in column]
-            for name, column in texts.items()
-        }
+    if cells is None:
+        columns = zip(plan.units, plan.displayed.T, strict=True)
+        cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}
     return {
         "file": f"{name}-edited.csv",
         "comment": f"# fit: {plan.fit}" if plan.fit else "",

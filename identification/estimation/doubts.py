@@ -185,7 +185,7 @@ def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
     Any rotation of the frame is the offset of joint 1, so that only the position of the base can be missing.
     """
     spare = measurements.positions.size - 2 * (arm.links + 1)
-    if measurements.dimension != 2 or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
+    if not arm.chain.planar or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
         return []
     without, with_base = (_left(arm, measurements, offset) for offset in (False, True))
     if not without > FALL**2 * with_base:

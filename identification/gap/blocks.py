@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from identification.arrays import Array
-from identification.effects.places import OF_FRAME, widths
+from identification.effects.places import widths
 from identification.gap.columns import Basis, Where, times
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
@@ -178,7 +178,7 @@ def _wobble(w: Where, j: int) -> Array:
     plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T
     turns = np.stack([f(k * w.postures[:, j]) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)], axis=1)
     parts = []
-    for kind in OF_FRAME:
+    for kind in chain.bends:
         first = ends[kind] - 3 * n + 3 * j
         part = levers[:, :, first : first + 3] @ plane
         parts.append(part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300))

@@ -240,14 +240,12 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
 
 
 def untested_joints(model: Model, rows: Rows) -> frozenset[int]:
-    """Joints (from 1) of a spatial arm at which no joint effect is tested.
+    """Joints (from 1) at which no joint effect is tested.
 
     These are prismatic joints, since joint effects describe rotary encoders and gears, and joints with an RMS lever
     below `UNSEEN` times the reach: a reflector on the last axis does not move with that joint, and a fraction of a
     micrometre would correspond to degrees.
     """
-    if rows.dimension == 2:
-        return frozenset()
     levers = model.joint_levers(rows.postures, None, rows.conditions)
     sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
     sliding = np.array([kind == PRISMATIC for kind in model.joint_types])

@@ -17,11 +17,8 @@ from identification.effects.chain import ORIENTATION, chain_at, condition_width,
 from identification.effects.places import by_place, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
-from identification.instruments import TRACKER
 from identification.kinematics.orientations import turned
 from identification.kinematics.parameters import ParameterSet
-from identification.model.compiled_parts import compiled_arm
-from identification.model.composition import Composition
 from identification.vectorize import Evaluate, vectorize
 
 KEPT = 128  # effort: models set up
@@ -103,21 +100,6 @@ class Expressions:
         best = self.arm.chain.orientation(q, self.best, chain.marker)
         return replace(chain, reference=chain.reference + missing * best)
 
-    @cached_property
-    def composed(self) -> Composition | None:
-        """The same from parts that models share; None in the plane and without effects: one function is faster."""
-        chain = self.arm.chain
-        if chain.planar or not self.effects:
-            return None
-        pointing = replace(chain, instrument=TRACKER)  # has what this instrument does not show, too: it is zero
-        own = (*chain.instrument.parameters, *(p for effect in self.effects for p in effect.parameters))
-        every = (*pointing.parameters().names, *(p.name for p in own))
-        values = tuple(None if name in self.estimated.names else float(self.fixed.get(name, 0.0)) for name in every)
-        shared, tied = compiled_arm(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
-        tied |= {name: float(x) for name, x in chain.along_base(tied, {}).items()}
-        off = tuple(tied.get(name, 0.0) for name in every) if tied else ()
-        return Composition(shared, self.effects, values, off, chain.instrument)
-
     def table(self, postures: Array, conditions: Conditions) -> Array:
         """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
         the marker where there are several, ten of a measured orientation, and n + 1 of error curves."""
@@ -176,12 +158,12 @@ class Expressions:
     @cached_property
     def position(self) -> Evaluate:
         """Of arrays (q, c, p): the position."""
-        return self.composed.position if self.composed else vectorize(self.position_function)
+        return vectorize(self.position_function)
 
     @cached_property
     def jacobian(self) -> Evaluate:
         """Of arrays (q, c, p): position and Jacobian."""
-        return self.composed.jacobian if self.composed else vectorize(self.jacobian_function)
+        return vectorize(self.jacobian_function)
 
     @cached_property
     def posture_jacobian(self) -> Evaluate:
@@ -192,8 +174,6 @@ class Expressions:
     @cached_property
     def joint_levers(self) -> Evaluate:
         """Of arrays (q, c, p): the derivative with respect to an angle added at each joint, (d, n)."""
-        if self.composed:
-            return self.composed.joint_levers
         added, position, _ = self._with_added
         turns = by_place(added, self.arm.chain)["joint_angles"]
         return self._at_zero("levers", [ca.jacobian(position, turns)])
@@ -201,8 +181,6 @@ class Expressions:
     @cached_property
     def place_levers(self) -> Evaluate:
         """Of arrays (q, c, p): the derivative with respect to what is added at each place, (d, P), and the state."""
-        if self.composed:
-            return self.composed.place_levers
         added, position, state = self._with_added
         return self._at_zero("place_levers", [ca.jacobian(position, added), state])
 

@@ -18,7 +18,7 @@ STARTS = np.concatenate([[0], np.cumsum(WIDTHS)])
 WEIGHTS = np.array([1.0, 0.5, 1.0, 0.2, 0.5, 1.0, 0.0, 1.0])
 ROWS = np.arange(COUNT) == 6
 REST = frozenset({7})
-SIZES_OF_EACH = 3
+SIZES_OF_EACH = 2
 
 
 @pytest.fixture(autouse=True)
