@@ -177,8 +177,8 @@ def identify_files(
     from identification.model import Model
     from identification.servo import following_errors, with_servo_errors
     from identification.sessions import with_sessions
+    from identification.validate.origin import diagnosed
     from identification.validate.reuse import at_reference, with_base_doubt, with_mounting_doubt, words_of
-    from identification.validate.row_groups import diagnosed
     from identification.validate.validation import prior_judged
 
     loaded, words = load_arm(arm), words_of(only)
@@ -576,7 +576,7 @@ def validate_files(
     from identification.files.arm import load_arm
     from identification.files.io import write_together
     from identification.validate import validate
-    from identification.validate.row_groups import check_calibrated, mostly_outside
+    from identification.validate.origin import check_calibrated, mostly_outside
 
     arm = load_arm(model)
     check_calibrated(arm, str(model))
@@ -617,7 +617,7 @@ def compensate_files(
     from identification.files.io import write_together
     from identification.files.target import commands_text, load_targets
     from identification.model import Model
-    from identification.validate.row_groups import check_calibrated
+    from identification.validate.origin import check_calibrated
 
     arm = load_arm(calibrated)
     check_calibrated(arm, str(calibrated))

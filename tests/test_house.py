@@ -63,7 +63,7 @@ LAYERS = {
     "identification.model.minimal": 5,
     "identification.estimation": 5,
     "identification.inspection.data_checks": 5,
-    "identification.validate.row_groups": 5,
+    "identification.validate.origin": 5,
     "identification.compensate": 6,
     "identification.workflow": 8,
     "identification.sessions": 5,

@@ -32,12 +32,11 @@ from typing import Any
 import numpy as np
 
 from doe.criteria import Criterion, E
-from doe.criteria.criterion import Factored, smooth
+from doe.criteria.criterion import Factored, log_determinants, smooth
 from doe.criteria.variances import InverseTrace
 from doe.problem.problem import PriorInformation, Stop, never
 from identification.arrays import Array
 from identification.errors import InputError, JobError
-from identification.information import log_determinants
 from identification.vectorize import PART
 
 ITERATIONS = 100

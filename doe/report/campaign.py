@@ -40,8 +40,8 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances
 from identification.model import Model
 from identification.validate import Validation, validate
+from identification.validate.origin import data_hashes, diagnosed, outside
 from identification.validate.reuse import same_drawing
-from identification.validate.row_groups import data_hashes, diagnosed, outside
 from identification.workflow import dh_table
 
 # a command -> keys that its JSON object alone has

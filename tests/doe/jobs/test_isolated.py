@@ -68,10 +68,6 @@ def test_nothing_is_imported_from_the_folder_it_starts_in(tmp_path: Path, monkey
     assert call(work.hang, 0.0, seconds=60.0).value == "awake"
 
 
-def test_what_a_call_prints_is_no_answer() -> None:
-    assert call(work.talk, seconds=60.0).value == "said"
-
-
 def test_raising_and_crashing_calls_are_told_apart() -> None:
     assert call(work.fail, seconds=10.0).error == "ArithmeticError: no answer"
     crashed = call(work.crash, seconds=10.0)

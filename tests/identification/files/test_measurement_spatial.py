@@ -35,13 +35,6 @@ def test_round_trip(tmp_path: Path) -> None:
     assert again.marker.tolist() == ["top", "side"]
 
 
-def test_a_planar_arm_ignores_the_third_coordinate(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"columns are not used: 'z_mm', 'marker'"):
-        data = load_measurements(saved(tmp_path, PLAIN.replace("q2_mm", "q2_deg")), Arm([300.0, 200.0]))
-    assert data.dimension == 2
-    assert data.marker is None
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -19,7 +19,6 @@ from doe.jobs.running import processes
 from doe.plan.plan import Plan
 from doe.report.studies import cell_table
 from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled_rows, run_study
-from doe.studies.monte_carlo.study import Cell
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import BatchFit, estimate_each
@@ -316,11 +315,6 @@ def test_bad_file_is_one_line(folder: Path, old: str, new: str, found: str) -> N
     assert "\n" not in str(caught.value)
 
 
-def test_noise_is_needed() -> None:
-    with pytest.raises(InputError, match="sigma_mm: is missing"):
-        Study([replace(ARM, sigma=None)], ["dft"], [4])
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -356,13 +350,6 @@ def test_names_are_unique() -> None:
         Study([ARM], ["dft"], [4], truths=[Truth(), Truth()])
 
 
-def test_cell_travels() -> None:
-    import pickle
-
-    cell = Cell("links_mm = [1.0]", "links_mm = [1.0]", None, 3, 0.1)
-    assert pickle.loads(pickle.dumps(cell)) == cell
-
-
 # -- the verb --
 def test_verb(folder: Path) -> None:
     options = [str(folder / "study.toml"), "--workers", "1"]
@@ -376,26 +363,6 @@ def test_verb(folder: Path) -> None:
     shown = CliRunner().invoke(command, [*options, "--resume"])
     assert shown.exit_code == 0
     assert "joint_offset:2" in shown.output
-
-
-def test_verb_without_any_cell_that_can_be_done(folder: Path) -> None:
-    text = GOOD.replace(', "plan.csv"', "")
-    (folder / "study.toml").write_text(text.replace("[5]", "[1]"))
-    done = CliRunner().invoke(command, [str(folder / "study.toml"), "--workers", "1"])
-    assert done.exit_code == 2  # the file is wrong
-    assert "runs: found 1, allowed: at least 2 for 4 parameters" in done.output
-    (folder / "study.toml").write_text(text)
-    with open(folder / "arm.toml", "a") as stream:
-        stream.write("[joint_limits_deg]\nlower = [-90, -90]\nupper = [90, 90]\n")
-    done = CliRunner().invoke(command, [str(folder / "study.toml"), "--workers", "1"])
-    assert done.exit_code == 1
-    assert "no cell could be done: plan dft: joint 1 would leave its limits" in done.output
-
-
-def test_unknown_study_has_the_nearest_name() -> None:
-    done = CliRunner().invoke(command, ["papr"])
-    assert done.exit_code == 2
-    assert "did you mean 'paper'" in done.output
 
 
 def test_a_cell_without_a_fit_has_no_figures() -> None:
