@@ -25,15 +25,15 @@ from identification.gap.hypotheses import Block, HypothesisSet, untested_joints
 from identification.information import column_space_of
 from identification.kinematics.parameters import REVOLUTE
 
-# reasons: identification/README.md, "Constants"
-ALIKE = 0.3  # relative scatter of one family's parameters over the joints
-RANK = 1e-6  # of a square: less left of columns beside the base model, or beside each other, cannot be seen
-FAINT = 0.03  # expected square of a combination of columns at the block's largest size, below which it is left out
-OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect
-TIMES = 12  # half periods in a session of the fastest smooth function of time
-SLOW = 3  # half periods, of orders of functions of several variables
+ALIKE = 0.3  # convention: relative scatter of one family's parameters over the joints, which are of one make
+RANK = 1e-6  # numerical: of a square; less left of columns beside the base model, or each other, cannot be seen
+# numerical: expected square of a combination of columns at the block's largest size, below which it is left out
+FAINT = 0.03
+OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect of the whole arm
+TIMES = 12  # convention: half periods in a session of the fastest smooth function of time
+SLOW = 3  # convention: half periods, of orders of functions of several variables
 REST = "library"  # label of the rest of the library
-REST_SIZES = 2  # of `SIZES` that it may have: what is larger shows one effect at a time
+REST_SIZES = 2  # of `SIZES` that it may have; prior: what is larger shows one effect at a time
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,8 @@ from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve
 
-# reasons: identification/README.md, "Constants"
-SHAPED = 0.8  # of a curve's variance, that makes a shape its name
-MOST_WAVES = 6  # that are listed; what any of them explains is not less than a sixth of what `SHAPED` allows to lack
+SHAPED = 0.8  # convention: of a curve's variance, that makes a shape its name; nothing else depends on it
+MOST_WAVES = 6  # that are listed; derived: each explains at least a sixth of what `SHAPED` allows to lack
 COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")
 
 

@@ -27,10 +27,10 @@ from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.threads import single_thread
 
-# reasons: identification/README.md, "Constants"
-POWER, LEVEL = 0.9, 0.05  # convention
-NEAR = 0.9  # likeness: the odds of two effects stay below 20 up to lambda = 5.6
-LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test
+POWER, LEVEL = 0.9, 0.05  # convention: what is "excluded" would have been found in nine cases of ten
+# derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6
+NEAR = 0.9
+LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test, and is not linear
 
 
 class Size(NamedTuple):

@@ -34,8 +34,7 @@ from identification.gap.verdict import CREDIBLE
 from identification.information import column_space, column_space_of
 from identification.kinematics.parameters import Parameter
 
-# reason: identification/README.md, "Constants"
-SAME = 0.1  # relative difference of values that are the same
+SAME = 0.1  # relative difference of values that are the same; convention: temperature and load differ by session
 
 
 class CurveColumns(NamedTuple):

@@ -26,8 +26,7 @@ from identification.gap.fit import Fit
 from identification.instruments.registration import placed, registered
 from identification.measurements import POINT, Conditions, Measurements
 
-# reason: identification/README.md, "Constants"
-GAIN = 1.25  # of the sum of squares: what more is refitted must save
+GAIN = 1.25  # convention: of the sum of squares, a tenth of the RMS error, that one more set of parameters must save
 
 SESSION, OTHER_ROWS = "another session", "other rows"
 
