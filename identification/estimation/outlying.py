@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import betaln, chdtrc, chdtri, pdtrc
 
 from identification.arrays import Array
-from identification.information import column_space
+from identification.information import column_space, product_inverse
 
 # reasons: identification/README.md, "Constants"
 OUTLIER = 6.0  # robust standard deviations in a plane, else the same chance; 3 in 10,000 clean data sets have one
@@ -113,7 +113,7 @@ def studentised(
     kept_blocks, inside, squares = blocks[kept], residual[kept], np.zeros(len(kept))
     flat = kept_blocks.reshape(inside.size, k)
     normal = flat.T @ flat if held_rows is None else flat.T @ flat + held_rows.T @ held_rows
-    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+    inverse = product_inverse(normal)
     right = flat.T @ inside.reshape(-1) if moment is None else flat.T @ inside.reshape(-1) + moment
     off = inside - kept_blocks @ (inverse @ right)
     rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(kept_blocks.shape) @ kept_blocks.transpose(0, 2, 1)

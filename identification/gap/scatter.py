@@ -17,12 +17,12 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.gap.fit import Fit, Rows
+from identification.information import PRODUCT_TOLERANCE, significant
 
 # reasons: identification/README.md, "Constants"
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
 RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one
 CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next
-CLEAR = 1e-10  # eigenvalues of a normal matrix, of the largest
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def log_likelihood(rows: Rows, left: Array, columns: Array) -> float:
     """Of a covariance, see above;  left : (m, d) residuals [mm];  columns : (m, d, p) of all free parameters"""
     residual, basis = rows.whiten(left), rows.whiten(columns)
     values, turn = np.linalg.eigh(basis.T @ basis)
-    seen = values > CLEAR * values.max(initial=0.0)
+    seen = significant(values, PRODUCT_TOLERANCE)
     scores = turn[:, seen].T @ (basis.T @ residual)
     squares = float(residual @ residual - np.sum(scores**2 / values[seen]))
     freedom = len(residual) - int(seen.sum())
