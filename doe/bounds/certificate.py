@@ -341,4 +341,4 @@ class ApproximateDesign:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return self.plan.to_html(self, "weight", (f"{weight:.4f}" for weight in self.plan.shares))
+        return self.plan.to_html(self)

@@ -70,7 +70,7 @@ def command(
     lines = [meant] if loaded_plan.fit and not criterion.robust else []
     data = design.to_json() | {
         "workspace_error_mm": error,
-        "observability": indices.to_json(),
+        "observability": indices,
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.criterion import Factored, Factors, woodbury
+from doe.criteria.criterion import Factored, Factors, inverses, woodbury
 from identification.arrays import Array, readonly
-from identification.information import information_matrix, inverses
+from identification.information import information_matrix
 
 
 @dataclass(frozen=True)

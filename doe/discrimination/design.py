@@ -21,28 +21,31 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, islice, takewhile
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria import D
-from doe.design import Design
+from doe.criteria.criterion import log_determinants
 from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound, effect_library
 from doe.plan.spacing import ROUNDING, allowed_value, neighbor_counts, spread_free_joints
 from doe.problem.postures import listed_candidates, random_postures
-from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, solve
 from doe.solvers.planar_theory import optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
-from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.gap.detectability import Detectability
-from identification.information import covariance, information_matrix, log_determinants
+from identification.information import information_matrix, spectrum
 from identification.kinematics.parameters import REVOLUTE
 from identification.progress import Progress, silent
 from identification.status import Status
+
+if TYPE_CHECKING:
+    from doe.design import Design
+    from doe.problem.problem import DesignProblem
+    from identification.arm import Arm
+    from identification.gap.detectability import Detectability
 
 # reasons: doe/README.md, "Misidentification"
 TURN = 2.0 * np.pi
@@ -269,7 +272,7 @@ def best_order(library: EffectLibrary, postures: Array, generator: np.random.Gen
         jacobian = library.jacobian_by_order(postures[order])
         information = information_matrix(jacobian)
         cross = information[:base, base:]
-        explained = cross.T @ covariance(jacobian[..., :base], np.ones(base)) @ cross
+        explained = cross.T @ spectrum(jacobian[..., :base], np.ones(base)).covariance @ cross
         scores.append(float(log_determinants(information[base:, base:] - explained)))
     return np.asarray(postures[shuffles[int(np.argmax(scores))]])
 

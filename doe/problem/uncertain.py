@@ -30,10 +30,10 @@ from doe.criteria import Criterion, D, I
 from doe.criteria.log_determinants import Average, Worst
 from doe.problem.model import DesignModel, offered, offers
 from doe.problem.postures import listed_candidates, random_and_at_limits, random_postures
-from doe.problem.problem import NEEDS_SIGMA, DesignProblem
+from doe.problem.problem import DesignProblem
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
-from identification.for_design import for_design
+from identification.for_design import NEEDS_SIGMA, for_design
 from identification.kinematics.parameters import ParameterSet
 
 # -- several arms ------------------------------------------------------------------------------------------------------

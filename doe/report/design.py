@@ -4,34 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from doe.advise import Advice
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
-from doe.cross_check import CrossCheck
 from doe.design import BEST_KNOWN, Design, optimality_in_words
-from doe.discrimination.design import MOST_SEEN, DiscriminationDesign
-from doe.discrimination.misidentification import LAMBDA
-from doe.discrimination.t_optimal import NextPostures
-from doe.plan.accuracy import ExpectedDeviations, over_draws
-from doe.plan.plan import Plan
+from doe.plan.accuracy import ExpectedDeviations
 from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
-from identification.arm import Arm
 from identification.arrays import Array
 from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
-from identification.documents.diagnosis import untested
 from identification.documents.identification import identify_command
 from identification.estimation.corrected_values import NARROWED
-from identification.gap.detectability import Detectability
-from identification.gap.result import Diagnosis
 from identification.kinematics.parameters import EFFECT
-from identification.measurements import Measurements
 from identification.model import Model
+
+if TYPE_CHECKING:
+    from doe.advise import Advice
+    from doe.cross_check import CrossCheck
+    from doe.discrimination.design import DiscriminationDesign
+    from doe.discrimination.t_optimal import NextPostures
+    from doe.plan.plan import Plan
+    from identification.arm import Arm
+    from identification.gap.detectability import Detectability
+    from identification.gap.result import Diagnosis
+    from identification.measurements import Measurements
 
 Data = Mapping[str, Any]  # what a command says with --json
 
@@ -138,10 +138,10 @@ def accuracy(design: Design) -> list[Sheet | str]:
         return ["No expected standard deviations: the arm file has no sigma_mm."]
     if mean is None:
         return ["No expected standard deviations: not every parameter is estimable from the plan."]
-    each = design.deviations_per_draw
-    over = "" if each is None else ", mean over the draws of the arm and worst of them"
+    worst_draw = design.worst_deviations
+    over = "" if worst_draw is None else ", mean over the draws of the arm and worst of them"
     columns = deviation_columns(mean)
-    worst = {} if each is None else deviation_columns(over_draws(each, np.max))
+    worst = {} if worst_draw is None else deviation_columns(worst_draw)
     missing = missing_parameters(problem)
     weak = [
         p.name
@@ -400,6 +400,8 @@ def cross_check_table(compared: CrossCheck) -> Sheet:
 # -- missing effects ---------------------------------------------------------------------------------------------------
 def preflight_parts(sees: Detectability) -> list[Sheet | str]:
     """Visible fraction, smallest size and look-alikes of every effect."""
+    from identification.documents.diagnosis import untested
+
     rows = []
     for name, visible in zip(sees.names, sees.norm_fractions, strict=True):
         alike = [f"{other} ({likeness:.2f})" for one, other, likeness in sees.pairs() if one == name]
@@ -413,6 +415,9 @@ def preflight_parts(sees: Detectability) -> list[Sheet | str]:
 
 def discriminating_parts(result: DiscriminationDesign) -> list[Sheet | str]:
     """The efficiency that the plan gives up, and what it can detect in return."""
+    from doe.discrimination.design import MOST_SEEN
+    from doe.discrimination.misidentification import LAMBDA
+
     parts: list[Sheet | str] = [
         f"D-efficiency relative to the best plan found: {result.relative_efficiency:.4f}",
         f"probability that a missing effect gets a wrong name: at most {result.wrong:.3f} "
