@@ -56,7 +56,7 @@ LAYERS = {
     "identification.vectorize": 0,
     "identification.model.expressions": 3,
     "identification.model": 3,
-    "identification.information": 4,
+    "identification.information": 1,
     "identification.servo": 3,
     "identification.simulate": 4,
     "identification.model.placed": 4,
