@@ -342,7 +342,7 @@ class ArmModel:
         return self.model.arm
 
 
-def for_design(model: Any) -> Any:
+def design_model(model: Any) -> Any:
     """The `ArmModel` of the model of an arm; any other model as it is."""
     return ArmModel(model) if isinstance(model, Model) else model
 

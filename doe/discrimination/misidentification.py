@@ -25,12 +25,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from doe.criteria.criterion import log_determinants
-from identification.arrays import Array
-from identification.for_design import ArmModel
+from identification import ArmModel, Array
 
 if TYPE_CHECKING:
     from doe.problem.model import DesignModel
-    from identification.arm import Arm
+    from identification import Arm
 
 # reasons: doe/README.md, "Misidentification"
 LAMBDA = 8.0  # length on random postures at which plans differ

@@ -33,9 +33,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from doe.jobs.rows import Key, Row, RowTable, canonical, made
-from identification.errors import InputError, JobError
+from identification import InputError, JobError, Progress, silent
 from identification.files.io import PathLike
-from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
     import polars
