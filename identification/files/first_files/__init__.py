@@ -136,7 +136,7 @@ def _files(
     usual |= {"guide": None if instrument is None else instrument.guide, "measured": measured}
     usual |= {"target": "" if instrument is None else instrument.target}
     values = {**usual, "kind": kind, "columns": columns, "joints": n, "spatial": spatial, **values}
-    loader = PackageLoader("doe.report", "first_files")
+    loader = PackageLoader("identification.files", "first_files")
     environment = Environment(loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)
     environment.filters |= {"toml": _toml, "printable": printable}
     arm = f"arm_{'spatial' if spatial else 'planar'}.toml.j2"
