@@ -52,7 +52,9 @@ def command(common: CommonOptions, arm: File, plan: File, *, truth: File, out: O
         data = simulate(true_arm, measured_plan.postures, np.random.default_rng(common.seed), sigma=sigma, **conditions)
     except InputError as error:
         raise InputError(f"{truth}: {error}") from None
-    write_whole(out, measurement_text(replace(data, fit=measured_plan.fit), loaded.joint_types), force=force)
+    instrument = None if loaded.chain is None else loaded.chain.instrument
+    text = measurement_text(replace(data, fit=measured_plan.fit), loaded.joint_types, instrument)
+    write_whole(out, text, force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
     return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"])
 

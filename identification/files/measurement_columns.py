@@ -92,16 +92,23 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     return fields
 
 
-def measurement_columns(measurements: Measurements, joint_types: JointTypes = None) -> dict[str, NDArray[np.generic]]:
+def measurement_columns(
+    measurements: Measurements, joint_types: JointTypes = None, instrument: Instrument | None = None
+) -> dict[str, NDArray[np.generic]]:
     """The columns of a measurement table; `measurement_fields` reads the same from it, to rounding (1e-14 rad).
 
+    instrument : that measured; None: one of positions or lengths
     Raises `InputError` for positions that a file cannot have.
     """
     if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST_LENGTH:
         raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST_LENGTH:g}")
     columns = posture_columns(measurements.postures, joint_types)
-    axes = ("distance",) if measurements.dimension == 1 else "xyz"
-    columns |= {f"{axis}_mm": column for axis, column in zip(axes, measurements.positions.T, strict=False)}
+    names = ["distance_mm"] if measurements.dimension == 1 else ["x_mm", "y_mm", "z_mm"]
+    target = "session"
+    if instrument is not None and not instrument.reads_positions:
+        names = [f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in instrument.coordinates]
+        target = instrument.target or target
+    columns |= dict(zip(names, measurements.positions.T, strict=False))
     if measurements.commanded is not None:
         asked = posture_columns(measurements.commanded, joint_types)
         columns |= {name.replace("q", "commanded", 1): column for name, column in asked.items()}
@@ -115,7 +122,7 @@ def measurement_columns(measurements: Measurements, joint_types: JointTypes = No
         "payload_kg": measurements.payload,
         **{f"direction{j}": column for j, column in enumerate(() if directions is None else directions.T, start=1)},
         "posture": measurements.repeats,
-        "session": measurements.session,
+        target: measurements.session,
         "marker": measurements.marker,
         "sigma_mm": measurements.sigma,
     }

@@ -7,13 +7,14 @@ base of the arm stands in that frame, as with a tracker.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError
@@ -32,6 +33,21 @@ class Coordinate(NamedTuple):
     name: str
     quantity: str = "length"
     positive: bool = False
+
+
+class OwnValue(NamedTuple):
+    """A row of the corrected values that an instrument adds.
+
+    name : in words;  parameter : that it is, None: it is made of several;  value : in `unit`
+    slopes : parameter name -> derivative [unit per API unit];  convention : what it is
+    """
+
+    name: str
+    parameter: str | None
+    value: float
+    slopes: Mapping[str, float]
+    unit: str
+    convention: str
 
 
 class Guide(NamedTuple):
@@ -61,6 +77,8 @@ class Instrument:
     keys : of `[instrument]` that it has, besides `kind`
     coordinates : of a reading; none: it reads nothing, a target is touched (`contact`)
     target : column of files that names what is touched, each with a place of its own; empty: there is none
+    own_targets : whether these stand in the frame of the base, by `parameters`; else each session has a base
+    unsaid : number of the session where nothing is said of it
     offers : what effects may need of it (`Effect.needs`)
     reads_positions : whether a reading is the position of the measured point, or with its orientation the pose
     guide : what the first files say of it, where it has a `kind`
@@ -70,6 +88,8 @@ class Instrument:
     keys: ClassVar[frozenset[str]] = frozenset()
     coordinates: ClassVar[tuple[Coordinate, ...]] = ()
     target: ClassVar[str] = ""
+    own_targets: ClassVar[bool] = False
+    unsaid: ClassVar[float] = 0.0
     offers: ClassVar[frozenset[str]] = frozenset()
     reads_positions: ClassVar[bool] = False
     guide: ClassVar[Guide]
@@ -114,9 +134,11 @@ class Instrument:
         """(k,) values of these where nothing is known."""
         return np.array([parameter.neutral for parameter in self.parameters])
 
-    def names(self, parameter: Parameter) -> tuple[str, str]:
-        """What tables of corrected values call one of its own parameters, and what they say of it."""
-        return parameter.name, self.kind
+    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
+        """Rows of the corrected values at values of its own parameters."""
+        for p in self.parameters:
+            value = values.get(p.name, p.neutral) * p.to_file
+            yield OwnValue(p.name, p.name, value, {p.name: p.to_file}, p.file_unit, self.kind)
 
     def hidden(self, base: Array) -> frozenset[str]:
         """Names of those parameters of the base that move arm and instrument together, or turn the frame of the
@@ -166,6 +188,32 @@ class Instrument:
         residuals : of parameters (K, p) what is left, readings minus model (K, m, d)
         """
         return starts, []
+
+    def with_targets(self, points: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Instrument:
+        """With `own_targets` where rows touch them.
+
+        points : (m, 3) measured ones in its frame, as best known;  numbers : (m,) of sessions, whose `names` these are
+        """
+        return self
+
+    @property
+    def targets(self) -> Mapping[str, Array]:
+        """Name -> (3,) about where these are; empty: not known."""
+        return {}
+
+    # -- postures that touch, for plans --------------------------------------------------------------------------------
+    def stands(self, base: Array) -> bool:
+        """Whether what is measured from, or touched, has a place, where that of the base (4, 4) is not known."""
+        return not np.array_equal(base, np.eye(4))
+
+    def unknown(self, values: Mapping[str, float]) -> str:
+        """The key of arm files without which no plan can say where it touches; empty: all is known."""
+        return ""
+
+    def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
+        """(m,) True where points (m, k, 3) in its frame are outside of what is touched, but for `near` [mm]."""
+        above = self.linearized(points, values, np.zeros(1))[0][..., 0] - self.touched
+        return np.asarray(np.all(above > -near, axis=1))
 
     # -- files -----------------------------------------------------------------------------------------------------
     @classmethod

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.arrays import Array
+from identification.conditions import SESSION
 from identification.effects import Effect
 from identification.effects.places import OF_FRAME
 from identification.instruments import TRACKER, Instrument
@@ -153,7 +154,7 @@ class Composition:
             position[..., POINT] += self._total(added, batch)[..., shared.places[INSTRUMENT]]
         reads = not self.instrument.reads_positions
         if reads:
-            position, by_point, by_own = self.instrument.linearized(position, own, c[..., 3:4])
+            position, by_point, by_own = self.instrument.linearized(position, own, c[..., SESSION, None])
         if not derivatives:
             return At(position, np.zeros(0), np.zeros(0), state, added)
         by_geometry, levers = self._derivatives(computed[1], computed[2], added, used)

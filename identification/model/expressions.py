@@ -11,7 +11,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.conditions import Conditions
+from identification.conditions import SESSION, Conditions
 from identification.effects import Chain, Effect, measured_position
 from identification.effects.chain import ORIENTATION, chain_at, condition_width, orientation_columns
 from identification.effects.places import by_place, position_and_state, widths
@@ -127,6 +127,8 @@ class Expressions:
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         shape, past = postures.shape[:-1], postures if self.remembers else None
         columns = [conditions.table(shape, self.arm.links, payload, past)]
+        if conditions.session is None and (chain := self.arm.chain) is not None and chain.instrument.unsaid:
+            columns[0][..., SESSION] = chain.instrument.unsaid
         if "marker" in self.extra:
             columns.append(np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, shape)[..., None])
         if "orientation" in self.extra:

@@ -31,12 +31,15 @@ PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: be
 SEED = 0
 
 
-def minimal(model: Model, least: float = DISTINCT, postures: Array | None = None) -> Model:
+def minimal(
+    model: Model, least: float = DISTINCT, postures: Array | None = None, conditions: Conditions | None = None
+) -> Model:
     """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
     what a calibration says.
 
     least : [mm] what the smallest parameter that counts moves a coordinate by, see `DISTINCT`
     postures : (m, n) that a surface is touched at, which show less than those inside the limits; None: any of these
+    conditions : of these postures, where they tell which target each touches; None: every measured point at each
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     chain = model.arm.chain
@@ -45,7 +48,7 @@ def minimal(model: Model, least: float = DISTINCT, postures: Array | None = None
     parameters = model.parameters
     order = [k for kind in FIRST for k in parameters.indices(kind)]
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
-    kept = set(independent(_jacobian(model, postures)[:, order] * sizes, least))
+    kept = set(independent(_jacobian(model, postures, conditions)[:, order] * sizes, least))
     fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
     return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=chain.fixed | fixed)))
 
@@ -64,6 +67,8 @@ def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT
     placed, chain = placed_model(model, measurements), model.arm.chain
     if chain is None or not chain.instrument.contact:
         return minimal(placed, least)
+    if chain.instrument.own_targets:
+        return minimal(placed, least, measurements.postures, measurements.conditions)
     longest_session = measurements.rows(max(measurements.session_rows, key=len))
     shown = minimal(placed_model(model, longest_session), least, longest_session.postures).arm.chain
     assert placed.arm.chain is not None
@@ -98,11 +103,13 @@ def independent(columns: Array, least: float = DISTINCT) -> list[int]:
     return kept
 
 
-def _jacobian(model: Model, postures: Array | None) -> Array:
+def _jacobian(model: Model, postures: Array | None, conditions: Conditions | None) -> Array:
     """(N, p) at postures, None: random ones inside the limits, of every measured point."""
     arm, generator = model.arm, np.random.default_rng(SEED)
     if postures is None:
         postures = generator.uniform(arm.lower, arm.upper, (POSTURES, arm.links))
+    if conditions is not None:
+        return model.jacobian(postures, None, conditions).reshape(-1, len(model.parameters))
     markers = 1 if arm.chain is None else len(arm.chain.tools)
     rows = [model.jacobian(postures, None, Conditions(marker=np.full(len(postures), float(k)))) for k in range(markers)]
     return np.concatenate(rows).reshape(-1, len(model.parameters))

@@ -35,12 +35,13 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if arm is None or arm.chain is None:
         return model
     chain = with_markers(arm.chain, measurements)
-    settled = chain.known
+    settled, own_targets = chain.known, chain.instrument.own_targets
     if model.known:  # and those whose parameters are all known to the model
         settled |= {BASE, TOOL} - {p.kind for p in model.geometry_parameters if p.name not in model.known}
-    if settled >= {BASE, TOOL}:
+    if settled >= {BASE, TOOL} and not own_targets:
         return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
-    rows = some(measurements, measurements.session_rows[0])
+    first = max(measurements.session_rows, key=len) if own_targets else measurements.session_rows[0]
+    rows = some(measurements, first)
     values: dict[str, float] = {}
     if (calibration := arm.calibration) is not None:
         values = {name: v for name, v in calibration.values.items() if _place(name) not in {BASE, TOOL} - settled}
@@ -52,6 +53,12 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
         chain = replace(chain, base=standing.base)
     if TOOL not in settled:
         chain = replace(chain, tools=standing.tools, tool_axes=standing.tool_axes)
+    if own_targets:
+        frames = tip_frames(standing, measurements.postures, geometry)
+        places = np.array(list(standing.tools.values()))[markers_of(measurements)]
+        points = frames[:, :3, 3] + np.einsum("mij,mj->mi", frames[:, :3, :3], places)
+        names = measurements.session_names or ("1",)
+        chain = replace(chain, instrument=chain.instrument.with_targets(points, measurements.session_numbers, names))
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
 
 
