@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,17 +22,15 @@ from identification.kinematics.counting import Counting, JointKinds, check_kinds
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
     LENGTH_ERROR,
+    MAX_LINKS,
     REVOLUTE,
     by_joint,
     chain_parameters,
     of_effects,
 )
+from identification.kinematics.spatial import SpatialChain, planar_chain
 from identification.workspace import ColumnLimits, WorkspaceConstraint
 
-if TYPE_CHECKING:
-    from identification.kinematics.spatial import SpatialChain
-
-MAX_LINKS = 12
 # what files may say: beyond these, squares overflow and sines of angles are noise
 LENGTH_RANGE = (1e-6, 1e9)  # [mm] of a link
 LARGEST_LENGTH = LENGTH_RANGE[1]  # [mm] of a coordinate
@@ -41,6 +39,8 @@ LARGEST_MASS = 1e9  # [kg]
 LARGEST_ACCELERATION = 1e6  # [m/s^2]
 SIGMA_RANGE = (1e-9, 1e9)  # [mm]
 MANY_TURNS = 10.0 * np.pi + 1e-6  # [rad] no arm turns a joint farther; degrees do
+
+DIAGNOSED = "armcal diagnose"  # `source` of the calibrations that it writes
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,20 +155,20 @@ class Calibration(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class Arm(ByValue):
-    """A planar arm of n links, or a spatial one of n joints (`of_chain`).
+    """An arm of n joints.
 
     Parameters
     ----------
-    lengths : (n,) nominal link lengths [mm]; of a spatial arm the distances over which each joint acts (`levers`)
-    lower, upper : (n,) joint limits [rad]; left out: -pi..pi. Warns (`UserWarning`) of what looks like degrees
+    chain : its geometry; n lengths of links [mm] stand for the planar arm of these links
+    lower, upper : (n,) joint limits [rad, mm]; None: those of the chain, -pi..pi of a planar arm. Warns (`UserWarning`)
+        of what looks like degrees
     sigma : standard deviation of one measured coordinate [mm]; None: estimated from the data
     gear_ratios : (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
-    chain : the geometry in space, None: a planar arm
     machining : what that geometry may be off by
     counting : how the controller counts the joints, whose columns, commands and limits files have; None: as the model
     """
 
-    lengths: Array
+    chain: SpatialChain
     lower: Array = None  # type: ignore[assignment]
     upper: Array = None  # type: ignore[assignment]
     sigma: float | None = None
@@ -178,26 +178,13 @@ class Arm(ByValue):
     effects: tuple[EffectSpec, ...] = ()
     calibration: Calibration | None = None
     gear_ratios: Array | None = None
-    chain: SpatialChain | None = None
     machining: Machining = Machining()
     counting: Counting | None = None
 
-    @classmethod
-    def of_chain(cls, chain: SpatialChain, **options: Any) -> Arm:
-        """A spatial arm, with the joint limits of the chain; `options` are those of `Arm`."""
-        limits = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
-        return cls(**{"lengths": chain.levers, "lower": limits[0], "upper": limits[1], **options, "chain": chain})
-
     def __post_init__(self) -> None:
-        lengths = readonly(self.lengths, -1)
-        n = lengths.size
-        if not 1 <= n <= MAX_LINKS:
-            raise InputError(f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
-        _require(
-            bool(np.all(np.isfinite(lengths) & (lengths > 0))), f"links_mm: {lengths.tolist()}, allowed: lengths > 0"
-        )
-        sliding = [] if self.chain is None else [j for j, kind in enumerate(self.chain.joint_types) if kind != REVOLUTE]
-        lower, upper = _joint_limits(self.lower, self.upper, n, sliding)
+        chain = self.chain if isinstance(self.chain, SpatialChain) else _of_links(self.chain)
+        _require(1 <= (n := len(chain)) <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
+        lower, upper = _joint_limits(self.lower, self.upper, chain)
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
         ratios = None if self.gear_ratios is None else readonly(self.gear_ratios, -1)
@@ -205,8 +192,8 @@ class Arm(ByValue):
             good = ratios.size == n and bool(np.all(np.isfinite(ratios) & (ratios >= 0.0)))
             _require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
         hanging = self.gravity is not None and self.gravity.payload_at is not None
-        _require(self.chain is not None or not hanging, "payload_at: found for a planar arm, allowed: in space")
-        for field_name, value in (("lengths", lengths), ("lower", lower), ("upper", upper), ("gear_ratios", ratios)):
+        _require(not (chain.planar and hanging), "payload_at: found for a planar arm, allowed: in space")
+        for field_name, value in (("chain", chain), ("lower", lower), ("upper", upper), ("gear_ratios", ratios)):
             object.__setattr__(self, field_name, value)
         if self.counting is not None:
             check_kinds(self.counting, self.joint_types)
@@ -214,18 +201,22 @@ class Arm(ByValue):
     @property
     def links(self) -> int:
         """n, the number of links (and joints)."""
-        return int(self.lengths.size)
+        return len(self.chain)
+
+    @property
+    def lengths(self) -> Array:
+        """(n,) nominal lengths [mm] of the links."""
+        return self.chain.lengths
 
     @property
     def dimension(self) -> int:
         """d, coordinates of a measured position: 2 in the plane, 3 in space."""
-        return 2 if self.chain is None else 3
+        return self.chain.dimension
 
     @property
     def joint_types(self) -> JointKinds:
         """(n) `revolute` or `prismatic`, with how the controller counts them."""
-        kinds = (REVOLUTE,) * self.links if self.chain is None else self.chain.joint_types
-        return JointKinds(kinds, self.counting)
+        return JointKinds(self.chain.joint_types, self.counting)
 
     @property
     def column_limits(self) -> tuple[Array, Array]:
@@ -243,12 +234,12 @@ class Arm(ByValue):
     @property
     def offers(self) -> frozenset[str]:
         """What its instrument has that effects may need (`Instrument.offers`)."""
-        return frozenset() if self.chain is None else self.chain.instrument.offers
+        return self.chain.instrument.offers
 
     @property
     def reach(self) -> float:
         """Length of the stretched nominal arm [mm]."""
-        return float(np.sum(self.lengths)) if self.chain is None else self.chain.reach
+        return self.chain.reach
 
     def _repr_html_(self) -> str:
         return _html(self)
@@ -275,15 +266,22 @@ def _html(arm: Arm) -> str:
     return html_lines([summary]) + html_table(heads, rows)
 
 
-def _joint_limits(
-    lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, n: int, sliding: list[int]
-) -> tuple[Array, Array]:
-    """(n,) lower and (n,) upper, -pi and pi where None. Raises `InputError` for others than n pairs in order.
+def _of_links(lengths: ArrayLike) -> SpatialChain:
+    """The planar chain of links [mm]; raises `InputError` for none, too many or lengths that are not positive."""
+    links = readonly(lengths, -1)
+    _require(1 <= links.size <= MAX_LINKS, f"links_mm: {links.size} links, allowed: 1 to {MAX_LINKS}")
+    positive = bool(np.all(np.isfinite(links) & (links > 0)))
+    _require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
+    return planar_chain(links)
 
-    sliding : joints from 0 whose limits are lengths [mm]
-    """
-    lower = readonly(np.full(n, -np.pi) if lower_limits is None else lower_limits, -1)
-    upper = readonly(np.full(n, np.pi) if upper_limits is None else upper_limits, -1)
+
+def _joint_limits(
+    lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, chain: SpatialChain
+) -> tuple[Array, Array]:
+    """(n,) lower and upper, those of the chain where None. Raises `InputError` for others than n pairs in order."""
+    n, sliding = len(chain), [j for j, kind in enumerate(chain.joint_types) if kind != REVOLUTE]
+    lower = readonly([joint.lower for joint in chain.joints] if lower_limits is None else lower_limits, -1)
+    upper = readonly([joint.upper for joint in chain.joints] if upper_limits is None else upper_limits, -1)
     for name, limits in (("lower", lower), ("upper", upper)):
         _require(limits.size == n, f"joint_limits_deg.{name}: {limits.size} values for {n} links, allowed: {n}")
         _require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")

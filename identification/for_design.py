@@ -139,8 +139,8 @@ class ArmModel:
 
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""
-        chain = self._spatial
-        if chain is None:
+        chain = self.arm.chain
+        if chain.planar:
             return self
         tools = {name: place + offset for name, place in chain.tools.items()}
         return ArmModel(replace(self.model, arm=replace(self.arm, chain=replace(chain, tools=tools))))
@@ -152,15 +152,15 @@ class ArmModel:
         Raises `InputError` for contacts with a surface whose place is not known. Warns (`UserWarning`) of points that
         are assumed.
         """
-        if self._spatial is None:
+        if self.arm.chain.planar:
             return self
-        model = replace(self.model, arm=replace(self.arm, chain=with_points(self._spatial, contacts=True)))
+        model = replace(self.model, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
         return ArmModel(minimal(model) if model.sigma is None and model.prior else model)
 
     @property
     def tied(self) -> bool:
         """Whether the instrument allows some postures only, as a probe that touches a surface."""
-        return self._spatial is not None and self._spatial.instrument.contact
+        return self.arm.chain.instrument.contact
 
     def tied_postures(
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
@@ -172,8 +172,7 @@ class ArmModel:
         Raises `InputError` where there are hardly any, and for a sphere whose radius nobody knows. Warns
         (`UserWarning`) of what plans and bounds are of.
         """
-        chain = self._spatial
-        assert chain is not None
+        chain = self.arm.chain
         if key := chain.instrument.unknown(self.model.best_known):
             reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
             raise InputError(f"instrument: {reason}, allowed for plans: with {key}, or a calibrated arm")
@@ -195,14 +194,12 @@ class ArmModel:
 
     def gaps(self, postures: Array) -> Array:
         """(m,) how far the measured point is from what it is to touch [mm] at postures (m, n)."""
-        assert self._spatial is not None
-        return np.asarray(np.linalg.norm(self.model.position(postures) - self._spatial.instrument.touched, axis=1))
+        return np.asarray(np.linalg.norm(self.model.position(postures) - self.arm.chain.instrument.touched, axis=1))
 
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the
         surface that the point touches."""
-        chain = self._spatial
-        assert chain is not None
+        chain = self.arm.chain
         points = self.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3]
         # of a segment the nearest point to a sphere is that to its center, to a plane an end
         points = np.concatenate([points, nearest_on_segment(np.zeros(3), points[:, :-1], points[:, 1:])], axis=1)
@@ -213,7 +210,7 @@ class ArmModel:
     @property
     def points_read(self) -> int:
         """Number of measured points."""
-        return 1 if self._spatial is None else len(self._spatial.tools)
+        return len(self.arm.chain.tools)
 
     def jacobian(self, postures: ArrayLike) -> Array:
         """(m, d, p) derivative of the coordinates with respect to the parameters, at their best known values."""
@@ -309,7 +306,7 @@ class ArmModel:
     @property
     def planar(self) -> bool:
         """Whether it is a chain of links in a plane, of which Table I of the paper holds."""
-        return self._spatial is None
+        return self.arm.chain.planar
 
     @property
     def theorem_joints(self) -> tuple[int, ...] | None:
@@ -325,11 +322,6 @@ class ArmModel:
         """The arm."""
         return self.model.arm
 
-    @property
-    def _spatial(self) -> SpatialChain | None:
-        """The chain of a spatial arm, None in the plane."""
-        return self.arm.chain
-
 
 def for_design(model: Any) -> Any:
     """The `ArmModel` of the model of an arm; any other model as it is."""
@@ -338,14 +330,14 @@ def for_design(model: Any) -> Any:
 
 def without_prior(arm: Arm) -> Arm:
     """An arm with its measured points in place and a minimal set of parameters, as tests for effects see it."""
-    if arm.chain is None:
+    if arm.chain.planar:
         return arm
     return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
 
 
-def refuse_contacts(chain: SpatialChain | None) -> None:
+def refuse_contacts(chain: SpatialChain) -> None:
     """Raises `InputError` for a chain whose probe touches a surface, where postures have to be free."""
-    if chain is not None and chain.instrument.contact:
+    if chain.instrument.contact:
         reason = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
         raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 

@@ -6,15 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from types import MappingProxyType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import MAX_LINKS, Arm
 from identification.arrays import Array, ByValue
 from identification.conditions import REMEMBERED, Conditions, Past, directions_from_order, past_from_order, session_time
 from identification.errors import InputError
+from identification.kinematics.parameters import MAX_LINKS
 from identification.measurement_values import (
     DIMENSIONS,
     OPTIONAL,
@@ -25,6 +25,9 @@ from identification.measurement_values import (
     with_rotations,
 )
 from identification.row_digests import ROW_DIGESTS, digests
+
+if TYPE_CHECKING:
+    from identification.arm import Arm
 
 __all__ = [
     "Conditions",

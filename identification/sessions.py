@@ -97,12 +97,12 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     reflectors of one name are shared by the sessions, those of other names are not.
     """
     count = len(measurements.session_names)
-    if arm.chain is not None and arm.chain.instrument.own_targets:
+    if arm.chain.instrument.own_targets:
         return placed_model(Model(arm), measurements).arm
     if count < 2:
         return arm
     spec = EffectSpec(SESSIONS, values={"sessions": float(count)})
-    if arm.chain is not None:
+    if not arm.chain.planar:
         return _in_space(arm, measurements, spec)
     wide = with_base(arm)
     bases = base_of_each_session(with_base_offset(arm), measurements)
@@ -123,7 +123,6 @@ def _in_space(arm: Arm, measurements: Measurements, spec: EffectSpec) -> Arm:
 
     Base of session k = that of the first, shifted along the axes of the instrument and turned about its own.
     """
-    assert arm.chain is not None
     placed = arm if arm.chain.fixed else placed_model(Model(arm), measurements).arm
     chain, bases = session_bases(placed, measurements)
     values = {} if placed.calibration is None else dict(placed.calibration.values)
@@ -166,7 +165,7 @@ def without_sessions(calibration: Calibration) -> Calibration:
 
 def with_base(arm: Arm) -> Arm:
     """The arm with a base offset, its own if it has one; the base of a spatial arm is part of its geometry."""
-    stands = arm.chain is not None or any(spec.name == "base_offset" for spec in arm.effects)
+    stands = not arm.chain.planar or any(spec.name == "base_offset" for spec in arm.effects)
     return arm if stands else with_base_offset(arm)
 
 

@@ -43,8 +43,8 @@ def simulate(
     directions : (m, n) of approach, +1 or -1; left out: they follow from the order
     """
     q = np.atleast_2d(np.asarray(postures, dtype=float))
-    seated = truth.chain is not None and truth.chain.instrument.own_targets
-    if truth.chain is not None and truth.chain.instrument.contact and not seated:
+    seated = truth.chain.instrument.own_targets
+    if truth.chain.instrument.contact and not seated:
         kind = f"kind {truth.chain.instrument.kind}: at which postures a surface is touched no plan says"
         raise InputError(f"instrument: found {kind}, allowed: distance, or no [instrument]")
     noise, model, order = _noise(truth, sigma), Model(truth), np.arange(len(q), dtype=float)
@@ -56,7 +56,7 @@ def simulate(
     session = Measurements(q, np.zeros((len(q), model.dimension)), order, payload, temperature, approach)
     if (shift := servo_shift(truth, approach)).any():  # the joints come to rest, and are read, beside their commands
         session = replace(session, postures=q + shift, commanded=q)
-    if truth.chain is not None and len(truth.chain.tools) > 1:
+    if len(truth.chain.tools) > 1:
         points, rows = tuple(truth.chain.tools), len(session)
         every = session.rows(np.repeat(np.arange(rows), len(points)))  # each row once for each measured point
         session = replace(every, marker=np.tile(points, rows), marker_names=points)
@@ -67,7 +67,7 @@ def simulate(
     errors = noise * generator.standard_normal(exact.shape)
     session = replace(session, positions=exact)
     errors = disturbed(errors, truth, session, session.conditions, noise, generator)
-    if truth.chain is None or (scale := truth.chain.angle_scale) is None:
+    if (scale := truth.chain.angle_scale) is None:
         return replace(session, positions=exact + errors)
     seen = turned(errors[:, 3:] / scale) @ model.orientations(q, session.conditions)
     return replace(session, positions=(exact + errors)[:, :3], orientations=seen)
@@ -109,9 +109,7 @@ def _noise(truth: Arm, sigma: float | None) -> float:
 
 def _check_scatter(truth: Arm) -> None:
     """Raises `InputError` for an effect on the scatter without its values: it would be none."""
-    for effect, spec in zip(
-        build_all(truth.effects, truth.links, truth.lengths, truth.dimension), truth.effects, strict=True
-    ):
+    for effect, spec in zip(build_all(truth.effects, truth.chain), truth.effects, strict=True):
         missing = [p.toml_key for p in effect.parameters if p.short not in spec.values]
         if effect.scatter and missing:
             raise InputError(f"effects: {spec.key}: no value of {', '.join(missing)}, allowed: a number for each")
@@ -126,7 +124,7 @@ def disturbed(
     generator: np.random.Generator,
 ) -> Array:
     """(m, d) errors with the truth's effects on the scatter applied, in the order of the arm file."""
-    built = [(build(spec, truth.links, truth.lengths, dimension=truth.dimension), spec) for spec in truth.effects]
+    built = [(build(spec, truth.chain), spec) for spec in truth.effects]
     noisy = [(effect, spec) for effect, spec in built if isinstance(effect, NoiseEffect)]
     if not noisy:
         return errors

@@ -25,10 +25,9 @@ ESTIMATION = "tests/identification/estimation"
 MODEL = ["tests/identification/kinematics", "tests/identification/model/test_arm_model.py"]
 TESTED = {  # module -> tests that must notice
     "identification/information.py": ["tests/identification/test_information.py"],
-    "identification/kinematics/planar.py": MODEL,
-    "identification/kinematics/planar_linear.py": [
+    "identification/kinematics/closed_form.py": [
         *(f"{ESTIMATION}/test_{name}.py" for name in ("estimate", "batch", "estimate_each")),
-        "tests/identification/kinematics/test_planar_linear.py",
+        "tests/identification/kinematics/test_closed_form.py",
     ],
     "identification/kinematics/spatial.py": [*MODEL, "tests/identification/model/test_minimal.py"],
     "identification/estimation/levenberg_marquardt.py": [f"{ESTIMATION}/test_levenberg_marquardt.py"],

@@ -77,7 +77,7 @@ def drawn_arm(*, gravity: bool = True) -> Arm:
     rows = [DHRow(a, alpha, d, limits=own) for (a, alpha, d), own in zip(TABLE.tolist(), limits, strict=True)]
     chain = chain_of(rows)
     chain = replace(chain, tools={name: np.zeros(3) for name in REFLECTORS})
-    return Arm.of_chain(chain, sigma=0.02, gravity=Gravity(UP, MASSES, np.full(6, 0.5), PAYLOAD) if gravity else None)
+    return Arm(chain, sigma=0.02, gravity=Gravity(UP, MASSES, np.full(6, 0.5), PAYLOAD) if gravity else None)
 
 
 def urdf(*, masses: bool = True) -> str:

@@ -189,7 +189,7 @@ def warn_beside_json(sentences: Iterable[str]) -> None:
 
 def with_collisions(answer: Answer, arm: Arm) -> Answer:
     """The answer that has a plan of this arm, which in space says that collisions were not looked at."""
-    if arm.chain is not None:
+    if not arm.chain.planar:
         from doe.problem.constraints import COLLISIONS
 
         answer.data["collisions_checked"] = False

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from doe.cli.common import Answer, CommonOptions, verb, warn_beside_json
 from doe.cli.options import File, OutFile, written
-from identification.errors import InputError
 
 
 @verb("armcal compensate calibrated.toml targets.csv --out commands.csv")
@@ -27,10 +26,10 @@ def command(
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets
     from identification.model import Model
+    from identification.validate.row_groups import check_calibrated
 
     arm = load_arm(calibrated)
-    if arm.calibration is None and not any(effect.values for effect in arm.effects):
-        raise InputError(f"{calibrated}: has no [calibration], allowed: an arm file written by `armcal identify --out`")
+    check_calibrated(arm, str(calibrated))
     wanted = load_targets(targets, arm)
     allowed = constraints_of(Model(arm)) if arm.constraints else ()
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)

@@ -90,7 +90,7 @@ def command(
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
-        if value is not None and loaded.chain is None:
+        if value is not None and loaded.chain.planar:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = read_measurements(data, loaded)
@@ -276,7 +276,7 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
     """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
     from identification.model.minimal import PRACTICAL, minimal_of
 
-    readings, _ = ("", "") if model.arm.chain is None else model.arm.chain.instrument.size_is_open
+    readings, _ = model.arm.chain.instrument.size_is_open
     if readings:
         reduced = f"minimal for {readings}, which leave the size of the arm open"
         raise InputError(f"--parameters: found {reduced}, allowed: all, with the prior of [machining]")

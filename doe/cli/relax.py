@@ -77,7 +77,7 @@ def command(
     from identification.files.arm import load_arm
 
     loaded = load_arm(arm)
-    check_prior_runs(chosen, criterion, held=loaded.chain is not None and loaded.sigma is not None)
+    check_prior_runs(chosen, criterion, held=not loaded.chain.planar and loaded.sigma is not None)
     problem = design_problem(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )

@@ -52,7 +52,7 @@ def command(common: CommonOptions, arm: File, plan: File, *, truth: File, out: O
         data = simulate(true_arm, measured_plan.postures, np.random.default_rng(common.seed), sigma=sigma, **conditions)
     except InputError as error:
         raise InputError(f"{truth}: {error}") from None
-    instrument = None if loaded.chain is None else loaded.chain.instrument
+    instrument = loaded.chain.instrument
     text = measurement_text(replace(data, fit=measured_plan.fit), loaded.joint_types, instrument)
     write_whole(out, text, force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
@@ -64,7 +64,7 @@ def without_values(truth: Arm) -> list[str]:
     from identification.effects import build_all
 
     calibrated = {} if truth.calibration is None else truth.calibration.effects
-    built = zip(build_all(truth.effects, truth.links, truth.lengths, truth.dimension), truth.effects, strict=True)
+    built = zip(build_all(truth.effects, truth.chain), truth.effects, strict=True)
     return [
         f"{effect.key} has no value and does nothing; it has {', '.join(p.toml_key for p in effect.parameters)}"
         for effect, spec in built

@@ -37,11 +37,12 @@ def command(
     from identification.documents.use import is_better, validation_actions
     from identification.files.arm import load_arm
     from identification.validate import validate
-    from identification.validate.row_groups import mostly_outside
+    from identification.validate.row_groups import check_calibrated, mostly_outside
 
     arm = load_arm(model)
+    check_calibrated(arm, str(model))
     validation = validate(arm, read_measurements(data, arm), refit)
-    beyond = arm.chain is not None and mostly_outside(arm, validation.measurements.postures)
+    beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
     data_of = validation.to_json()
     actions = validation_actions(is_better(data_of), refit, str(model), str(data), beyond=beyond)
     answer = Answer(data_of, [replace(validation.document(), actions=actions)])

@@ -115,7 +115,7 @@ class Campaign:
         if all(column in table for column in ("error_mm", "reachable")):
             self.commands[name] = table
             return "joint commands"
-        instrument = TRACKER if arm.chain is None else arm.chain.instrument
+        instrument = arm.chain.instrument
         read = ((c.name, c.quantity) for c in (*TRACKER.coordinates[:1], *instrument.coordinates[:1]))
         columns = [f"{axis}_{unit}" for axis, quantity in read for unit in UNITS[quantity]]
         if instrument.contact or any(column in table for column in columns):  # plans of contacts no command writes
@@ -306,7 +306,7 @@ def calibrated_sections(arm: Arm, name: str, *, folded: bool) -> list[Section]:
     calibrated = Calibrated.of_arm(arm)
     rows, lines = ((), []) if calibrated is None else dh_table(calibrated, values, Path(name))
     expected, title = expected_elsewhere(provenance).strip(), f"Corrected values: {name}"
-    corrected = corrected_section(title, values, arm.chain is not None, expected, folded=folded)
+    corrected = corrected_section(title, values, not arm.chain.planar, expected, folded=folded)
     return [corrected, *(Section(part.title, part.parts, folded) for part in dh_sections(rows, lines, name))]
 
 

@@ -114,7 +114,7 @@ def plan_sections(demo: Demo) -> list[Section]:
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
         "the largest d found at each angle of a joint; dots are the plan's postures."
     )
-    postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain is None else (128, 25)
+    postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain.planar else (128, 25)
     picture = Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])
     return [
         plan_section(demo.arm, demo.design.plan, lead=lead),
@@ -125,7 +125,7 @@ def plan_sections(demo: Demo) -> list[Section]:
 # -- the picture -------------------------------------------------------------------------------------------------------
 def overview_figure(demo: Demo) -> Figure:
     """Plan, gap step by step, and residuals against the joint at fault."""
-    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), demo.arm.chain is not None
+    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), not demo.arm.chain.planar
     places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
     postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection="3d" if space else None)
     if space:

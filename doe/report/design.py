@@ -238,7 +238,7 @@ def plan_section(
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
-    lead = lead if arm.chain is None else f"{lead} {COLLISIONS}".strip()
+    lead = lead if arm.chain.planar else f"{lead} {COLLISIONS}".strip()
     title = f"The plan {name}" if table is not None else "The plan"
     if (steps := plan_steps(arm, plan, table, Path(name).stem)) is not None:
         return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])

@@ -46,7 +46,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     """The postures of an arm as stick figures, of very many some, and every joint's angles within its limits."""
     shown = postures[np.linspace(0, len(postures) - 1, min(len(postures), MANY)).round().astype(int)]
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
-    if arm.chain is not None:
+    if not arm.chain.planar:
         figure = Figure(figsize=(10.0, 8.6))
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
         for k, side in enumerate(SIDES, start=1):
@@ -91,7 +91,7 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
     for line, color in zip(Model(arm).points(postures), run_colors(len(postures)), strict=True):
         axes.plot(*line.T, color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1:].T, "o", color=color, ms=3)
-    dimension = 2 if arm.chain is None else 3
+    dimension = arm.dimension
     axes.plot(*np.zeros((dimension, 1)), "ks", ms=6)
     axes.set(aspect="equal" if dimension == 2 else "auto")
     axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in "xyz"[:dimension]})
@@ -128,9 +128,9 @@ def outlines(arm: Arm) -> list[tuple[Array, str]]:
     lines: list[tuple[Array, str]] = []
     for constraint in arm.constraints:
         if isinstance(constraint, WorkspaceBox):
-            lines += [(edges, LIMIT) for edges in _box(constraint, arm.chain is not None)]
+            lines += [(edges, LIMIT) for edges in _box(constraint, not arm.chain.planar)]
         elif isinstance(constraint, KeepOutCircle):
-            rings = [_ring(axis)[:, : arm.dimension] for axis in np.eye(3)[0 if arm.chain is not None else 2 :]]
+            rings = [_ring(axis)[:, : arm.dimension] for axis in np.eye(3)[list(arm.chain.turning)]]
             lines += [(np.array(constraint.center) + constraint.radius * ring, FORBIDDEN) for ring in rings]
         elif isinstance(constraint, KeepOutCylinder):
             ends = np.array([constraint.start, constraint.end])

@@ -5,10 +5,6 @@ Targets are positions, or poses of a spatial arm's tool, where an angle counts a
 The real arm is the calibrated model (`identification.compensate.inverse_kinematics`). A command keeps to the
 constraints that are given: where none does, the target counts as not reached, and its message says which constraint is
 in the way.
-
-Joint commands that compensation found: which targets they reach, what is left, and what must be known of them.
-
-Postures at targets: from nominal ones, or near the middle of familiar angles and where possible within these.
 """
 
 from __future__ import annotations
@@ -43,9 +39,12 @@ from identification.model import Model
 from identification.model.positions import in_own_frame
 from identification.servo import servo_shift
 from identification.sessions import BASE
-from identification.validate.row_groups import extrapolated, familiar_range, identified, outside
+from identification.validate.row_groups import check_calibrated, extrapolated, familiar_range, identified, outside
 
 MISSED_BY_CHANCE = 1e-3  # share of right targets that lie beyond the tolerance
+TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
+FEW = 0.5  # of the targets: of more out of reach, the frame or the unit is likelier to be wrong than each of them
+STILL = 1e-9  # [rad] a joint that did not move has so much room
 APPROACH = {"directions", "past"}  # what an effect needs whose error depends on the side that a joint comes from
 
 
@@ -72,57 +71,60 @@ def compensate(
 
     Raises `InputError` for an arm without calibration and for shapes or values that do not fit.
     """
-    if arm.calibration is None and not any(spec.values for spec in arm.effects):
-        raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
-    nominal_postures = None if postures is None else _checked("postures", postures, arm.links)
-    turned = _orientations(arm, orientations, targets is None)
-    scale = None if turned is None else arm.reach  # which an angle of a pose counts times
+    check_calibrated(arm)
+    nominal = None if postures is None else _checked("postures", postures, arm.links)
+    if orientations is not None and arm.chain.planar:
+        raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
+    as_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
+    turned = None if orientations is None else np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
+    poses = turned is not None or as_nominal
     arm = in_own_frame(arm)
-    if arm.chain is not None:
-        arm = replace(arm, chain=replace(arm.chain, angle_scale=scale))
-    nominal_arm = Model(drawn_arm(arm))
-    goals = _goals(nominal_arm, targets, nominal_postures)
-    if turned is not None and targets is None and nominal_postures is not None:
-        turned = nominal_arm.orientations(nominal_postures)
-    if turned is not None and len(turned) != len(goals):
-        raise InputError(f"orientations: {len(turned)} rows for {len(goals)} targets, allowed: as many")
-    where = replace(conditions or Conditions(), orientation=turned)
-    nominal = (
-        nominal_postures
-        if nominal_postures is not None
-        else within_or_near(nominal_arm, familiar_range(arm), goals, Conditions(orientation=turned), constraints)
-    )
-    model = Model(arm)
-    sided: tuple[str, ...] = ()
-    if where.directions is None and len(nominal):
+    if not arm.chain.planar:  # what an angle of a pose counts times
+        arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if poses else None))
+    drawing, model, familiar, enough = Model(drawn_arm(arm)), Model(arm), familiar_range(arm), tolerance_of(arm)
+    if targets is not None:
+        points = _checked("targets", targets, arm.dimension)
+    elif nominal is None:
+        raise InputError(f"targets: none given, allowed: positions (k, {arm.dimension}) or postures (k, n)")
+    else:
+        points, turned = drawing.position(nominal)[:, POINT], drawing.orientations(nominal) if as_nominal else turned
+    goals = np.pad(points, ((0, 0), (0, drawing.dimension - arm.dimension)))  # of poses three zeros more
+    for name, rows in (("postures", nominal), ("orientations", turned)):
+        if rows is not None and len(rows) != len(goals):
+            raise InputError(f"{name}: {len(rows)} rows for {len(goals)} targets, allowed: as many")
+    where, sided = replace(conditions or Conditions(), orientation=turned), tuple[str, ...]()
+    start = nominal
+    if start is None:
+        start = within_or_near(drawing, familiar, goals, Conditions(orientation=turned), constraints)
+    if where.directions is None and len(start):
         sided = tuple(sorted({effect.name for effect in model.effects if not APPROACH.isdisjoint(effect.needs)}))
-        past = past_from_order(nominal) if model.remembers else None
-        where = replace(where, directions=directions_from_order(nominal), past=past)
-    enough = tolerance_of(arm)
-    commands = reaching(model, goals, nominal, where, constraints, enough)
-    if nominal_postures is None:
-        commands = near_or_within(model, familiar_range(arm), goals, commands, where, constraints, enough)
-    return replace(_compensation(model, goals, nominal, commands, where, constraints), sided=sided)
-
-
-def _compensation(
-    model: Model, goals: Array, nominal: Array, commands: Array, where: Conditions, constraints: Constraints
-) -> Compensation:
-    """From nominal postures and commands (k, n), under conditions with directions."""
-    arm = model.arm
+        past = past_from_order(start) if model.remembers else None
+        where = replace(where, directions=directions_from_order(start), past=past)
+    commands = reaching(model, goals, start, where, constraints, enough)
+    if nominal is None:
+        commands = near_or_within(model, familiar, goals, commands, where, constraints, enough)
     missed = violations(constraints, commands)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
     beyond = outside(arm, commands)
     if beyond is not None:  # nobody drives to what misses a constraint
         beyond = beyond & ~np.any(missed > 0.0, axis=1)[:, None]
-    angles = None if where.orientation is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach
-    if where.directions is not None:
-        commands = commands - servo_shift(arm, where.directions)
-    kinds = tuple(each.kind for each in constraints)
     rms = identified(arm).get("rms_after_mm")
-    rms = float(rms) if isinstance(rms, float | int) else None
-    figures = commands, distances(left), arm.joint_types, where.orientation, angles, kinds, missed, beyond, rms
-    return Compensation(goals[:, POINT], nominal, *figures, tolerance=tolerance_of(arm), reach=model.reach)
+    return Compensation(
+        goals[:, POINT],
+        start,
+        commands if where.directions is None else commands - servo_shift(arm, where.directions),
+        distances(left),
+        arm.joint_types,
+        where.orientation,
+        None if where.orientation is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach,
+        tuple(each.kind for each in constraints),
+        missed,
+        beyond,
+        float(rms) if isinstance(rms, float | int) else None,
+        sided,
+        enough,
+        model.reach,
+    )
 
 
 def tolerance_of(arm: Arm) -> float:
@@ -136,40 +138,16 @@ def tolerance_of(arm: Arm) -> float:
     return max(TOLERANCE, rms * float(np.sqrt(chdtri(d, MISSED_BY_CHANCE) / d)))
 
 
-def _orientations(arm: Arm, orientations: ArrayLike | None, as_nominal: bool) -> Array | None:
-    """(k, 3, 3) wanted, (0, 3, 3) where they follow from nominal postures, None where any will do."""
-    if orientations is not None:
-        if arm.chain is None:
-            raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
-        return np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
-    poses = as_nominal and arm.chain is not None and arm.chain.angle_scale is not None
-    return np.zeros((0, 3, 3)) if poses else None
-
-
 def drawn_arm(arm: Arm) -> Arm:
     """The nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
     one turned by the offset of joint 1, and a spatial one with its points."""
     chain, stands = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset")
-    if chain is not None and arm.calibration is not None:
+    if not chain.planar and arm.calibration is not None:
         chain = standing_in(chain, arm.calibration.values)
-    if chain is not None or not stands:
+    if not chain.planar or not stands:
         return replace(arm, effects=(), calibration=None, chain=chain)
     values = Model(arm).best_known
     return replace(arm, effects=stands, calibration=Calibration({name: values.get(name, 0.0) for name in BASE}))
-
-
-def _goals(nominal: Model, targets: ArrayLike | None, postures: Array | None) -> Array:
-    """(k, d) targets [mm], or where the nominal arm has its tip at the postures; of poses three zeros more."""
-    if targets is None:
-        if postures is None:
-            raise InputError(f"targets: none given, allowed: positions (k, {nominal.arm.dimension}) or postures (k, n)")
-        points = nominal.position(postures)[:, POINT]
-    else:
-        points = _checked("targets", targets, nominal.arm.dimension)
-    goals = np.pad(points, ((0, 0), (0, nominal.dimension - nominal.arm.dimension)))
-    if postures is not None and len(postures) != len(goals):
-        raise InputError(f"postures: {len(postures)} rows for {len(goals)} targets, allowed: as many")
-    return goals
 
 
 def _checked(name: str, values: ArrayLike, columns: int) -> Array:
@@ -177,10 +155,6 @@ def _checked(name: str, values: ArrayLike, columns: int) -> Array:
     if array.ndim != 2 or array.shape[1] != columns or not np.all(np.isfinite(array)):
         raise InputError(f"{name}: shape {array.shape}, allowed: (k, {columns}) finite numbers")
     return array
-
-
-TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
-FEW = 0.5  # of the targets: of more out of reach, the frame or the unit is likelier to be wrong than each of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,23 +210,17 @@ class Compensation:
     @property
     def messages(self) -> list[str]:
         """(k) why a target is not reached; empty where it is."""
-        angles = np.zeros(len(self.errors)) if self.angles is None else np.degrees(self.angles)
-        missed = np.zeros((len(self.errors), 0)) if self.violations is None else self.violations
-        inside = np.zeros(len(missed), dtype=bool) if self.outside is None else ~self.outside.any(axis=1)
-        rows = zip(*(column.tolist() for column in (self.near, self.errors, angles, missed, inside)), strict=True)
-        return [self._message(*row) for row in rows]
-
-    def _message(self, near: bool, error: float, angle: float, missed: list[float], inside: bool) -> str:
-        """Of one target: what is left [mm], [deg], at the angles identified or not, and what constraints are missed by
-        [mm]."""
-        familiar = " (within the angles identified)" if inside else ""
-        by = f"{error:.4g} mm{'' if self.angles is None else f' and {angle:.4g} deg'}"
-        clauses = (
-            [] if near else [f"out of reach within the joint limits: the nearest posture{familiar} misses it by {by}"]
-        )
-        numbered = enumerate(zip(self.constraints, missed, strict=True), start=1)
-        clauses += [f"constraint {k} ({kind}) is missed by {size:.4g} mm" for k, (kind, size) in numbered if size > 0.0]
-        return "; ".join(clauses)
+        messages = []
+        for k, (error, near) in enumerate(zip(self.errors, self.near, strict=True)):
+            familiar = self.outside is not None and not self.outside[k].any()
+            nearest = f"the nearest posture{' (within the angles identified)' if familiar else ''} misses it by"
+            by = f"{error:.4g} mm{'' if self.angles is None else f' and {np.degrees(self.angles[k]):.4g} deg'}"
+            clauses = [] if near else [f"out of reach within the joint limits: {nearest} {by}"]
+            missed = () if self.violations is None else self.violations[k]
+            for number, (kind, size) in enumerate(zip(self.constraints, missed, strict=True), start=1):
+                clauses += [f"constraint {number} ({kind}) is missed by {size:.4g} mm"] if size > 0.0 else []
+            messages.append("; ".join(clauses))
+        return messages
 
     @property
     def safe_commands(self) -> Array:
@@ -298,15 +266,20 @@ class Compensation:
         """Counts, largest errors over targets reached and over the others, unreached rows, and a row for each target
         (identification/files/README.md, "JSON keys")."""
         reached, out = self.reached, ~self.near
+
+        def largest(values: Array, rows: NDArray[np.bool_]) -> float | None:
+            return float(np.max(values[rows])) if rows.any() else None
+
+        angles = {} if self.angles is None else {"max_error_deg": largest(np.degrees(self.angles), reached)}
         return {
             "targets": len(self.targets),
             "reached": int(np.count_nonzero(reached)),
-            "max_error_mm": float(np.max(self.errors[reached])) if reached.any() else None,
+            "max_error_mm": largest(self.errors, reached),
             "max_error_over": "targets reached",
             "tolerance_mm": self.tolerance,
             "model_rms_mm": self.model_rms,
-            "max_unreached_mm": float(np.max(self.errors[out])) if out.any() else None,
-            **({} if self.angles is None else {"max_error_deg": self._largest_angle}),
+            "max_unreached_mm": largest(self.errors, out),
+            **angles,
             "unreachable": [int(row) + 1 for row in np.flatnonzero(~reached)],
             "unreachable_count": int(np.count_nonzero(~reached)),
             "outside_identified": self._outside,
@@ -340,12 +313,6 @@ class Compensation:
         return {"targets": (np.flatnonzero(out.any(axis=1)) + 1).tolist(), "joints": joints}
 
     @property
-    def _largest_angle(self) -> float | None:
-        """[deg] over targets reached."""
-        angles = () if self.angles is None else np.degrees(self.angles[self.reached])
-        return float(np.max(angles)) if len(angles) else None
-
-    @property
     def commands_in_file_units(self) -> Array:
         """(k, n) [deg], of prismatic joints [mm], as the controller counts."""
         commands = in_columns(self.commands, self.joint_types)
@@ -373,9 +340,6 @@ class Compensation:
 def _where(shown: NDArray[np.bool_], rows: Array) -> list[Any]:
     """(k) rows, None where they are not to be said."""
     return [row if one else None for one, row in zip(shown.tolist(), rows.tolist(), strict=True)]
-
-
-STILL = 1e-9  # [rad] a joint that did not move has so much room
 
 
 def reaching(

@@ -9,7 +9,8 @@ that is the target itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,19 @@ from identification.workspace import PostureCondition
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
 MAX_ITERATIONS = 60
+SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
+QUICK = 20  # iterations at first: 99 of 100 seeds that reach a target have reached it, the others creep along limits,
+# and for a target out of reach damped least squares often end 1 % too far
+GLANCED, PROMISING = 256, 6  # random postures of a redundant arm, and how many of them are tried at first
+MISSED = 1e3  # a rank from which a target is not reached, or constraints are missed
+CHUNK = 1_000  # targets at a time, times SEEDS starts
+BEND = 1e-7  # [rad] of a joint, for second derivatives
+TURNED_AWAY = 4  # of the seeds that reach a target where the arm may not stand, led out of there
+INSIDE = 0.01  # [mm] how far inside its constraints such a posture is aimed at
+WITNESSES = 6  # postures at a target that must agree before it counts as barred, and seeds that are tried for them
+SAME = 0.01  # of what is missed: margins that differ by less are those of the target, whatever the posture
+TRIED_AGAIN = 32  # goals at a time, which all seeds missed, with those that were only glanced at: effort
+DIFFERENT = 0.5  # [rad, mm] of some joint, between postures that are witnesses
 
 Constraints = Sequence[PostureCondition]
 
@@ -50,10 +64,17 @@ def inverse_kinematics(
         position, jacobian = linearize(postures, rows)
         return goals[rows] - position, jacobian
 
-    reach = metric(model)
-    negligible = np.full(len(goals), 1e-5 * TOLERANCE)
-    limits = model.arm.lower, model.arm.upper
-    problem = LeastSquares(distances, *limits, reach, negligible, metric=reach, iterations=iterations)
+    return _least(model, distances, starts, iterations)
+
+
+def _least(model: Model, linearize: Linearize, starts: Array, iterations: int) -> tuple[Array, Array]:
+    """(k, n) postures within the limits that make residuals least, from starts (k, n), and what they leave (k,)."""
+    limits, reach, negligible = (
+        (model.arm.lower, model.arm.upper),
+        metric(model),
+        np.full(len(starts), 1e-5 * TOLERANCE),
+    )
+    problem = LeastSquares(linearize, *limits, reach, negligible, metric=reach, iterations=iterations)
     solution = levenberg_marquardt(problem, starts)
     return solution.parameters, np.sqrt(solution.squares)
 
@@ -75,21 +96,6 @@ def linearization(model: Model, conditions: Conditions) -> Linearize:
     return linearize
 
 
-SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
-QUICK = 20  # iterations at first: 99 of 100 seeds that reach a target have reached it, the others creep along limits,
-# and for a target out of reach damped least squares often end 1 % too far
-GLANCED, PROMISING = 256, 6  # random postures of a redundant arm, and how many of them are tried at first
-MISSED = 1e3  # a rank from which a target is not reached, or constraints are missed
-CHUNK = 1_000  # targets at a time, times SEEDS starts
-BEND = 1e-7  # [rad] of a joint, for second derivatives
-TURNED_AWAY = 4  # of the seeds that reach a target where the arm may not stand, led out of there
-INSIDE = 0.01  # [mm] how far inside its constraints such a posture is aimed at
-WITNESSES = 6  # postures at a target that must agree before it counts as barred, and seeds that are tried for them
-SAME = 0.01  # of what is missed: margins that differ by less are those of the target, whatever the posture
-TRIED_AGAIN = 32  # goals at a time, which all seeds missed, with those that were only glanced at: effort
-DIFFERENT = 0.5  # [rad, mm] of some joint, between postures that are witnesses
-
-
 class Tried(NamedTuple):
     """What searches for k goals found, best first: (k, s, n) postures, what they leave [mm] and their rank (k, s)."""
 
@@ -100,16 +106,6 @@ class Tried(NamedTuple):
     def at(self, rows: Index | NDArray[np.bool_]) -> Tried:
         """Of some of the goals."""
         return Tried._make(values[rows] for values in self)
-
-    @property
-    def best(self) -> tuple[Array, Array]:
-        """(k, n) postures, and what they leave (k,)."""
-        return self.postures[:, 0].copy(), self.left[:, 0].copy()
-
-    @property
-    def fails(self) -> NDArray[np.bool_]:
-        """(k,) where even the best does not reach its goal, or may not stand there."""
-        return np.asarray(self.rank[:, 0] >= MISSED)
 
 
 def ranked(distance: Array, left: Array, missed: Array) -> Array:
@@ -128,23 +124,30 @@ def best_of_seeds(
     arm, generator = model.arm, np.random.default_rng(0)  # the same postures for the same question
     seeds = generator.uniform(arm.lower, arm.upper, (GLANCED, arm.links))
     redundant = conditions.orientation is None and arm.links > goals.shape[1]
-    promising = _Promising(model, seeds) if redundant else None
+    promising = _promising(model, seeds) if redundant else None
     search = _Search(model, goals, near, conditions, constraints, seeds[:SEEDS], redundant)
-    postures, errors = np.empty_like(near), np.empty(len(goals))
-    waiting: list[tuple[Index, Tried]] = []
-    for start in range(0, len(goals), CHUNK):
-        rows = np.arange(start, min(start + CHUNK, len(goals)))
-        tried = search.tried(rows, None if promising is None else promising.near(goals[rows], near[rows]))
-        postures[rows], errors[rows] = tried.best
-        waiting.append((rows[tried.fails], tried.at(tried.fails)))
-        if sum(len(failed) for failed, _ in waiting) >= CHUNK or rows[-1] == len(goals) - 1:
-            failed = np.concatenate([failed for failed, _ in waiting])
-            first = Tried._make(np.concatenate(each) for each in zip(*(tried for _, tried in waiting), strict=True))
-            postures[failed], errors[failed] = search.hard(failed, first)
-            waiting = []
+    postures, errors, failed = np.empty_like(near), np.empty(len(goals)), list[tuple[Index, Tried]]()
+    for rows in _parts(np.arange(len(goals))):
+        tried = search.tried(rows, None if promising is None else promising(goals[rows], near[rows]))
+        postures[rows], errors[rows] = tried.postures[:, 0], tried.left[:, 0]
+        fails = tried.rank[:, 0] >= MISSED
+        failed.append((rows[fails], tried.at(fails)))
+    if failed:
+        rest = np.concatenate([rows for rows, _ in failed])
+        first = Tried._make(np.concatenate(each) for each in zip(*(tried for _, tried in failed), strict=True))
+        for part in _parts(np.arange(len(rest))):
+            if constraints:
+                part = part[~search.barred(rest[part], first.at(part))]
+            if len(part):
+                postures[rest[part]], errors[rest[part]] = search.led_on(rest[part], first.at(part))
     if not redundant:
         search._replace(seeds=seeds[SEEDS:]).again(postures, errors)
     return postures, errors
+
+
+def _parts(rows: Index, size: int = CHUNK) -> list[Index]:
+    """So many at a time; none of no rows."""
+    return [rows[start : start + size] for start in range(0, len(rows), size)]
 
 
 class _Search(NamedTuple):
@@ -177,21 +180,12 @@ class _Search(NamedTuple):
         by least, until there is no progress."""
         missed = np.flatnonzero(errors > TOLERANCE)
         missed = missed[np.argsort(errors[missed], kind="stable")]
-        for rows in np.split(missed, range(TRIED_AGAIN, len(missed), TRIED_AGAIN)):
-            reached, left = self.led_on(rows, self.tried(rows)) if len(rows) else (postures[:0], errors[:0])
+        for rows in _parts(missed, TRIED_AGAIN):
+            reached, left = self.led_on(rows, self.tried(rows))
             better = left <= TOLERANCE
             if not better.any():
                 break
             postures[rows[better]], errors[rows[better]] = reached[better], left[better]
-
-    def hard(self, rows: Index, first: Tried) -> tuple[Array, Array]:
-        """(k, n) postures and (k,) errors of goals that a first try failed at."""
-        postures, errors = first.best
-        open_goals = ~self.barred(rows, first) if self.constraints and len(rows) else np.ones(len(rows), dtype=bool)
-        for part in np.split(np.flatnonzero(open_goals), range(CHUNK, np.count_nonzero(open_goals), CHUNK)):
-            if len(part):
-                postures[part], errors[part] = self.led_on(rows[part], first.at(part))
-        return postures, errors
 
     def barred(self, rows: Index, first: Tried) -> NDArray[np.bool_]:
         """(k,) where the goals themselves miss a constraint, as far as a first try and a few more seeds tell: postures
@@ -211,19 +205,16 @@ class _Search(NamedTuple):
         miss constraints by what is missed as further residuals."""
         again = bool(self.constraints) or self.redundant
         tried = self.tried(rows, iterations=MAX_ITERATIONS if self.constraints else QUICK) if again else first
-        postures, errors = tried.best
-        where, beyond = self.conditions.rows(rows), errors > TOLERANCE
-        if beyond.any():
-            begun = tried.postures[beyond]
-            postures[beyond], errors[beyond] = _polished(
-                self.model, self.goals[rows[beyond]], begun, where.rows(beyond)
-            )
-        missed = ~beyond & tried.fails & bool(self.constraints)
-        if missed.any() and postures.shape[1] > self.goals.shape[1]:  # a redundant arm has more than the seeds found
-            begun = tried.postures[missed]
-            postures[missed], errors[missed] = _turned_away(
-                self.model, self.goals[rows[missed]], begun, where.rows(missed), self.constraints
-            )
+        postures, errors = tried.postures[:, 0].copy(), tried.left[:, 0].copy()
+        beyond = errors > TOLERANCE
+        missed = ~beyond & (tried.rank[:, 0] >= MISSED) & bool(self.constraints)
+        missed &= postures.shape[1] > self.goals.shape[1]  # a redundant arm has more than the seeds found
+        for which, further in ((beyond, _polished), (missed, partial(_turned_away, constraints=self.constraints))):
+            if which.any():
+                where = self.conditions.rows(rows[which])
+                postures[which], errors[which] = further(
+                    self.model, self.goals[rows[which]], tried.postures[which], where
+                )
         return postures, errors
 
 
@@ -233,21 +224,20 @@ def _ends(values: Array, counted: NDArray[np.bool_]) -> tuple[Array, Array]:
     return high.max(axis=1), low.min(axis=1)
 
 
-class _Promising:
-    """Random postures of a redundant arm, and which of them lead near by a linear step, at once for many goals."""
+def _promising(model: Model, seeds: Array) -> Callable[[Array, Array], Array]:
+    """Of goals (k, d) and postures (k, n), the (k, `PROMISING`, n) of random postures (s, n) of a redundant arm whose
+    linear steps to the goals end nearest to the postures."""
+    scale = metric(model) / model.reach
+    positions, jacobians = linearization(model, Conditions())(seeds, np.arange(len(seeds)))
+    shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
 
-    def __init__(self, model: Model, seeds: Array):
-        """seeds : (s, n)"""
-        self.model, self.seeds, self.scale = model, seeds, metric(model) / model.reach
-        self.positions, jacobians = linearization(model, Conditions())(seeds, np.arange(len(seeds)))
-        self.steps = np.linalg.pinv(jacobians / self.scale) / self.scale[:, None]  # (s, n, d) the shortest
+    def promising(goals: Array, near: Array) -> Array:
+        steps = np.einsum("snd,ksd->ksn", shortest, goals[:, None] - positions)
+        ends = np.clip(seeds + steps, model.arm.lower, model.arm.upper)
+        distances = np.linalg.norm((ends - near[:, None]) * scale, axis=2)
+        return np.asarray(seeds[np.argsort(distances, axis=1, kind="stable")[:, :PROMISING]])
 
-    def near(self, goals: Array, near: Array) -> Array:
-        """(k, `PROMISING`, n) of the seeds, whose linear steps to goals (k, d) end nearest to postures (k, n)."""
-        steps = np.einsum("snd,ksd->ksn", self.steps, goals[:, None] - self.positions)
-        ends = np.clip(self.seeds + steps, self.model.arm.lower, self.model.arm.upper)
-        distances = np.linalg.norm((ends - near[:, None]) * self.scale, axis=2)
-        return np.asarray(self.seeds[np.argsort(distances, axis=1, kind="stable")[:, :PROMISING]])
+    return promising
 
 
 def _turned_away(
@@ -267,10 +257,7 @@ def _turned_away(
         gap = goals[every[rows]] - position
         return np.concatenate([gap, missed], axis=1), np.concatenate([jacobian, slopes], axis=1)
 
-    limits, reach = (model.arm.lower, model.arm.upper), metric(model)
-    negligible = np.full(len(every), 1e-5 * TOLERANCE)
-    problem = LeastSquares(distances, *limits, reach, negligible, metric=reach, iterations=MAX_ITERATIONS)
-    ends = levenberg_marquardt(problem, starts.reshape(len(every), -1)).parameters
+    ends, _ = _least(model, distances, starts.reshape(len(every), -1), MAX_ITERATIONS)
     ends, left = inverse_kinematics(model, goals[every], ends, conditions.rows(every))
     rank = ranked(np.zeros(len(every)), left, violations(constraints, ends).sum(axis=1)).reshape(len(goals), -1)
     best = np.ravel_multi_index((np.arange(len(goals)), np.argmin(rank, axis=1)), rank.shape)

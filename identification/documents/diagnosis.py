@@ -285,7 +285,7 @@ def diagnosis_sections(data: Data, diagnosis: Diagnosis | None = None, nominal: 
         values = corrected_values(arm, diagnosis.named.calibration)
         doubted = data["confirmed"] is False
         title = "Corrected values, not confirmed" if doubted else "Corrected values"
-        sections.append(corrected_section(title, values, arm.chain is not None, folded=doubted))
+        sections.append(corrected_section(title, values, not arm.chain.planar, folded=doubted))
         sections.append(signed_section(diagnosis))
     sections += curve_sections(data, diagnosis)
     if diagnosis is not None:

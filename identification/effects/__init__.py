@@ -11,10 +11,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from types import MappingProxyType
 
-import numpy as np
-
 from identification.arm import EffectSpec
-from identification.arrays import Array
 from identification.effects import aliases, curve, instrument, joint, link, mounting, noise, rare, space  # noqa: F401  (they register themselves)
 from identification.effects.base import _LIBRARY, Effect, register
 from identification.effects.chain import Chain
@@ -23,6 +20,7 @@ from identification.effects.settings import Scope, Setting
 from identification.errors import InputError, nearest, suggestion
 from identification.installed import additions
 from identification.kinematics.parameters import Parameter
+from identification.kinematics.spatial import SpatialChain
 from identification.spelling import close_names
 
 __all__ = [
@@ -81,39 +79,34 @@ def of_dimension(dimension: int) -> Mapping[str, type[Effect]]:
     return {name: cls for name, cls in library().items() if dimension in cls.dimensions}
 
 
-def build_all(
-    specs: Sequence[EffectSpec], links: int, lengths: Array | None = None, dimension: int = 2
-) -> tuple[Effect, ...]:
+def build_all(specs: Sequence[EffectSpec], chain: SpatialChain) -> tuple[Effect, ...]:
     """Build the effects of an arm; where two have the same name and joint, their keys include the settings.
-
-    lengths : (n,) nominal link lengths [mm], None: all 1
 
     Raises `InputError` as `build` does, and for two effects with the same name, joint and settings.
     """
     alike = Counter(spec.key for spec in specs)
-    effects = tuple(build(spec, links, lengths, alike[spec.key] > 1, dimension) for spec in specs)
+    effects = tuple(build(spec, chain, alike[spec.key] > 1) for spec in specs)
     for key, times in Counter(effect.key for effect in effects).items():
         if times > 1:
             raise InputError(f"effects: {key} is given {times} times, allowed: once")
     return effects
 
 
-def build(
-    spec: EffectSpec, links: int, lengths: Array | None = None, tagged: bool = False, dimension: int = 2
-) -> Effect:
+def build(spec: EffectSpec, chain: SpatialChain, tagged: bool = False) -> Effect:
     """Build the effect of one `[[effects]]` entry of an arm file.
 
-    lengths : (n,) nominal link lengths [mm], None: all 1;  tagged : the key includes the settings
+    tagged : the key includes the settings
 
     Raises `InputError` for an unknown name, a joint that is missing, not allowed or out of range, an unknown parameter,
     and an effect not defined for arms of this dimension.
     """
     if spec.name not in library():
         raise unknown_effect(spec.name)
-    cls = library()[spec.name]
-    if dimension not in cls.dimensions:
-        kind = "planar" if dimension == 3 else "spatial"
-        raise InputError(f"effects: {spec.name} is of {kind} arms, {nearest(spec.name, of_dimension(dimension))}")
+    cls, links = library()[spec.name], len(chain)
+    if chain.dimension not in cls.dimensions:
+        others = "spatial" if chain.planar else "planar"
+        allowed_here = nearest(spec.name, of_dimension(chain.dimension))
+        raise InputError(f"effects: {spec.name} is of {others} arms, {allowed_here}")
     if spec.joint is None and cls.per_joint == "required":
         raise InputError(f"effects: {spec.name} needs a joint, allowed: {cls.first_joint} to {links}")
     if spec.joint is not None and cls.per_joint == "none":
@@ -127,7 +120,7 @@ def build(
             fault = "is missing" if value is None else f"= {value:g}"
             raise InputError(f"effects: {spec.key}: {name} {fault}, allowed: {setting.allowed}")
         chosen[name] = int(value) if setting.whole else float(value)
-    effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen, tagged, dimension)
+    effect = cls(chain, spec.joint, chosen, tagged)
     if cls.tabulated != (spec.curve is not None):
         fault = "has no table of values" if cls.tabulated else "has a table of values"
         raise InputError(f"effects: {spec.key} {fault}, allowed: one for joint_error_curve, none for others")

@@ -50,7 +50,7 @@ class BaseRotation(Effect):
     dimensions = (2,)  # in space the base is part of the geometry
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("angle", "rad", scale=float(self.lengths[0]), typical=1e-3),)
+        return (self.parameter("angle", "rad", scale=float(self.chain.levers[0]), typical=1e-3),)
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values[0]

@@ -15,15 +15,14 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import casadi as ca
-import numpy as np
 
 from identification.arm import EffectSpec
-from identification.arrays import Array
 from identification.effects.chain import Chain
 from identification.effects.settings import Setting
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.parameters import Parameter
+from identification.kinematics.spatial import SpatialChain
 
 
 class Effect:
@@ -53,10 +52,10 @@ class Effect:
 
     Attributes of an instance:
 
-    lengths : (n,) nominal link lengths [mm];  joint : from 1, None: the whole arm;  chosen : values of the settings
+    chain : the nominal geometry;  joint : from 1, None: the whole arm;  chosen : values of the settings
     tagged : True if names include the settings, `transmission_ripple:1[k=20].a`, as the arm has a similar effect at the
         same joint (see `build_all`)
-    dimension : of the arm;  parameters : as `define` returns them
+    parameters : as `define` returns them
     """
 
     name: ClassVar[str]
@@ -82,17 +81,15 @@ class Effect:
 
     def __init__(
         self,
-        lengths: Array,
+        chain: SpatialChain,
         joint: int | None = None,
         chosen: Mapping[str, Any] | None = None,
         tagged: bool = False,
-        dimension: int = 2,
     ) -> None:
-        self.lengths = lengths
+        self.chain = chain
         self.joint = joint
         self.chosen = dict(chosen or {})
         self.tagged = tagged
-        self.dimension = dimension
         self.parameters: tuple[Parameter, ...] = self.define()
 
     @property
@@ -123,19 +120,24 @@ class Effect:
 
     @property
     def link_length(self) -> float:
-        """Length of the link behind this effect's joint [mm]."""
-        return float(self.lengths[self.joint_index])
+        """Length over which this effect's joint acts [mm]: in the plane of the link behind it."""
+        return float(self.chain.levers[self.joint_index])
 
     @property
     def reach(self) -> float:
-        """Sum of the link lengths [mm]."""
-        return float(np.sum(self.lengths))
+        """Length of the stretched arm [mm]."""
+        return self.chain.reach
+
+    @property
+    def dimension(self) -> int:
+        """d, coordinates of a position of the arm."""
+        return self.chain.dimension
 
     @property
     def joint_index(self) -> int:
         """The joint from 0, as an index of arrays. Raises `InputError` for an effect of the whole arm."""
         if self.joint is None:
-            raise InputError(f"effects: {self.name} needs a joint, allowed: 1 to {len(self.lengths)}")
+            raise InputError(f"effects: {self.name} needs a joint, allowed: 1 to {len(self.chain)}")
         return self.joint - 1
 
     def at_joint(self, angle: ca.SX, chain: Chain) -> ca.SX:

@@ -6,7 +6,7 @@ Everything is read off the classes, so that a user's own effects stand in the li
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from identification.effects import Effect, library, unknown_effect
 from identification.effects.base import OWN
 from identification.effects.settings import Setting
 from identification.kinematics.parameters import Parameter
+from identification.kinematics.spatial import IN_SPACE, planar_chain
 
 JOINTS = 3  # of the arm that parameters are listed for; one parameter per joint is listed as the first
 # what the arm or the data must have -> how to give it
@@ -100,8 +101,8 @@ def entry(name: str) -> Entry:
     settings = {key: Setting.of(value) for key, value in cls.settings.items()}
     chosen = {key: int(value.low) if value.whole else value.low for key, value in settings.items()}
     joint = None if cls.per_joint == "none" else max(cls.first_joint, 1) if cls.per_joint == "required" else None
-    dimension = PLANAR if PLANAR in cls.dimensions else SPATIAL
-    effect = cls(np.full(JOINTS, 1.0), joint, chosen, False, dimension)
+    chain = planar_chain(np.ones(JOINTS))
+    effect = cls(chain if PLANAR in cls.dimensions else replace(chain, axes=IN_SPACE), joint, chosen)
     return Entry(
         name=name,
         summary=cls.summary,

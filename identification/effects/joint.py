@@ -28,7 +28,7 @@ class JointCompliance(Effect):
     def define(self) -> tuple[Parameter, ...]:
         if self.joint is not None:
             return (self._compliance("c", self.link_length),)
-        return tuple(self._compliance(f"c{j}", length) for j, length in enumerate(self.lengths, start=1))
+        return tuple(self._compliance(f"c{j}", length) for j, length in enumerate(self.chain.levers, start=1))
 
     def _compliance(self, short: str, length: float) -> Parameter:
         return self.parameter(short, "rad/(N m)", scale=float(length) * NOMINAL_TORQUE, lower=0.0, typical=1e-5)

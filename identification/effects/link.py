@@ -25,26 +25,20 @@ class LinkBending(Effect):
 
     def define(self) -> tuple[Parameter, ...]:
         # one unit of 1/(EI) under some 100 N at the end of links of some length: L^3 / 3 [m^3] * 100 N * 1000 mm/m
-        scale = float(sum((length / 1000.0) ** 3 for length in self.lengths)) / 3.0 * 1e5
+        scale = float(sum((length / 1000.0) ** 3 for length in self.chain.lengths)) / 3.0 * 1e5
         return (self.parameter("flexibility", "1/(N m^2)", scale=scale, lower=0.0, typical=1e-5),)
 
     def bending(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
         deflections, slopes = [], []
-        for j in range(chain.links):
-            length = float(chain.lengths[j]) / 1000.0  # [m]
-            theta = chain.orientations[j]
-            pull = chain.load_force(beyond=j + 1) + self._payload_on_last(chain, j)
-            force = -ca.sin(theta) * pull[0] + ca.cos(theta) * pull[1]  # [N] to the left of the link
-            moment = chain.load_moment(j, 1.0, beyond=j + 1)  # [N m]
+        last = chain.links - 1
+        for j, length in enumerate((chain.lengths / 1000.0).tolist()):  # [m]
+            force = chain.weight(j + 1, j)[1]  # [N] to the left of the link
+            if j == last:  # the payload hangs on its tip, so it is beyond it; its moment there is 0
+                force += chain.payload * ca.dot(chain.frames[j + 1].axes[:, 1], chain.acceleration)
+            moment = chain.moment(j + 1)[2] if j < last else 0.0  # [N m]
             deflections.append((force * length**3 / 3.0 + moment * length**2 / 2.0) * 1000.0)
             slopes.append(force * length**2 / 2.0 + moment * length)
         return values[0] * ca.vertcat(*deflections), values[0] * ca.vertcat(*slopes)
-
-    def _payload_on_last(self, chain: Chain, link: int) -> ca.SX:
-        """(2,) the payload hangs on the tip of the last link, so it is beyond that link too; its moment there is 0."""
-        if link < chain.links - 1:
-            return ca.SX.zeros(2)
-        return chain.payload * chain.acceleration
 
 
 @register

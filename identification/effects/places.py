@@ -15,45 +15,47 @@ import casadi as ca
 
 from identification.effects.base import Effect
 from identification.effects.chain import Chain
+from identification.kinematics.spatial import SpatialChain
 
-OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # in the plane without the last
-OF_JOINT = ("joint_angles", "extensions", "deflections", "slopes")  # one number for each joint
+OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # in the plane the last has no elements
+OF_JOINT = ("joint_angles", "extensions")  # one number for each joint
+OF_LINK = ("deflections", "slopes")  # in the plane one for each link
 OF_FRAME = ("joint_turns", "joint_shifts")  # in space three for each joint
-ROTATIONS = {2: 1, 3: 3}  # numbers of a rotation, by the coordinates of a point
 Parts = list[tuple[Effect, ca.SX]]  # effects with the values of their own parameters
 
 
-def widths(links: int, dimension: int = 2) -> dict[str, int]:
+def widths(chain: SpatialChain) -> dict[str, int]:
     """Place -> its number of elements, in the order of vectors over all places."""
-    turn = ROTATIONS[dimension]
+    n, d, turns = len(chain), chain.dimension, len(chain.turning)
+    within = dict.fromkeys(OF_LINK, n) if chain.planar else dict.fromkeys(OF_FRAME, 3 * n)
     return {
         "payload": 1,
-        "gravity_turn": turn,
-        **({"payload_shift": dimension} if dimension == 3 else {}),
-        **dict.fromkeys(OF_JOINT, links),
-        **dict.fromkeys(OF_FRAME if dimension == 3 else (), 3 * links),
-        "tool": dimension,
-        "base_rotation": turn,
-        "base_translation": dimension,
-        "instrument": dimension,
+        "gravity_turn": turns,
+        "payload_shift": 0 if chain.planar else d,
+        **dict.fromkeys(OF_JOINT, n),
+        **within,
+        "tool": d,
+        "base_rotation": turns,
+        "base_translation": d,
+        "instrument": d,
     }
 
 
-def by_place(vector: ca.SX, links: int, dimension: int = 2) -> dict[str, ca.SX]:
+def by_place(vector: ca.SX, chain: SpatialChain) -> dict[str, ca.SX]:
     """Place -> its elements of a vector over all places."""
-    sizes = widths(links, dimension)
+    sizes = widths(chain)
     ends = list(accumulate(sizes.values()))
     return {place: vector[end - size : end] for (place, size), end in zip(sizes.items(), ends, strict=True)}
 
 
-def state_size(links: int, dimension: int = 2) -> int:
+def state_size(chain: SpatialChain) -> int:
     """Number of elements of the state, see `position_and_state`."""
-    return load_size(dimension) + links + dimension
+    return load_size(chain) + len(chain) + chain.dimension
 
 
-def load_size(dimension: int) -> int:
+def load_size(chain: SpatialChain) -> int:
     """Number of elements of the loads, which come first in the state and among all places: `OF_LOAD`."""
-    return sum(size for place, size in widths(0, dimension).items() if place in OF_LOAD)
+    return sum(size for place, size in widths(chain).items() if place in OF_LOAD)
 
 
 def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) -> ca.SX:
@@ -75,14 +77,14 @@ def position_and_state(
     The state consists of payload [kg], rotation of gravity [rad], in space shift of the payload [mm], link lengths (n)
     [mm] without extensions, and the tip (d) [mm] before the instrument.
     """
-    n, d = chain.links, chain.dimension
     start = values.numel() - sum(len(effect.parameters) for effect in effects)
     geometry, parts = values[:start], []  # each effect with the values of its own parameters
     for effect in effects:
         parts.append((effect, values[start : start + len(effect.parameters)]))
         start += len(effect.parameters)
-    additions = by_place(ca.SX.zeros(sum(widths(n, d).values())) if added is None else added, n, d)
-    added_loads = ca.vertcat(*(additions[place] for place in OF_LOAD if place in additions))
+    sizes = widths(chain.geometry)
+    additions = by_place(ca.SX.zeros(sum(sizes.values())) if added is None else added, chain.geometry)
+    added_loads = ca.vertcat(*(additions[place] for place in OF_LOAD))
     loads = sum((_loads(e, chain, v) for e, v in parts), added_loads)
     loads[0] += chain.payload
     chain, plain = in_state(chain, loads), chain.geometry.link_lengths(geometry)
@@ -104,21 +106,17 @@ def _loads(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
         "gravity_turn": effect.gravity_turn(chain, values),
         "payload_shift": effect.payload_shift(chain, values),
     }
-    sizes = widths(chain.links, chain.dimension)
-    return ca.vertcat(*(ca.SX.zeros(sizes[place]) + at_place[place] for place in OF_LOAD if place in sizes))
+    sizes = widths(chain.geometry)
+    return ca.vertcat(*(ca.SX.zeros(sizes[place]) + at_place[place] for place in OF_LOAD if sizes[place]))
 
 
 def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict[str, ca.SX | float]:
     """Place -> contribution of an effect between loads and instrument, in a loaded chain."""
-    deflections, slopes = effect.bending(chain, values)
-    turns, shifts = effect.frame_errors(chain, values)
-    of_frame = dict(zip(OF_FRAME, (turns, shifts), strict=True)) if chain.dimension == 3 else {}
+    within = effect.bending(chain, values) if chain.geometry.planar else effect.frame_errors(chain, values)
     return {
-        **of_frame,
+        **dict(zip(OF_LINK if chain.geometry.planar else OF_FRAME, within, strict=True)),
         "joint_angles": effect.joint_angles(chain, values),
         "extensions": effect.extensions(chain, values, lengths),
-        "deflections": deflections,
-        "slopes": slopes,
         "tool": effect.tool(chain, values),
         "base_rotation": effect.base_rotation(chain, values),
         "base_translation": effect.base_translation(chain, values),
@@ -127,8 +125,8 @@ def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict
 
 def in_state(chain: Chain, state: ca.SX) -> Chain:
     """The chain with the loads of a state, see `position_and_state`."""
-    turn = 1 + ROTATIONS[chain.dimension]
-    return chain.loaded(state[0], state[1:turn], state[turn : load_size(chain.dimension)])
+    turn = 1 + len(chain.geometry.turning)
+    return chain.loaded(state[0], state[1:turn], state[turn : load_size(chain.geometry)])
 
 
 def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, state: ca.SX) -> ca.SX:
@@ -136,10 +134,9 @@ def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, st
 
     loaded : the chain `in_state`, shared by all effects as its torques are expensive to set up
     """
-    n, d = chain.links, chain.dimension
-    loads = load_size(d)
-    at_place = _inside(effect, loaded, values, state[loads : loads + n])
-    at_place["instrument"] = effect.instrument(state[loads + n :], values)
-    places = {place: size for place, size in widths(n, d).items() if place not in OF_LOAD}
+    loads, tip = load_size(chain.geometry), load_size(chain.geometry) + chain.links
+    at_place = _inside(effect, loaded, values, state[loads:tip])
+    at_place["instrument"] = effect.instrument(state[tip:], values)
+    places = {place: size for place, size in widths(chain.geometry).items() if place not in OF_LOAD}
     added = (ca.SX.zeros(size) + at_place[place] for place, size in places.items())
     return ca.vertcat(_loads(effect, chain, values), *added)

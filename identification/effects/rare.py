@@ -193,7 +193,7 @@ class AxisTilt(_Rare):
     dimensions = (2,)  # in space the geometry has it
 
     def define(self) -> tuple[Parameter, ...]:
-        scale = float(np.sum(self.lengths[self.joint_index :]))
+        scale = float(np.sum(self.chain.lengths[self.joint_index :]))
         return tuple(self.parameter(short, "1", scale=scale, typical=1e-4) for short in ("a", "b"))
 
     def _along_and_across(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:

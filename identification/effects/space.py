@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from identification.effects.base import Effect, register
-from identification.effects.chain import Chain, SpatialState
+from identification.effects.chain import Chain
 from identification.effects.rare import RARE
 from identification.kinematics.frames import rotation_to_z
 from identification.kinematics.parameters import Parameter
@@ -30,8 +30,7 @@ class BearingCompliance(Effect):
         return (self.parameter("c", "rad/(N m)", scale=scale, lower=0.0, typical=3e-6),)
 
     def frame_errors(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX | float]:
-        assert isinstance(chain, SpatialState)
-        axis = chain.chain.joints[self.joint_index].axis
+        axis = chain.geometry.joints[self.joint_index].axis
         across = ca.DM(np.eye(3) - np.outer(axis, axis))
         return self.at_frame(values[0] * ca.mtimes(across, chain.moment(self.joint_index)), chain), 0.0
 
@@ -54,8 +53,7 @@ class AxisRunout(Effect):
         return tuple(self.parameter(short, "mm", scale=1.0, typical=3e-3) for short in ("a", "b"))
 
     def frame_errors(self, chain: Chain, values: ca.SX) -> tuple[ca.SX | float, ca.SX]:
-        assert isinstance(chain, SpatialState)
-        axis, angle = chain.chain.joints[self.joint_index].axis, 2.0 * chain.q[self.joint_index]
+        axis, angle = chain.geometry.joints[self.joint_index].axis, 2.0 * chain.q[self.joint_index]
         cosine, sine = ca.cos(angle), ca.sin(angle)  # in the frame that has turned
         across = ca.vertcat(values[0] * cosine + values[1] * sine, values[1] * cosine - values[0] * sine, 0.0)
         return 0.0, self.at_frame(ca.mtimes(ca.DM(rotation_to_z(axis)), across), chain)

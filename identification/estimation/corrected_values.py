@@ -118,7 +118,7 @@ def corrected_values(
     model, calibration = Model(arm), calibration or arm.calibration or Calibration({})
     values = {**model.fixed, **calibration.values}
     names = {*calibration.parameter_names, *unknown}
-    geometry = _planar(arm, values) if arm.chain is None else _spatial(arm, arm.chain, values, names)
+    geometry = _planar(arm, values) if arm.chain.planar else _spatial(arm, arm.chain, values, names)
     spread = freedom_of(calibration) if freedom is None else np.array([*freedom], dtype=float)
     prior = model.prior if {*model.prior} <= {*calibration.parameter_names} else {}
     before = np.diag([prior.get(name, 0.0) for name in calibration.parameter_names]) if factor is None else factor
@@ -279,7 +279,7 @@ class Calibrated(NamedTuple):
     @classmethod
     def of_arm(cls, arm: Arm) -> Calibrated | None:
         """As a spatial arm's file has it; None without a calibration and its covariance."""
-        if (calibration := arm.calibration) is None or arm.chain is None or calibration.covariance is None:
+        if (calibration := arm.calibration) is None or arm.chain.planar or calibration.covariance is None:
             return None
         model = Model(arm)
         geometry = CorrectedGeometry(arm.chain, {**model.fixed, **calibration.values})

@@ -310,9 +310,9 @@ def as_filed(model: Model, data: Measurements) -> Array | None:
     """(m, d) residuals [mm] of a spatial arm where its calibration has it, if nothing but that place is estimated; None
     for other fits and where the file does not say it: `as_it_was` fits it."""
     arm = getattr(model, "arm", None)
-    chain, calibration = (None, None) if arm is None else (arm.chain, arm.calibration)
-    if chain is None or calibration is None or len(data.session_names) > 1:
+    if arm is None or arm.chain.planar or arm.calibration is None or len(data.session_names) > 1:
         return None
+    chain, calibration = arm.chain, arm.calibration
     placed = (BASE in chain.known or calibration.base is not None) and (
         TOOL in chain.known or {*calibration.tools} >= {*chain.tools}
     )

@@ -74,7 +74,7 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     arm, postures = getattr(fit.model, "arm", None), fit.postures
     if not isinstance(arm, Arm) or fit.not_identifiable or not np.all(np.isfinite(fit.covariance)):
         return None
-    if arm.chain is not None and not arm.chain.instrument.places and len(postures) < FEWEST:
+    if not arm.chain.instrument.places and len(postures) < FEWEST:
         return None
 
     def over(low: Array, high: Array) -> float:
@@ -100,7 +100,7 @@ def own_error(fit: Identification) -> float:
 
 def size_left_open(arm: Arm) -> str:
     """What more postures do not help against: readings that an arm twice as large would give as well."""
-    readings, remedy = ("", "") if arm.chain is None else arm.chain.instrument.size_is_open
+    readings, remedy = arm.chain.instrument.size_is_open
     return f"; but however many, {readings} fit an arm of any size: {remedy}" if readings else ""
 
 
@@ -153,7 +153,6 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
     if (turns := fit.flange_turns) is None or turns[0] > HARDLY:
         return []
     arm = fit.model.arm
-    assert arm.chain is not None
     tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
     if not tools or (tip is None and all(fit.identifiable[tools])):
         return []

@@ -28,7 +28,7 @@ from identification.estimation.levenberg_marquardt import (
 from identification.estimation.prior import Prior
 from identification.information import RANK_TOLERANCE, column_lengths
 from identification.instruments import Instrument
-from identification.kinematics.planar_linear import PlanarClosedForm
+from identification.kinematics.closed_form import PlanarClosedForm
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status

@@ -22,8 +22,7 @@ from identification.estimation.expected_tip import hardly_determined, tip_of
 from identification.estimation.prior import Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, limits_95
 from identification.kinematics.corrected_geometry import CorrectedGeometry
-from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
-from identification.kinematics.planar import orientation_transform
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint, orientation_transform
 from identification.measurements import POINT, distances, rms_distance
 from identification.model import Model
 from identification.status import Status
@@ -205,7 +204,7 @@ class Identification:
     def rms_angles(self) -> tuple[float, float] | None:
         """Root mean squares over rows of the angles between measured and computed orientations [rad], arm as it was and
         as identified; None where none are measured."""
-        chain = getattr(self.model, "arm", None) and self.model.arm.chain
+        chain = self.model.arm.chain if hasattr(self.model, "arm") else None
         if chain is None or chain.angle_scale is None:
             return None
         before, after = (rms_distance(r[:, POINT.stop :]) for r in (self.residuals_before, self.residuals_after))
@@ -226,8 +225,12 @@ class Identification:
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
-        chain = getattr(self.model, "arm", None) and self.model.arm.chain
-        return None if chain is None else CorrectedGeometry(chain, self._everything, self.model.arm.counting)
+        chain = self.model.arm.chain if hasattr(self.model, "arm") else None
+        return (
+            None
+            if chain is None or chain.planar
+            else CorrectedGeometry(chain, self._everything, self.model.arm.counting)
+        )
 
     def calibrated_arm(self) -> Arm:
         """The arm with this calibration in it."""

@@ -17,6 +17,7 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
+from identification.files import arm_chain
 from identification.files.io import PathLike, read_toml
 from identification.files.schema import (
     ArmFile,
@@ -41,8 +42,8 @@ from identification.kinematics.parameters import (
     PRISMATIC,
     REVOLUTE,
     Parameter,
-    chain_parameters,
 )
+from identification.kinematics.spatial import SpatialChain, planar_chain
 from identification.workspace import (
     ColumnLimits,
     KeepOutCircle,
@@ -83,41 +84,34 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
 
     folder : where the files are that the tables name
     """
-    file, chain = validated_arm(tables), None
-    if file.links_mm is None:
-        from identification.files import arm_chain  # imports CasADi: planar arms do without
-
-        chain = arm_chain.nominal_chain(file, folder)
-    lengths = readonly(file.links_mm or ()) if chain is None else chain.levers
-    n, dimension = len(lengths), 2 if chain is None else 3
-    kinds = (REVOLUTE,) * n if chain is None else chain.joint_types
+    file = validated_arm(tables)
+    chain = arm_chain.nominal_chain(file, folder) if file.links_mm is None else planar_chain(file.links_mm)
+    n, kinds = len(chain), chain.joint_types
     file.require_counts(n)
     constraints = [_constraint(table) for table in file.constraints]
     counting = None if file.joints is None else _counting(file.joints, kinds)
-    drawn = [(-np.pi, np.pi)] * n if chain is None else [(joint.lower, joint.upper) for joint in chain.joints]
+    drawn = [(joint.lower, joint.upper) for joint in chain.joints]
     lower, upper, tied = _joint_limits(file, kinds, np.array(drawn).T, counting)
-    effects = built([_spec(table, k, n, dimension) for k, table in enumerate(file.effects, start=1)], n, dimension)
+    effects = built([_spec(table, k, chain) for k, table in enumerate(file.effects, start=1)], chain)
     _check_needs(file, effects)
-    geometry = every_parameter = chain_parameters(np.ones(n))
-    if chain is not None:
+    if not chain.planar:
         chain = arm_chain.with_limits(chain, lower, upper)
         chain = arm_chain.with_measured_points(chain, file.calibration)
-        geometry, every_parameter = chain.parameters(), chain.every_parameter
-    calibration = None if file.calibration is None else _calibration(file.calibration, file_names(geometry, effects))
-    if chain is not None and calibration is not None and file.calibration is not None:
+    names = file_names(chain.parameters(), effects)
+    calibration = None if file.calibration is None else _calibration(file.calibration, names)
+    if not chain.planar and calibration is not None and file.calibration is not None:
         chain, calibration = arm_chain.before_calibration(chain, calibration, file.calibration)
     return Arm(
-        lengths=lengths,
+        chain,
         lower=lower,
         upper=upper,
         sigma=None if file.measurement is None else file.measurement.sigma_mm,
         name=file.name,
         gravity=_gravity(file, n),
         constraints=(*constraints, *tied),
-        effects=_with_geometry(effects, file.effects, every_parameter),
+        effects=_with_geometry(effects, file.effects, chain.every_parameter),
         calibration=calibration,
         gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
-        chain=chain,
         machining=_machining(file),
         counting=counting,
     )
@@ -216,13 +210,13 @@ class FileName(NamedTuple):
     factor: float
 
 
-def built(specs: Iterable[EffectSpec], links: int, dimension: int = 2) -> list[tuple[EffectSpec, Effect]]:
-    """Specs with their effects on an arm of so many links. Raises `InputError` for effects that it cannot have."""
+def built(specs: Iterable[EffectSpec], chain: SpatialChain) -> list[tuple[EffectSpec, Effect]]:
+    """Specs with their effects on an arm. Raises `InputError` for effects that it cannot have."""
     if not (listed := list(specs)):
         return []
     from identification.effects import build_all  # imports CasADi: only arms with effects pay for it
 
-    return list(zip(listed, build_all(listed, links, dimension=dimension), strict=True))
+    return list(zip(listed, build_all(listed, chain), strict=True))
 
 
 def file_names(geometry: Iterable[Parameter], effects: Iterable[tuple[EffectSpec, Effect]]) -> list[FileName]:
@@ -247,7 +241,7 @@ def _named(names: Mapping[str, FileName], key: str, place: str, without: str = "
     return names[key]
 
 
-def _spec(table: EffectTable, k: int, links: int, dimension: int) -> EffectSpec:
+def _spec(table: EffectTable, k: int, chain: SpatialChain) -> EffectSpec:
     """An entry of `[[effects]]`, the k-th from 1; values in API units."""
     from identification.effects import build, library
 
@@ -255,7 +249,7 @@ def _spec(table: EffectTable, k: int, links: int, dimension: int) -> EffectSpec:
     settings = getattr(library().get(table.name), "settings", {})
     curve = _curve(table, place)
     values = {key: value for key, value in table.parameters.items() if key in settings}
-    effect = build(EffectSpec(table.name, table.joint, MappingProxyType(values), curve), links, dimension=dimension)
+    effect = build(EffectSpec(table.name, table.joint, MappingProxyType(values), curve), chain)
     parameters = {p.toml_key: p for p in effect.parameters}
     for key in table.parameters.keys() - settings.keys():
         if key not in parameters:

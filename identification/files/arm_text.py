@@ -18,7 +18,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError, JobError, nearest
 from identification.files.arm import GEOMETRY_KEY, FileName, arm_from_tables, built, curve_name, file_names
 from identification.files.io import PathLike, read_toml
-from identification.kinematics.parameters import GEOMETRY, chain_parameters
+from identification.kinematics.parameters import GEOMETRY
 from identification.workspace import (
     ColumnLimits,
     KeepOutCircle,
@@ -41,7 +41,7 @@ def dump_arm(arm: Arm) -> str:
     Raises `InputError` for a spatial arm with a chosen set of parameters, which no file can say.
     """
     calibration = arm.calibration
-    if arm.chain is None:
+    if arm.chain.planar:
         tables: Plain = {"name": arm.name, "links_mm": _in_file(arm.lengths)}
         limits = np.stack(arm.column_limits)
         if np.all(np.isfinite(limits)):
@@ -82,10 +82,10 @@ def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".")
     folder : where the files are that the text names
     """
     text, _, arm = _parsed(text, folder)
-    before = built(arm.effects, arm.links, arm.dimension)
+    before = built(arm.effects, arm.chain)
     labels = {effect.label for _, effect in before}
-    wanted = built(specs, arm.links, arm.dimension)
-    geometry = chain_parameters(arm.lengths) if arm.chain is None else arm.chain.every_parameter
+    wanted = built(specs, arm.chain)
+    geometry = arm.chain.every_parameter
     names = {name.api: name for name in file_names(geometry, [*before, *wanted])}
     tables = [_effect_table(spec, effect, names) for spec, effect in wanted if effect.label not in labels]
     return append_tables(text, "effects", tables) if tables else text
@@ -176,15 +176,14 @@ def _effect_table(spec: EffectSpec, effect: Effect, names: Mapping[str, FileName
 
 
 def _calibration_table(arm: Arm, calibration: Calibration) -> Plain:
-    chain = None if arm.chain is None else replace(arm.chain, tools=calibration.tools or arm.chain.tools)
-    geometry = chain_parameters(arm.lengths) if chain is None else chain.parameters()
-    by_api = {name.api: name for name in file_names(geometry, built(arm.effects, arm.links, arm.dimension))}
-    values = calibration.values if chain is not None else calibration.effects
+    chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
+    by_api = {name.api: name for name in file_names(chain.parameters(), built(arm.effects, arm.chain))}
+    values = calibration.values if not chain.planar else calibration.effects
     for name in (*values, *calibration.parameter_names):
         if name not in by_api:
             raise InputError(f"calibration: unknown parameter {name!r}, {nearest(name, by_api)}")
     in_file = {name: _in_file(value, by_api[name].factor) for name, value in values.items()}
-    if chain is None:
+    if chain.planar:
         tables: Plain = {
             "length_errors_mm": _in_file(calibration.length_errors),
             "joint_offsets_deg": _degrees(calibration.joint_offsets),

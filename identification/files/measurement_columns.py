@@ -19,6 +19,7 @@ from identification.errors import InputError, suggestion
 from identification.files.csv import KNOWN, Table, Test
 from identification.kinematics.counting import counting_in, in_columns, in_joints
 from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.spatial import planar_chain
 from identification.spelling import close_names
 
 if TYPE_CHECKING:
@@ -46,12 +47,12 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     once about columns that are not used.
     """
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
-    chain = links.chain if isinstance(links, Arm) else None
-    instrument = None if chain is None or chain.instrument.reads_positions else chain.instrument
-    axes = "xy" if chain is None else "xyz"
+    chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
+    instrument = None if chain.instrument.reads_positions else chain.instrument
+    axes = chain.axes
     postures = read_postures(table, types)
     n = postures.shape[1]
-    poses = chain is not None and chain.angle_scale is not None
+    poses = chain.angle_scale is not None
     # each target that is touched has a place of its own, as each session has
     labels = ["session", instrument.target] if instrument is not None and instrument.target else ["session"]
     names = [table.texts(column) for column in labels if column in table]
@@ -67,7 +68,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         "repeats": _repeats(table),
         "session": session,
         "gaps": _gaps(table, session) if "order" in table else None,
-        "marker": table.texts("marker") if chain is not None and "marker" in table else None,
+        "marker": table.texts("marker") if not chain.planar and "marker" in table else None,
         "orientations": read_orientations(table) if poses else None,
         "commanded": _joints(table, "commanded", n, types) if asked else None,
         "fit": table.fit,
@@ -80,11 +81,11 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     used += ["order", "time_s", "temperature_C", "payload_kg", "posture", "session", "run"]
     used += [*joint_columns(table, types), *(f"direction{j}" for j in range(1, n + 1))]
     used += [column for column in table.columns if _COMMANDED.match(column)]
-    used += ["marker"] if chain is not None else []
+    used += ["marker"] if not chain.planar else []
     used += labels
     used += orientation_columns_of(table) if poses else []
     hint = ""
-    if instrument is None and chain is not None and not poses and orientation_columns_of(table):
+    if instrument is None and not chain.planar and not poses and orientation_columns_of(table):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
     if instrument is not None and "x_mm" in table:
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"

@@ -105,7 +105,9 @@ Angle = Annotated[float, Field(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE, description=
 Length = Annotated[float, Field(ge=LENGTH_RANGE[0], le=LENGTH_RANGE[1])]
 Mass = Annotated[float, Field(ge=0, le=LARGEST_MASS, description=f"a number >= 0 [kg], up to {LARGEST_MASS:g}")]
 Acceleration = Annotated[float, Field(ge=-LARGEST_ACCELERATION, le=LARGEST_ACCELERATION)]
-Distance = Annotated[tuple[str, str, Length], Field(description="[cup, other cup, mm between their centers]")]
+Distance = Annotated[
+    tuple[str, str, Length], Field(strict=False, description="[cup, other cup, mm between their centers]")
+]
 Radius = Annotated[float, Field(gt=0, description="a number > 0 [mm]")]
 HalfTurn = Annotated[float, Field(gt=0, le=180, description="a number > 0 and <= 180 [deg]")]
 Point = Annotated[list[float], UPON_AXES, Field(description="COORDINATES [mm]")]

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
 from identification.arm import EffectSpec
@@ -22,8 +21,6 @@ from identification.gap.curve import Curve
 from identification.gap.evidence import Index
 from identification.gap.hypotheses import Block
 from identification.gap.posterior import WRITTEN, Posterior
-from identification.kinematics.base_axes import along, planar_axes
-from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.sessions import SESSIONS
@@ -241,6 +238,5 @@ def _tied(model: Model, geometry: Mapping[str, float], values: Array) -> dict[st
     """The part of the geometry that was fitted together with a curve; shifts of the base along its axes."""
     by_name, chain = model.parameters.mapping(values), model.arm.chain
     kept = {name: float(value) for name, value in geometry.items() if not name.startswith(f"{SESSIONS}.")}
-    axes = np.array(ca.DM(planar_axes(by_name[f"{JOINT_OFFSET}:1"]))) if chain is None else chain.base[:3, :3]
-    own = {name: float(value) for name, value in along(axes.T, kept).items() if name in kept}
+    own = {name: float(value) for name, value in chain.along_base(kept, by_name, back=True).items() if name in kept}
     return {**kept, **own}

@@ -114,7 +114,7 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
     for j in turning:
         if j + 1 in unseen:
             continue
-        weight, revolute = OUTSIDE / np.sqrt(n), arm.chain is not None and arm.chain.joints[j].type == REVOLUTE
+        weight, revolute = OUTSIDE / np.sqrt(n), not arm.chain.planar and arm.chain.joints[j].type == REVOLUTE
         table.append((j + 1 not in curved, f"curve:{j + 1}", weight, partial(_curve, basis=bases[f"curve:{j + 1}"])))
         for other in turning:
             functions = partial(_shared, joints=[j, other], low=low, span=span)
@@ -173,8 +173,7 @@ def _wobble(w: Where, j: int) -> Array:
     """(m, d, 8 SLOW) columns of a revolute joint's axis (from 0) that tilts and shifts as the joint turns: along two
     directions across it, in units in which tilts and shifts move the point alike."""
     chain, levers = w.model.arm.chain, w.model.place_levers(w.postures, w.values, w.conditions)[0]
-    assert chain is not None
-    n, sizes = len(chain), widths(len(chain), chain.dimension)
+    n, sizes = len(chain), widths(chain)
     ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
     plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T
     turns = np.stack([f(k * w.postures[:, j]) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)], axis=1)

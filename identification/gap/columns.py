@@ -111,7 +111,7 @@ def bundles(arm: Arm, effects: Sequence[tuple[int, Effect]]) -> tuple[Bundle, ..
 
     Effects without scanned settings form one group; each scanned effect forms one with all its joints and settings.
     """
-    arm = Arm(arm.lengths, gravity=arm.gravity, chain=arm.chain)  # all that the formulas have in them
+    arm = Arm(arm.chain, gravity=arm.gravity)  # all that the formulas have in them
     remembers = any("past" in effect.needs for _, effect in effects)
     plain: list[list[tuple[int, Effect]]] = []
     scanned: dict[str, dict[int | None, list[tuple[int, Effect]]]] = {}
@@ -148,7 +148,7 @@ def _formulas(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> Formulas:
     for cls, joint, settings in keys:
         chosen: dict[str, Any] = dict(s if isinstance(s, tuple) else (s, ca.SX.sym(s)) for s in settings)
         symbols += [value for value in chosen.values() if isinstance(value, ca.SX)]
-        effects.append(cls(arm.lengths, joint, chosen, dimension=arm.dimension))
+        effects.append(cls(arm.chain, joint, chosen))
     return Formulas(_symbols(arm, remembers), tuple(effects), ca.SX(ca.vertcat(*symbols)))
 
 

@@ -103,7 +103,7 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
         chain = "whose chain says where effects act, which no other model does"
         raise InputError(f"arm: {type(arm).__name__}, allowed: an Arm, {chain}")
     check_measurements(Model(arm), measurements)
-    touching = arm.chain is not None and arm.chain.instrument.contact  # contacts have no positions
+    touching = arm.chain.instrument.contact  # contacts have no positions
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
         if not (touching and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")

@@ -91,7 +91,7 @@ class Hypothesis(Block):
     @classmethod
     def of(cls, arm: Arm, spec: EffectSpec, weight: float) -> Hypothesis:
         """An effect of an arm;  weight : of an effect that acts at all joints, less at one of them"""
-        effect = build(spec, arm.links, arm.lengths, dimension=arm.dimension)
+        effect = build(spec, arm.chain)
         if spec.joint is None:
             return cls(effect.label, PLACES.get(spec.name, spec.name), weight, effect=effect, spec=spec)
         return cls(effect.label, f"joint:{spec.joint}", weight / np.sqrt(arm.links), effect=effect, spec=spec)
@@ -211,7 +211,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     available |= set() if arm.gravity is None else {"gravity"}
     available |= arm.offers
     known = of_dimension(arm.dimension)
-    own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths, arm.dimension)}
+    own = {effect.label for effect in build_all(arm.effects, arm.chain)}
     unseen = frozenset[int]() if rows is None else untested_joints(Model(arm), rows)
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
@@ -36,7 +36,6 @@ from identification.kinematics.joint_range import joint_range
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import placed_calibration
-from identification.validate.row_groups import DIAGNOSED
 
 
 class Estimate(NamedTuple):

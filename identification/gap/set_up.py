@@ -110,8 +110,8 @@ class Predicted(NamedTuple):
         """By a model;  there : conditions of the rows"""
         left = fitted.position_residuals(holdout, there)[:, POINT]
         measured, chain, axes = holdout.positions[:, POINT], fitted.model.arm.chain, None
-        if chain is not None and chain.instrument.reads_positions:
-            sizes = widths(holdout.links, len(left.T))
+        if not chain.planar and chain.instrument.reads_positions:
+            sizes = widths(chain)
             first = sum([*sizes.values()][: [*sizes].index("tool")])
             levers = fitted.model.place_levers(holdout.postures, fitted.values, there)[0]
             axes = levers[:, POINT, first : first + len(left.T)]

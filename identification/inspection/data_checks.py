@@ -20,7 +20,6 @@ from identification.arrays import Array, rows_in_words
 from identification.errors import InputError
 from identification.kinematics.orientations import from_angles, to_angles
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.planar import joint_points
 from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, tip_frames
@@ -55,22 +54,21 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     if measurements.links != arm.links:
         raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
     bare, units = _bare(arm, measurements), wrong_units(measurements, arm)
-    if units or arm.chain is None or _few(measurements, bare):
+    if units or arm.chain.planar or _few(measurements, bare):
         return units
     return [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
 
 
 def _bare(arm: Arm, measurements: Measurements) -> Arm:
     """The arm as it is drawn; where it has several measured points and the rows name none, with one."""
-    chain = None if arm.chain is None else one_unnamed(arm.chain, measurements)
-    return replace(arm, chain=chain, effects=(), calibration=None)
+    return replace(arm, chain=one_unnamed(arm.chain, measurements), effects=(), calibration=None)
 
 
 def _few(measurements: Measurements, arm: Arm) -> bool:
     """Whether base and measured points alone might explain the data in any unit."""
     points = 1 if measurements.marker is None else len(measurements.marker_names)
     fitted = PLACED if measurements.dimension == 1 else STANDS + arm.dimension * points
-    unknowns = IN_PLANE if arm.chain is None else fitted * len(measurements.session_rows)
+    unknowns = IN_PLANE if arm.chain.planar else fitted * len(measurements.session_rows)
     return measurements.positions.size < 4 * unknowns
 
 
@@ -132,7 +130,7 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     if max(drawn.values()) < MOVED * arm.reach:  # one posture: what its repeats scatter by has no ratio to the drawing
         return _Units(huge)
     spread = 0.0  # contacts read nothing that has a unit
-    if arm.chain is None or not arm.chain.instrument.contact:
+    if not arm.chain.instrument.contact:
         spread = _spread(measurements.positions[:, POINT])
     alike = drawn[1.0] < OTHER_SIZE * spread < OTHER_SIZE**2 * drawn[1.0]
     if not angle and (alike or not spread):
@@ -169,9 +167,7 @@ def _spread(points: Array) -> float:
 
 def _drawn_tips(arm: Arm, postures: Array) -> Array:
     """(m, d) as drawn [mm]."""
-    if arm.chain is None:
-        return joint_points(arm.lengths, postures)[:, -1]
-    return tip_frames(arm.chain, postures)[:, :3, 3]
+    return tip_frames(arm.chain, postures)[:, : arm.dimension, 3]
 
 
 def _length_factor(misfit: Callable[[float], float], guess: float) -> float:
@@ -230,14 +226,13 @@ def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> 
     read = replace(measurements, orientations=orientations).rows(measurements.session_rows[0])
     computed = placed_model(Model(arm), read).position(read.postures, conditions=read.conditions)
     chain = arm.chain
-    assert chain is not None
     return float(np.median(np.linalg.norm(computed[:, POINT.stop :], axis=1))) / (chain.angle_scale or 1.0)
 
 
 def _misfit(measurements: Measurements, arm: Arm, turned: Array, unit: float) -> float:
     """Median distance [mm] from the nominal arm, with joints times factors (n,), positions times a `unit`."""
     read = replace(measurements, postures=measurements.postures * turned, positions=measurements.positions * unit)
-    if arm.chain is None:
+    if arm.chain.planar:
         drawn = _drawn_tips(arm, read.postures)
         tip, seen = ((a - a.mean(axis=0)) @ np.array([1.0, 1.0j]) for a in (drawn, read.positions))
         return float(np.median(np.abs(seen - tip * np.exp(1j * np.angle(np.vdot(tip, seen))))))

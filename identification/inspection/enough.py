@@ -118,7 +118,7 @@ def _weak(fit: Identification) -> tuple[tuple[str, float, str], ...]:
 
     Where nothing is held, such combinations are not estimated at all (`estimation.estimate`).
     """
-    if fit.prior is None or fit.model.arm.chain is None:
+    if fit.prior is None or fit.model.arm.chain.planar:
         return ()
     machining = fit.model.arm.machining
     far = {"mm": UNUSUAL * machining.translation, "rad": UNUSUAL * machining.rotation}

@@ -269,9 +269,7 @@ def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
     """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of each
     whether it turns as the first does (1) or the other way (-1)."""
     axes, turned = list[Array | None](), np.eye(3)
-    if arm.chain is None:
-        axes = [np.array([0.0, 0.0, 1.0])] * arm.links
-    for joint in () if arm.chain is None else arm.chain.joints:
+    for joint in arm.chain.joints:
         turned = turned @ joint.origin[:3, :3]
         axes.append(turned @ joint.axis if joint.type == REVOLUTE else None)
     runs = list[tuple[int, list[int]]]()
@@ -286,7 +284,7 @@ def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
 
 def _mirrored(best: Reading, arm: Arm) -> Iterator[Reading]:
     """The frame of the positions mirrored; lengths are the same in it."""
-    if arm.chain is None or arm.chain.instrument.reads_positions:
+    if arm.chain.instrument.reads_positions:
         yield replace(best, mirrored=not best.mirrored)
 
 
@@ -332,8 +330,8 @@ def _pairs_and_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
 # -- what a reading leaves ---------------------------------------------------------------------------------------------
 def anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands and what is measured on it left open."""
-    chain = arm.chain and SpatialChain(arm.chain.joints, arm.chain.end, instrument=arm.chain.instrument)
-    return replace(arm, chain=chain)
+    chain = arm.chain
+    return replace(arm, chain=SpatialChain(chain.joints, chain.end, instrument=chain.instrument, axes=chain.axes))
 
 
 def some_of_one_point(measurements: Measurements) -> Measurements:
@@ -350,13 +348,13 @@ def some_of_one_point(measurements: Measurements) -> Measurements:
 
 def _few(arm: Arm, rows: Measurements) -> bool:
     """Whether another reading would fit by chance."""
-    return rows.positions.size < EQUATIONS * (PLANE if arm.chain is None else SPACE)
+    return rows.positions.size < EQUATIONS * (PLANE if arm.chain.planar else SPACE)
 
 
 def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], float]:
     """Root mean square distance [mm] of the drawing from the positions of a reading, its place fitted; of lengths
     roughly, where it is `hopeless`."""
-    if (chain := arm.chain) is None:
+    if (chain := arm.chain).planar:
 
         def in_plane(reading: Reading) -> float:
             tip, measured = _in_plane(arm, rows, reading)
@@ -379,7 +377,7 @@ def _in_plane(arm: Arm, rows: Measurements, reading: Reading) -> tuple[NDArray[n
 
 def _turned(arm: Arm, rows: Measurements, reading: Reading) -> Reading:
     """The reading with the turn of the base, in the plane."""
-    if arm.chain is not None:
+    if not arm.chain.planar:
         return reading
     return replace(reading, turn=float(np.angle(np.vdot(*_in_plane(arm, rows, reading)))))
 
@@ -430,7 +428,7 @@ def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, 
     """The model where the closed form places it, and zeros of joints to start from where they are clearly not those of
     the drawing: far from them a fit may end with frames turned over."""
     start = placed_model(model, measurements)
-    if start is model or (arm := model.arm).chain is None or arm.calibration is not None:
+    if start is model or (arm := model.arm).chain.planar or arm.calibration is not None:
         return start, {}
     rows = some(measurements, measurements.session_rows[0])  # later ones have another base
     left = rows.positions - start.position(rows.postures, conditions=rows.conditions)

@@ -31,7 +31,7 @@ AWAY = 0.02  # of the reach: a base this far from where the file has it stands e
 def turned_frame(arm: Arm, measurements: Measurements) -> list[str]:
     """How far the positions of a planar arm are turned against its drawing, in a sentence; none for less than a zero
     may be off by, or where the drawing does not explain the positions at any angle."""
-    if arm.chain is not None or measurements.links != arm.links:
+    if not arm.chain.planar or measurements.links != arm.links:
         return []
     reading = as_written(arm, measurements).written
     if reading.turn is None or abs(reading.turn) < FAR_ZERO or reading.rms > DRAWN * arm.reach:
@@ -48,7 +48,7 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     """Where a spatial arm stands if its `[base]` is wrong, in a sentence; none where the file says nothing, and where
     the drawing explains the positions from no place."""
     chain = arm.chain
-    if chain is None or BASE not in chain.known or not chain.instrument.reads_positions:
+    if chain.planar or BASE not in chain.known or not chain.instrument.reads_positions:
         return []
     rows = some_of_one_point(measurements)
     try:
@@ -56,7 +56,7 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     except InputError:  # too few rows to place it
         return []
     left = rows.positions[:, :3] - placed.position(rows.postures, conditions=rows.conditions)[:, :3]
-    if placed.arm.chain is None or rms_distance(left) > DRAWN * arm.reach:
+    if placed.arm.chain.planar or rms_distance(left) > DRAWN * arm.reach:
         return []
     base = placed.arm.chain.base
     turn, shift = angle_between(chain.base, base), float(np.linalg.norm(base[:3, 3] - chain.base[:3, 3]))

@@ -55,14 +55,13 @@ class Socket(Instrument):
     guide = Guide(
         about="a ball at the tool, seated in cups that stand anywhere",
         table='kind = "socket"\n'
-        'distances_mm = [["A", "B", 300.0]]  # EXAMPLE: what is known between centers of cups; left out: only '
-        "[machining] says how large the arm is\n"
-        "cups = {A = [600.0, -150.0, 100.0], B = [600.0, 150.0, 100.0]}  # EXAMPLE: about where, in the frame of the "
-        "base: plans are made for them",
+        'distances_mm = [["A", "B", 300.0]]  # EXAMPLE: between centers; left out: only [machining] tells the size\n'
+        "\n[instrument.cups]  # EXAMPLE: about where, in the frame of the base: plans are made for them\n"
+        "A = [600.0, -150.0, 100.0]\nB = [600.0, 150.0, 100.0]",
         reads="seating",
-        stands="cups",
+        stands="cup",
         labels="cup in which the ball is seated, a new one wherever it is moved",
-        touches="three cups or more, each in five orientations or more",
+        touches="three cups or more, each in five\norientations or more",
     )
 
     cups: tuple[tuple[str, tuple[float, float, float]], ...] = ()

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
 
+MAX_LINKS = 12
 # unit in the API -> (unit in files and tables, factor to it, suffix of the key in an arm file)
 FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
     {
@@ -183,6 +184,17 @@ def chain_parameters(lengths: Sequence[float] | Array) -> ParameterSet:
     errors = [Parameter(f"{LENGTH_ERROR}:{j}", "mm", kind=LENGTH_ERROR, joint=j) for j, _ in links]
     offsets = [Parameter(f"{JOINT_OFFSET}:{j}", "rad", scale=s, kind=JOINT_OFFSET, joint=j) for j, s in links]
     return ParameterSet.of((*errors, *offsets))
+
+
+def orientation_transform(parameters: ParameterSet) -> Array:
+    """(n, p) matrix T with dtheta = T parameters: dtheta_j = dq_1 + ... + dq_j of the joint offsets among them.
+
+    The paper's sigma_q (eq. 25) is the standard deviation of dtheta_j, not of the joint offset dq_j.
+    """
+    offsets = parameters.indices(JOINT_OFFSET)
+    transform = np.zeros((len(offsets), len(parameters)))
+    transform[:, offsets] = np.tri(len(offsets))
+    return transform
 
 
 def by_joint(values: Mapping[str, float], kind: str) -> Array:

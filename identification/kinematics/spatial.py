@@ -1,4 +1,4 @@
-"""A chain of revolute and prismatic joints in space, with the errors that a calibration may find.
+"""A chain of revolute and prismatic joints, in space or in a plane, with the errors that a calibration may find.
 
     tip = error_0 * base * prod_j [origin_j * error_j * motion_j(q_j + offset_j)] * end * (tool + its error)
 
@@ -7,6 +7,10 @@ corrections in the frame of joint j before it moves: translations along x, y, z,
 the pose of the arm's base in the frame of the instrument; its errors are a shift along the axes of the instrument and
 rotations about its own axes. `tool` is a measured point in the frame at the end of the chain; where orientations are
 measured a frame, its errors a shift of the point and rotations about its own axes.
+
+A planar arm (`planar_chain`) is a chain whose joints turn about z, with links along x, and whose free errors are those
+of the plane: the lengths of its links and the zeros of its joints. Link j then points along theta_j = q_1 + ... + q_j,
+and the tip is sum_j (l_j + dl_j) exp(i (theta_j + dtheta_j)), dtheta_j = dq_1 + ... + dq_j (paper, eq. 1).
 """
 
 from __future__ import annotations
@@ -15,19 +19,31 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
+from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.instruments import TRACKER, Instrument
+from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.frames import AXES, Frame, pose, rotation_to_z
 from identification.kinematics.orientations import rotation_vector
-from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, Parameter, ParameterSet
+from identification.kinematics.parameters import (
+    JOINT_OFFSET,
+    LENGTH_ERROR,
+    PRISMATIC,
+    REVOLUTE,
+    Parameter,
+    ParameterSet,
+    chain_parameters,
+)
 from identification.vectorize import vectorize
 
-DIMENSION = 3  # coordinates of a point
+DIMENSION = 3  # of space
+IN_SPACE, IN_PLANE = "xyz", "xy"
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 ALIGNED = 1.0 - 1e-12  # cosine from which an axis is one of the frame's own
 FARTHEST = 3.0  # times reach and tool: no measured point is farther from where it is drawn or found first
@@ -82,6 +98,7 @@ class SpatialChain(ByValue):
     angle_scale : [mm/rad] what a radian of a measured orientation counts as; None: only points are measured
     tool_axes : name -> (3, 3) axes of a measured frame in the tip's frame; those that are not there are the tip's
     instrument : what is measured of a point
+    axes : of the frames, along which positions are measured: `xyz`, or `xy` of a planar arm (`planar_chain`)
     """
 
     joints: tuple[Joint, ...]
@@ -93,7 +110,7 @@ class SpatialChain(ByValue):
     angle_scale: float | None = None
     tool_axes: Mapping[str, Array] = field(default_factory=dict)
     instrument: Instrument = TRACKER
-    dimension = DIMENSION
+    axes: str = IN_SPACE
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "end", readonly(self.end))
@@ -103,9 +120,32 @@ class SpatialChain(ByValue):
         return len(self.joints)
 
     @property
+    def planar(self) -> bool:
+        """Whether it moves in a plane: then its free errors are link lengths and joint zeros, and its base and tip are
+        where the drawing has them (effects may move them)."""
+        return self.axes == IN_PLANE
+
+    @property
+    def dimension(self) -> int:
+        """d, coordinates of a position: 3 in space, 2 in the plane."""
+        return len(self.axes)
+
+    @property
+    def turning(self) -> tuple[int, ...]:
+        """Numbers of the axes that a frame may turn about: all three in space, z in the plane."""
+        return (2,) if self.planar else (0, 1, 2)
+
+    @property
+    def redundant(self) -> bool:
+        """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
+        return not (self.planar or self.fixed)
+
+    @property
     def coordinates(self) -> int:
-        """Numbers that are measured of a posture: those that the instrument reads, 3 of a point, or 6 of a pose."""
-        return self.instrument.dimension if self.angle_scale is None else 2 * DIMENSION
+        """Numbers that are measured of a posture: those that the instrument reads, d of a point, or 6 of a pose."""
+        if self.angle_scale is not None:
+            return 2 * DIMENSION
+        return self.dimension if self.instrument.reads_positions else self.instrument.dimension
 
     @cached_property
     def reach(self) -> float:
@@ -115,9 +155,17 @@ class SpatialChain(ByValue):
 
     @cached_property
     def levers(self) -> Array:
-        """(n,) distances [mm] from joint to tip that the parts could add up to, not below a tenth of the reach."""
+        """(n,) distances [mm] over which each joint acts, in order of magnitude: in the plane the length of its link
+        (paper), in space from joint to tip as the parts could add up, not below a tenth of the reach."""
+        if self.planar:
+            return self.lengths
         beyond = np.cumsum(self._steps[::-1])[::-1][1:]
         return np.maximum(beyond, self.reach / 10.0)
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(n,) nominal lengths [mm] of the straight lines from each joint's frame to the next, the last to the tip."""
+        return readonly(self._steps[1:])
 
     @cached_property
     def _steps(self) -> list[float]:
@@ -131,7 +179,13 @@ class SpatialChain(ByValue):
     def parameters(self, best: Mapping[str, float] = MappingProxyType({})) -> ParameterSet:
         """What there is to find: `every_parameter` without the base and tools that are known, without the errors along
         or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
-        which move all that lies beyond as the base does; nor what no reading of the instrument shows."""
+        which move all that lies beyond as the base does; nor what no reading of the instrument shows.
+
+        best : best known values, by which the offsets of a planar arm are scaled as far as anything is left of a link
+        """
+        if self.planar:
+            errors = [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
+            return chain_parameters(np.where(self.lengths + errors == 0.0, self.lengths, np.abs(self.lengths + errors)))
         left_out = {PRISMATIC: TRANSLATION_ERROR, REVOLUTE: ROTATION_ERROR}
         along_axes = {
             f"{left_out[joint.type].removesuffix('error')}{AXES[k]}:{j}"
@@ -150,7 +204,9 @@ class SpatialChain(ByValue):
     @cached_property
     def every_parameter(self) -> ParameterSet:
         """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
-        and six errors, and last those of the instrument itself."""
+        and six errors, in the plane lengths of links and offsets of joints, and last those of the instrument itself."""
+        if self.planar:
+            return chain_parameters(self.lengths)
         parameters = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
         for name, place in self.tools.items():
             far = FARTHEST * (self.reach + float(np.linalg.norm(place)))
@@ -164,8 +220,28 @@ class SpatialChain(ByValue):
         return ParameterSet.of((*parameters, *self.instrument.parameters))
 
     def link_lengths(self, values: ca.SX) -> ca.SX:
-        """(n,) lengths [mm] of the straight lines from each joint's frame to the next, as nominal."""
-        return ca.SX(ca.DM(self._steps[1:]))
+        """(n,) `lengths` with their errors, where values of the parameters have some."""
+        lengths = ca.SX(ca.DM(self.lengths))
+        return lengths + values[: len(self)] if self.planar else lengths
+
+    def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
+        """Least squares in closed form for lengths and offsets of a planar arm; None for others, see there."""
+        return PlanarClosedForm.of(self.lengths, parameters, others) if self.planar else None
+
+    def along_base(self, shift: Mapping[str, float], values: Values, back: bool = False) -> dict[str, Any]:
+        """A shift of the base along its own axes as one along those of the instrument, both by the names of its
+        parameters; empty where there is none.
+
+        values : of parameters, where the base is turned by them;  back : the reverse
+        """
+        names = ("base_offset.x0", "base_offset.y0") if self.planar else ("base.x", "base.y", "base.z")
+        if not set(names) & set(shift):
+            return {}
+        axes: Any = ca.DM(self.base[:3, :3])
+        if self.planar:  # where the base stands is an effect, and how it is turned the offset of joint 1
+            axes = Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes
+        turned = ca.mtimes(axes.T if back else axes, in_space(ca.DM([shift.get(name, 0.0) for name in names])))
+        return {name: turned[k] for k, name in enumerate(names)}
 
     def frames(self, q: ca.SX, values: Values, added: Mapping[str, ca.SX] = MappingProxyType({})) -> list[Frame]:
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
@@ -176,7 +252,7 @@ class SpatialChain(ByValue):
         frame = self._placed_base(values, added)
         placed = [frame]
         for j, joint in enumerate(self.joints, start=1):
-            frame = frame.placed(joint.origin)
+            frame = self._behind_link(frame, j - 1, joint.origin, values, added)
             for k, axis in enumerate(AXES):  # after its six local corrections
                 if (name := f"translation_{axis}:{j}") in values:
                     frame = frame.moved(k, values[name])
@@ -184,9 +260,23 @@ class SpatialChain(ByValue):
             frame = joint.moved(frame, q[j - 1] + values.get(f"joint_offset:{j}", 0.0))
             frame = _displaced(frame, added, j)
             placed.append(frame)
-            if "extensions" in added and self._steps[j]:
-                frame = frame.along(self.link_vectors[j - 1] / self._steps[j], added["extensions"][j - 1])
-        return [*placed, frame.placed(self.end)]
+        return [*placed, self._behind_link(frame, len(self), self.end, values, added)]
+
+    def _behind_link(self, frame: Frame, link: int, matrix: Array, values: Values, added: Mapping[str, ca.SX]) -> Frame:
+        """The frame at the end of a link, counted from 1, with nominal pose `matrix` in that of its joint: the link may
+        be longer and may be bent to its left; 0: from the base to joint 1."""
+        if link == 0:
+            return frame.placed(matrix)
+        shift = ca.SX(ca.DM(matrix[:3, 3]))
+        longer = ca.SX(values.get(f"{LENGTH_ERROR}:{link}", 0.0))
+        if "extensions" in added and self._steps[link]:
+            longer += added["extensions"][link - 1]
+        if not longer.is_zero():
+            shift += ca.DM(self.link_vectors[link - 1] / self._steps[link]) * longer
+        if "deflections" not in added:
+            return frame.shifted(shift).placed(pose(rotation=matrix[:3, :3]))
+        shift[1] += added["deflections"][link - 1]
+        return frame.shifted(shift).turned(2, added["slopes"][link - 1])
 
     @cached_property
     def link_vectors(self) -> list[Array]:
@@ -195,16 +285,15 @@ class SpatialChain(ByValue):
 
     def _placed_base(self, values: Values, added: Mapping[str, ca.SX]) -> Frame:
         shift = ca.vertcat(*(ca.SX(values.get(f"base.{axis}", 0.0)) for axis in AXES))
-        base = Frame.world().shifted(shift + added.get("base_translation", 0.0)).placed(self.base)
-        frame = _turned(base, values, "base.r", "")
-        for k in range(DIMENSION if "base_rotation" in added else 0):
-            frame = frame.turned(k, added["base_rotation"][k])
-        return frame
+        base = Frame.world().shifted(shift + in_space(added.get("base_translation", ca.SX(0, 1)))).placed(self.base)
+        return turned_about(_turned(base, values, "base.r", ""), self.turning, added.get("base_rotation"))
 
-    def tool(self, frame: Frame, name: str, values: Values, added: ca.SX | float = 0.0) -> ca.SX:
+    def tool(self, frame: Frame, name: str, values: Values, added: ca.SX | None = None) -> ca.SX:
         """(3,) position of a measured point of the tip's frame."""
         errors = [values.get(f"tool[{name}].{axis}", 0.0) for axis in AXES]
-        return frame.point(ca.DM(self.tools[name]) + ca.vertcat(*errors) + added)
+        return frame.point(
+            ca.DM(self.tools[name]) + ca.vertcat(*errors) + in_space(ca.SX(0, 1) if added is None else added)
+        )
 
     def tip(
         self,
@@ -214,7 +303,7 @@ class SpatialChain(ByValue):
         marker: ca.SX | None = None,
         reference: ca.SX | None = None,
     ) -> tuple[ca.SX, ca.SX]:
-        """(3,) measured point [mm] at real joint positions (n,) but for their offsets, before the instrument, and (3,)
+        """(d,) measured point [mm] at real joint positions (n,) but for their offsets, before the instrument, and (3,)
         how far the measured frame is turned against its reference [mm], (0,) where only points are measured.
 
         values : those of `parameters`;  marker : number of the measured point from 0, None: the first
@@ -223,6 +312,7 @@ class SpatialChain(ByValue):
         named = {name: values[k] for k, name in enumerate(self.parameters().names)}
         frame = self.frames(q, named, added)[-1]
         point = _of_marker([self.tool(frame, name, named, added["tool"]) for name in self.tools], marker)
+        point = point[: self.dimension]
         if self.angle_scale is None or reference is None:
             return point, ca.SX(0, 1)
         axes = ca.reshape(self._orientation(frame, named, marker), 3, 3)
@@ -239,21 +329,23 @@ class SpatialChain(ByValue):
         return self._orientation(self.frames(q, values)[-1], values, marker)
 
     def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
-        """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
+        """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base; in the plane,
+        where joint 1 is the base, n + 1 points (2,)."""
         named = dict(zip(self.parameters().names, np.asarray(values, dtype=float).tolist(), strict=True))
         at_home = replace(self, base=np.eye(4))
         frames = at_home.frames(q, {name: value for name, value in named.items() if not name.startswith("base.")})
-        return [*(frame.origin for frame in frames[:-1]), self.tool(frames[-1], next(iter(self.tools)), named)]
+        points = [*(frame.origin for frame in frames[:-1]), self.tool(frames[-1], next(iter(self.tools)), named)]
+        return [point[: self.dimension] for point in points[int(self.planar) :]]
 
     def points(self, postures: Array, values: Array) -> Array:
-        """(..., n + 2, 3) the same at postures (..., n)."""
+        """(..., n + 2, d) the same at postures (..., n), n + 1 of a planar arm."""
         points = _points(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0]
         return np.swapaxes(points, -1, -2)
 
 
 @lru_cache(maxsize=32)
 def _points(chain: SpatialChain, values: tuple[float, ...]) -> Callable[..., tuple[Array, ...]]:
-    """Of a chain and the values of its parameters: postures -> (..., 3, n + 2); compiled once, used in every search."""
+    """Of a chain and values of its parameters: postures -> (..., d, points); compiled once, used in every search."""
     q = ca.SX.sym("q", len(chain))
     points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.array(values))))
     return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
@@ -280,6 +372,26 @@ def _six(
     translations = [Parameter(name, "mm", -farthest, farthest, kind=kinds[0], joint=joint) for name in moves]
     turns = (f"{rotation}{axis}{suffix}" for axis in AXES)
     return translations + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in turns]
+
+
+def planar_chain(lengths: ArrayLike) -> SpatialChain:
+    """The planar arm of links (n,) [mm] behind revolute joints."""
+    links = np.ravel(np.asarray(lengths, dtype=float))
+    before = (pose((length, 0.0, 0.0)) for length in (0.0, *links[:-1]))
+    joints = (Joint(f"joint_{j}", origin, np.eye(3)[2]) for j, origin in enumerate(before, start=1))
+    return SpatialChain(tuple(joints), pose((links[-1], 0.0, 0.0)), known=frozenset({BASE, TOOL}), axes=IN_PLANE)
+
+
+def turned_about(frame: Frame, axes: Sequence[int], angles: ca.SX | None) -> Frame:
+    """A frame turned by angles [rad] about its own axes of these numbers, one after the other; None: as it is."""
+    for k, axis in enumerate(axes if angles is not None else ()):
+        frame = frame.turned(axis, angles[k])  # type: ignore[index]
+    return frame
+
+
+def in_space(vector: Any) -> Any:
+    """(3,) a vector (d,) along the first axes."""
+    return ca.vertcat(vector, ca.SX.zeros(DIMENSION - vector.numel())) if vector.numel() < DIMENSION else vector
 
 
 def _displaced(frame: Frame, added: Mapping[str, ca.SX], joint: int) -> Frame:

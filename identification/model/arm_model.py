@@ -22,12 +22,10 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, build_all
-from identification.effects.chain import geometry_of
 from identification.errors import InputError
+from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
-from identification.kinematics.planar import PlanarGeometry
-from identification.kinematics.planar_linear import PlanarClosedForm
-from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR, SpatialChain
+from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.model.expressions import Expressions, shared
 
 
@@ -58,18 +56,13 @@ class Model:
 
     @cached_property
     def _built(self) -> tuple[tuple[Effect, EffectSpec], ...]:
-        effects = build_all(self.arm.effects, self.joints, self.arm.lengths, self.arm.dimension)
+        effects = build_all(self.arm.effects, self.arm.chain)
         return tuple(zip(effects, self.arm.effects, strict=True))
-
-    @cached_property
-    def geometry(self) -> PlanarGeometry | SpatialChain:
-        """The kinematics."""
-        return geometry_of(self.arm)
 
     @cached_property
     def geometry_parameters(self) -> ParameterSet:
         """Those of the geometry, estimated or known."""
-        return self.geometry.parameters(self._calibrated() | dict(self.known or {}))
+        return self.arm.chain.parameters(self._calibrated() | dict(self.known or {}))
 
     @cached_property
     def all_parameters(self) -> ParameterSet:
@@ -79,8 +72,7 @@ class Model:
     @cached_property
     def fixed(self) -> Mapping[str, float]:
         """Name -> value of the parameters that are known."""
-        fixed = () if self.arm.chain is None else self.arm.chain.fixed
-        values = {name: self._calibrated().get(name, 0.0) for name in fixed} | dict(self.known or {})
+        values = {name: self._calibrated().get(name, 0.0) for name in self.arm.chain.fixed} | dict(self.known or {})
         for effect, spec in self._built:
             if not (effect.scatter or effect.of_commands):
                 values |= {p.name: float(spec.values[p.short]) for p in effect.parameters if p.short in spec.values}
@@ -95,7 +87,7 @@ class Model:
     def prior(self) -> dict[str, float]:
         """Name -> standard deviation before the data [API unit] of the errors of a spatial arm's geometry; empty in the
         plane, and for a minimal set, which needs none."""
-        if self.arm.chain is None or self.arm.chain.fixed:
+        if not self.arm.chain.redundant:
             return {}
         sizes = {"mm": self.arm.machining.translation, "rad": self.arm.machining.rotation}
         kinds = (TRANSLATION_ERROR, ROTATION_ERROR, JOINT_OFFSET)
@@ -109,7 +101,7 @@ class Model:
     @property
     def dimension(self) -> int:
         """d, measured coordinates per posture: 2, 3, 6 of a pose, or 1 of a length."""
-        return self.arm.dimension if self.arm.chain is None else self.arm.chain.coordinates
+        return self.arm.chain.coordinates
 
     @property
     def joints(self) -> int:
@@ -170,18 +162,16 @@ class Model:
 
         None in space, and where a length or an offset is known.
         """
-        if self.arm.chain is not None:
-            return None
         others = bool(self.fixed) or any(effect.tabulated for effect in self.effects)
-        return PlanarClosedForm.of(self.arm.lengths, self.parameters, others)
+        return self.arm.chain.closed_form(self.parameters, others)
 
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property
     def expressions(self) -> Expressions:
         """The model in CasADi symbols, shared with models that have the same."""
         curved = any(effect.curve is not None for effect in self.effects)
-        several = self.arm.chain is not None and len(self.arm.chain.tools) > 1  # points of the tool are measured
-        extra = ("marker",) * several + ("orientation",) * (self.dimension > 3) + ("errors",) * curved
+        several, oriented = len(self.arm.chain.tools) > 1, self.arm.chain.angle_scale is not None
+        extra = ("marker",) * several + ("orientation",) * oriented + ("errors",) * curved
         parts = (self.effects, self.all_parameters, self.parameters, self.fixed, self.remembers)
         return shared(Expressions(self.arm, *parts, extra, self.best_known))
 
@@ -202,7 +192,7 @@ class Model:
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
         """Points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
-        return self.geometry.symbolic_points(q, self._geometry_values)
+        return self.arm.chain.symbolic_points(q, self._geometry_values)
 
     @cached_property
     def _geometry_values(self) -> Array:
@@ -265,7 +255,7 @@ class Model:
 
         In the frame of the base, without effects: for constraints and pictures; `position` is what is measured.
         """
-        return self.geometry.points(self._postures(postures), self._geometry_values)
+        return self.arm.chain.points(self._postures(postures), self._geometry_values)
 
     def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
         """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""

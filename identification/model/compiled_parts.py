@@ -17,11 +17,11 @@ from identification.arm import Arm, Gravity
 from identification.arrays import Array
 from identification.effects import Effect
 from identification.effects.chain import chain_at, condition_width
-from identification.effects.places import contributions, in_state, load_size, position_and_state, state_size, widths
+from identification.effects.places import contributions, in_state, position_and_state, state_size, widths
 from identification.kinematics.spatial import DIMENSION, SpatialChain
 from identification.vectorize import Evaluate, vectorize
 
-LOADED = slice(0, load_size(DIMENSION))  # of the state, and of all places
+LOADED = slice(0, 1 + 2 * DIMENSION)  # of the state, and of all places: payload, turn of gravity, shift of the payload
 Outputs = tuple[np.ndarray, ...]  # of `CompiledEffect.evaluate`
 
 
@@ -33,7 +33,7 @@ class Symbols:
 
     def __init__(self, arm: Arm, remembers: bool, extra: tuple[str, ...] = ()) -> None:
         n, self.arm, self.remembers = arm.links, arm, remembers
-        self.q, self.state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(n, arm.dimension))
+        self.q, self.state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(arm.chain))
         self.c = ca.SX.sym("c", condition_width(n, remembers, extra))
         self.chain = chain_at(arm, self.q, self.c, remembers, extra)
         self.loaded = in_state(self.chain, self.state)
@@ -91,8 +91,8 @@ class CompiledArm:
     """Compiled parts shared by all models of one spatial arm: its geometry, and each effect."""
 
     def __init__(self, chain: SpatialChain, gravity: Gravity | None, remembers: bool, extra: tuple[str, ...]) -> None:
-        self.at = Symbols(Arm.of_chain(chain, gravity=gravity), remembers, extra)
-        self.sizes = widths(len(chain), DIMENSION)
+        self.at = Symbols(Arm(chain, gravity=gravity), remembers, extra)
+        self.sizes = widths(chain)
         ends = np.cumsum(list(self.sizes.values())).tolist()
         self.places = {
             place: slice(end - size, end) for (place, size), end in zip(self.sizes.items(), ends, strict=True)

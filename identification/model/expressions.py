@@ -18,9 +18,8 @@ from identification.effects.places import by_place, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
 from identification.instruments import TRACKER
-from identification.kinematics.base_axes import along, planar_axes
 from identification.kinematics.orientations import turned
-from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
+from identification.kinematics.parameters import ParameterSet
 from identification.model.compiled_parts import compiled_arm
 from identification.model.composition import Composition
 from identification.vectorize import Evaluate, vectorize
@@ -62,7 +61,7 @@ class Expressions:
         effects = ((type(e), e.joint, e.tagged, e.curve, *e.chosen.items()) for e in self.effects)
         names = self.every.names, self.estimated.names, *self.fixed.items()
         best = tuple(self.best.items()) if oriented else ()
-        return arm.lengths.tobytes(), arm.chain, arm.gravity, *effects, names, self.remembers, self.extra, best
+        return arm.chain, arm.gravity, *effects, names, self.remembers, self.extra, best
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -79,9 +78,7 @@ class Expressions:
         values = {name: slot.get(name, self.fixed.get(name, 0.0)) for name in self.every.names}
         if not self.tied:
             return ca.vertcat(*values.values())
-        chain = self.arm.chain
-        axes = planar_axes(values[f"{JOINT_OFFSET}:1"]) if chain is None else ca.DM(chain.base[:3, :3])
-        off = {**self.tied, **along(axes, self.tied)}
+        off = {**self.tied, **self.arm.chain.along_base(self.tied, values)}
         return ca.vertcat(*(value - c[-1] * off.get(name, 0.0) for name, value in values.items()))
 
     @cached_property
@@ -100,7 +97,7 @@ class Expressions:
     def chain(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
         chain = chain_at(self.arm, q, c, self.remembers, self.extra)
-        if chain.reference is None or self.arm.chain is None:
+        if chain.reference is None:
             return chain
         missing = c[orientation_columns(self.arm.links, self.remembers, self.extra).stop - 1]
         best = self.arm.chain.orientation(q, self.best, chain.marker)
@@ -110,14 +107,14 @@ class Expressions:
     def composed(self) -> Composition | None:
         """The same from parts that models share; None in the plane and without effects: one function is faster."""
         chain = self.arm.chain
-        if chain is None or not self.effects:
+        if chain.planar or not self.effects:
             return None
         pointing = replace(chain, instrument=TRACKER)  # has what this instrument does not show, too: it is zero
         own = (*chain.instrument.parameters, *(p for effect in self.effects for p in effect.parameters))
         every = (*pointing.parameters().names, *(p.name for p in own))
         values = tuple(None if name in self.estimated.names else float(self.fixed.get(name, 0.0)) for name in every)
         shared, tied = compiled_arm(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
-        tied |= {name: float(x) for name, x in along(chain.base[:3, :3], tied).items()}
+        tied |= {name: float(x) for name, x in chain.along_base(tied, {}).items()}
         off = tuple(tied.get(name, 0.0) for name in every) if tied else ()
         return Composition(shared, self.effects, values, off, chain.instrument)
 
@@ -200,7 +197,7 @@ class Expressions:
         if self.composed:
             return self.composed.joint_levers
         added, position, _ = self._with_added
-        turns = by_place(added, self.arm.links, self.arm.dimension)["joint_angles"]
+        turns = by_place(added, self.arm.chain)["joint_angles"]
         return self._at_zero("levers", [ca.jacobian(position, turns)])
 
     @cached_property
@@ -215,7 +212,7 @@ class Expressions:
     def _with_added(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """What is added at all places, the position with it, and the state."""
         q, c, p, _ = self.symbols
-        added = ca.SX.sym("added", sum(widths(self.arm.links, self.arm.dimension).values()))
+        added = ca.SX.sym("added", sum(widths(self.arm.chain).values()))
         return added, *position_and_state(self.chain(q, c), self.effects, self.values(c, p), added)
 
     def _at_zero(self, name: str, expressions: list[ca.SX]) -> Evaluate:
@@ -230,7 +227,7 @@ class Expressions:
         c : of conditions without measured orientations
         """
         chain = self.arm.chain
-        if chain is None or chain.angle_scale is None:
+        if chain.angle_scale is None:
             raise InputError("orientations: the arm measures none, allowed: with sigma_mm and sigma_deg in its file")
         columns = c[..., orientation_columns(len(chain), self.remembers, self.extra)][..., :-1]
         nominal = np.swapaxes(columns.reshape(*columns.shape[:-1], 3, 3), -1, -2)
@@ -251,7 +248,6 @@ class Expressions:
     @cached_property
     def _best_orientation(self) -> Evaluate:
         """Of arrays (q, marker): the orientation of the arm as best known, (9,) by columns."""
-        assert self.arm.chain is not None
         q, marker = ca.SX.sym("q", self.arm.links), ca.SX.sym("marker")
         orientation = self.arm.chain.orientation(q, self.best, marker if "marker" in self.extra else None)
         return vectorize(ca.Function("orientation", [q, marker], [ca.cse(ca.densify(orientation))]))

@@ -43,7 +43,7 @@ def minimal(
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     chain = model.arm.chain
-    if chain is None:
+    if chain.planar:
         raise InputError("minimal: a planar arm, allowed: a spatial one; the parameters of a planar arm are minimal")
     parameters = model.parameters
     order = [k for kind in FIRST for k in parameters.indices(kind)]
@@ -56,7 +56,7 @@ def minimal(
 def practical(arm: Arm, measurements: Measurements) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
     measurements hardly determine as drawn. A planar arm, and a spatial one whose set was chosen, stays as it is."""
-    if arm.chain is None or arm.chain.fixed:
+    if not arm.chain.redundant:
         return arm
     return minimal_of(Model(arm), measurements, PRACTICAL).arm
 
@@ -65,13 +65,12 @@ def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT
     """`minimal` where the closed form finds base and measured points; of contacts what the surface that is touched most
     often shows, at the postures measured."""
     placed, chain = placed_model(model, measurements), model.arm.chain
-    if chain is None or not chain.instrument.contact:
+    if not chain.instrument.contact:
         return minimal(placed, least)
     if chain.instrument.own_targets:
         return minimal(placed, least, measurements.postures, measurements.conditions)
     longest_session = measurements.rows(max(measurements.session_rows, key=len))
     shown = minimal(placed_model(model, longest_session), least, longest_session.postures).arm.chain
-    assert placed.arm.chain is not None
     assert shown is not None
     return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.fixed)))
 
@@ -79,8 +78,7 @@ def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT
 def placed_calibration(arm: Arm, calibration: Calibration) -> Calibration:
     """What a fit of a `practical` spatial arm found, with the values that it took as they were, and where base and
     measured points are; of a planar arm as it is."""
-    if (chain := arm.chain) is None:
-        return calibration
+    chain = arm.chain
     kept = {} if arm.calibration is None else arm.calibration.values
     values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(calibration.values)
     geometry = CorrectedGeometry(chain, values)
@@ -110,6 +108,6 @@ def _jacobian(model: Model, postures: Array | None, conditions: Conditions | Non
         postures = generator.uniform(arm.lower, arm.upper, (POSTURES, arm.links))
     if conditions is not None:
         return model.jacobian(postures, None, conditions).reshape(-1, len(model.parameters))
-    markers = 1 if arm.chain is None else len(arm.chain.tools)
+    markers = len(arm.chain.tools)
     rows = [model.jacobian(postures, None, Conditions(marker=np.full(len(postures), float(k)))) for k in range(markers)]
     return np.concatenate(rows).reshape(-1, len(model.parameters))

@@ -31,8 +31,8 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
 
     Raises `InputError` for measured points that the arm does not have.
     """
-    arm = model.arm if isinstance(model, Model) else None
-    if arm is None or arm.chain is None:
+    arm = getattr(model, "arm", None)
+    if not isinstance(arm, Arm):
         return model
     chain = with_markers(arm.chain, measurements)
     settled, own_targets = chain.known, chain.instrument.own_targets
@@ -95,7 +95,6 @@ def standing_chain(chain: SpatialChain, measurements: Measurements, values: Mapp
 def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, list[Array]]:
     """The chain of an arm that stands where the first session finds it, with the points that only later sessions
     measure, and the pose (4, 4) of the base in each session."""
-    assert arm.chain is not None
     every = {} if arm.calibration is None else arm.calibration.values
     values = {name: value for name, value in every.items() if not name.startswith((f"{BASE}.", f"{TOOL}["))}
     parts = dict(zip(measurements.sessions, measurements.session_rows, strict=False))

@@ -23,7 +23,7 @@ def of_positions(model: Model) -> Model:
     """The model of the measured point's position with the same parameters, without those of the reading; of an
     instrument that reads positions as it is."""
     chain = model.arm.chain
-    if chain is None or chain.instrument.reads_positions:
+    if chain.instrument.reads_positions:
         return model
     arm = replace(model.arm, chain=replace(chain, instrument=TRACKER))
     held_values = dict(model.known or {})
@@ -48,7 +48,7 @@ def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None
     points, moved = whole.linearize(postures, None if parameters is None else np.asarray(parameters)[..., free])
     jacobian = np.zeros((*moved.shape[:-1], len(model.names)))  # how a length is read moves no point
     jacobian[..., free] = moved
-    if model.arm.chain is None or model.arm.chain.instrument.places:
+    if model.arm.chain.instrument.places:
         return jacobian
     if (m := len(points)) < FEWEST:
         raise InputError(f"postures: {m} for the error of the tip from lengths, allowed: at least {FEWEST}")
@@ -64,7 +64,7 @@ def in_own_frame(arm: Arm) -> Arm:
     """An arm whose readings do not say where it stands as if its positions were measured in the frame of its base, of
     another instrument as if positions were read; one that reads them as it is."""
     chain, calibration = arm.chain, arm.calibration
-    if chain is None or chain.instrument.reads_positions:
+    if chain.instrument.reads_positions:
         return arm
     effects = [spec for spec in arm.effects if not library()[spec.name].needs & chain.instrument.offers]
     if chain.instrument.places:

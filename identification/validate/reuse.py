@@ -29,7 +29,6 @@ from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, SPARE
 from identification.estimation.prior import Earlier
 from identification.estimation.uncertainty import LEVEL
-from identification.kinematics.base_axes import along
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
 from identification.kinematics.frames import own_axes_angles
 from identification.kinematics.joint_range import joint_range, range_of
@@ -75,7 +74,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     """
     if "base" in words:
         arm = with_base(arm)
-    if arm.chain is not None and measurements is not None:
+    if not arm.chain.planar and measurements is not None:
         arm = replace(arm, chain=with_markers(arm.chain, measurements))
     model = Model(arm)
     chosen = {name for word in words for name in _named(word, model)}
@@ -88,7 +87,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
 def _named(word: str, model: Model) -> set[str]:
     """Names of the parameters that a word means."""
     effects = {effect.key: effect for effect in model.effects}
-    if word == "base" and model.arm.chain is None:
+    if word == "base" and model.arm.chain.planar:
         named = {p.name for p in model.parameters if p.name in PLANAR_BASE}
     elif word in KINDS:
         named = {p.name for p in model.parameters if p.kind in KINDS[word]}
@@ -142,11 +141,11 @@ def _check_places(arm: Arm, model: Model, held: set[str], measurements: Measurem
     several = measurements is not None and len(measurements.session_names) > 1
     kept = arm.calibration
     missing = {BASE: kept is None or kept.base is None, TOOL: kept is None or not kept.tools}
-    for kind in (BASE, TOOL) if arm.chain is not None else ():
+    for kind in (BASE, TOOL) if not arm.chain.planar else ():
         if (missing[kind] or several) and any(p.kind == kind and p.name in held for p in model.parameters):
             reason = "the data have several sessions" if several else "the arm file does not say where it is"
             raise InputError(f"only: {kind} is to be held, but {reason}, allowed: --only with {kind} among the words")
-    if several and arm.chain is None and set(PLANAR_BASE) & held:
+    if several and arm.chain.planar and set(PLANAR_BASE) & held:
         raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
 
 
@@ -218,9 +217,7 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlie
     # where arm and instrument stand; of a planar arm with a base offset that and the offset of joint 1
     planar = PLANAR_BASE if PLANAR_BASE[0] in model.all_parameters.names else ()
     of_set_up = {
-        p.name
-        for p in model.all_parameters
-        if (p.name in planar if model.arm.chain is None else p.kind in (BASE, TOOL))
+        p.name for p in model.all_parameters if (p.name in planar if model.arm.chain.planar else p.kind in (BASE, TOOL))
     }
     of_both = whole.about((set(model.names) | set(held)) - of_set_up)
     if not set(of_both.names) - set(held):
@@ -252,9 +249,9 @@ def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> 
 
 def same_drawing(calibrated: Arm, arm: Arm) -> bool:
     """Whether the errors of two arms mean the same things: equal lengths, joints and frames."""
-    same = calibrated.links == arm.links and (calibrated.chain is None) == (arm.chain is None)
+    same = calibrated.links == arm.links and (calibrated.chain.planar) == (arm.chain.planar)
     same = same and calibrated.joint_types == arm.joint_types and np.allclose(calibrated.lengths, arm.lengths)
-    if same and calibrated.chain is not None and arm.chain is not None:
+    if same and not calibrated.chain.planar and not arm.chain.planar:
         pairs = zip(calibrated.chain.joints, arm.chain.joints, strict=True)
         same = all(np.allclose(a.origin, b.origin) and np.allclose(a.axis, b.axis) for a, b in pairs)
     return bool(same)
@@ -262,7 +259,6 @@ def same_drawing(calibrated: Arm, arm: Arm) -> bool:
 
 def as_calibrated(arm: Arm) -> Arm:
     """The arm with its calibrated geometry as the nominal one; values of effects stay."""
-    assert arm.chain is not None
     values = {} if arm.calibration is None else arm.calibration.values
     bare: dict[str, Any] = {"values": of_effects(values), "base": None, "tools": {}, "tool_axes": {}}
     kept = None if arm.calibration is None else replace(arm.calibration, **bare)
@@ -275,7 +271,7 @@ def _composed(spec: EffectSpec, chain: SpatialChain, values: Mapping[str, float]
     if spec.curve is None or not spec.curve.geometry:
         return spec
     of_curve = dict(spec.curve.geometry)
-    of_curve |= {name: float(x) for name, x in along(chain.base[:3, :3], of_curve).items()}
+    of_curve |= {name: float(x) for name, x in chain.along_base(of_curve, values).items()}
     without = {name: values.get(name, 0.0) - of_curve.get(name, 0.0) for name in {*values, *of_curve}}
     errors = errors_between(corrected(chain, values), corrected(chain, without))
     geometry = {name: -error for name, error in errors.items()} | of_effects(of_curve)
@@ -284,7 +280,7 @@ def _composed(spec: EffectSpec, chain: SpatialChain, values: Mapping[str, float]
 
 def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
     """Those that a refit may estimate, among others."""
-    if arm.chain is None:
+    if arm.chain.planar:
         return Model(with_base_offset(arm)).all_parameters
     return with_markers(one_unnamed(arm.chain, measurements), measurements).every_parameter
 
@@ -317,7 +313,7 @@ def fresh_points(chain: SpatialChain, measurements: Measurements) -> list[str]:
 
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
     """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts."""
-    if arm.chain is not None:
+    if not arm.chain.planar:
         model = _spatial(arm, measurements, refit)
         return model, model.values
     if refit == "none":
@@ -337,7 +333,6 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
         last, which base and points stand for; `none`: nothing
     """
     arm = as_calibrated(arm)
-    assert arm.chain is not None
     if refit == "none":
         check_names(arm.chain, measurements)
         model = Model(replace(arm, chain=with_markers(arm.chain, measurements)))
@@ -355,7 +350,6 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
 
 def _of_points(arm: Arm, before: SpatialChain) -> Arm:
     """The arm with the geometry of its curves for the one measured point that data call by another name."""
-    assert arm.chain is not None
     if len(arm.chain.tools) != 1 or len(before.tools) != 1:
         return arm
     (old,), (new,) = before.tools, arm.chain.tools
@@ -413,7 +407,7 @@ def with_mounting_doubt(
     fit : the same for other measurements
     """
     chain = together.model.arm.chain if hasattr(together.model, "arm") else None
-    if chain is None or len(measurements.sessions) < 2:
+    if chain is None or chain.planar or len(measurements.sessions) < 2:
         return together
     renamed, old = renamed_by_session(measurements, tuple(chain.tools))
     if not old:
@@ -440,7 +434,6 @@ def _moved(apart: Identification, old: dict[str, str]) -> dict[str, str]:
     """How far each point that is moved significantly is from where the session before has it [mm], along the directions
     in which it is: the heights of a SCARA's reflectors, say, are hardly known."""
     chain = apart.model.arm.chain
-    assert chain is not None
     places: dict[str, Array] = composed_tools(chain, apart.model.parameters.mapping(apart.parameters))
     index = {name: k for k, name in enumerate(apart.names)}
     distances: dict[str, str] = {}

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Arm
+from identification.arm import DIAGNOSED, Arm
 from identification.arrays import Array
+from identification.errors import InputError
 from identification.kinematics.joint_range import range_of
 from identification.kinematics.turns import turned_into
 from identification.measurements import Measurements
 from identification.model import Model
 
-DIAGNOSED = "armcal diagnose"  # `source` of its calibrations
 QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
 READ = np.radians(1e-6)  # what the digits of a file take from an angle
 ROOM = 0.02  # of a joint's range at either end, left for the corrections of a posture
@@ -25,6 +25,13 @@ FEWEST = 3 * QUARTERS  # rows from which groups are formed
 def identified(arm: Arm) -> Mapping[str, Any]:
     """What the arm's calibration says of the data it comes from."""
     return {} if arm.calibration is None else arm.calibration.provenance
+
+
+def check_calibrated(arm: Arm, file: str | None = None) -> None:
+    """Raises `InputError` for an arm that has neither a calibration nor known effect values;  file : that it is from"""
+    if arm.calibration is None and not any(spec.values for spec in arm.effects):
+        lacks = "calibration: the arm has none" if file is None else f"{file}: has no [calibration]"
+        raise InputError(f"{lacks}, allowed: an arm file written by `armcal identify --out`")
 
 
 def extrapolation(arm: Arm, postures: Array) -> str | None:

@@ -30,7 +30,14 @@ from identification.measurements import POINT, Conditions, Measurements, distanc
 from identification.model import Model
 from identification.sessions import placing, with_sessions, without_sessions
 from identification.validate.reuse import fresh_points, placed_values, refit_model, refit_parameters
-from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
+from identification.validate.row_groups import (
+    check_calibrated,
+    data_hashes,
+    extrapolation,
+    identified,
+    row_groups,
+    seen_in_words,
+)
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis
@@ -114,7 +121,7 @@ class Validation:
     def rms_angles(self) -> tuple[float, ...]:
         """RMS of the angles between orientations measured and computed [deg], by the model and by the drawing; empty
         where none are measured."""
-        scale = None if self.arm.chain is None else self.arm.chain.angle_scale
+        scale = self.arm.chain.angle_scale
         angles = [residuals[:, POINT.stop :] for residuals in (self.residuals, self.nominal_residuals)]
         return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
 
@@ -159,7 +166,7 @@ class Validation:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
         notes = [note for note in self.notes if HARDLY not in note]
-        parts = validation_sections(data, "" if self.arm.chain is None else ", measured points")
+        parts = validation_sections(data, "" if self.arm.chain.planar else ", measured points")
         return Document("Validation", [validation_verdict(data), *notes], parts)
 
     def __str__(self) -> str:
@@ -183,8 +190,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     """
     if refit not in REFITS:
         raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
-    if arm.calibration is None and not any(spec.values for spec in arm.effects):
-        raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
+    check_calibrated(arm)
     check_validation(Model(arm), measurements)
     residuals, refitted, free = np.empty_like(measurements.positions), [], 0
     for rows in measurements.session_rows:
@@ -199,7 +205,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     notes += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
     left = (distances(each) for each in (residuals, nominal))
     notes += [seen] if (seen := seen_in_words(arm, measurements.postures, *left)) else []
-    notes += [] if arm.chain is None or refit == "none" else fresh_points(arm.chain, measurements)
+    notes += [] if arm.chain.planar or refit == "none" else fresh_points(arm.chain, measurements)
     return replace(validation, notes=(*notes, *_notes(arm, measurements, free, refit)))
 
 
@@ -207,7 +213,7 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
     drawing = replace(arm, effects=(), calibration=None)
-    if arm.chain is None or len(measurements.sessions) < 2:
+    if arm.chain.planar or len(measurements.sessions) < 2:
         return _drawing_refitted(arm, measurements, "base")
     check_validation(Model(drawing), measurements)
     drawing = replace(drawing, chain=replace(arm.chain, known=frozenset()))
@@ -249,15 +255,14 @@ def _refitted(
     names = model.names
     if measurements.positions.size < len(names):
         allowed = f"allowed: at least {-(-len(names) // measurements.dimension)} rows in each session"
-        raise InputError(
-            f"measurements: too few for {len(names)} refitted parameters, {len(measurements)} in all, {allowed}"
-        )
+        file = measurements.provenance.get("file", "measurements")
+        raise InputError(f"{file}: too few for {len(names)} refitted parameters, {len(measurements)} in all, {allowed}")
     weights = np.ones(len(measurements)) if measurements.sigma is None else measurements.sigma**-2.0
     problem = Problem(model, measurements.postures, conditions, measurements.positions[None], weights)
     values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
     residuals, jacobian = problem.residuals(values)[0], problem.jacobian(values)
     refitted = model.parameters.mapping(values)
-    refitted = refitted if model.arm.chain is None else placed_values(model.arm.chain, refitted)
+    refitted = placed_values(model.arm.chain, refitted)
     return refitted, residuals, spectrum(jacobian, model.scales).rank
 
 

@@ -86,7 +86,7 @@ def test_constraints_cost_a_few_times_what_commands_without_them_do() -> None:
 def test_poses_that_are_missed_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """4,000 poses of random postures, which can all be reached, with and without the second look at those missed."""
     chain = replace(SIX_AXIS.chain, tools={"1": np.array([0.0, 0.0, 100.0])}, angle_scale=1000.0)
-    arm = replace(Arm.of_chain(chain), calibration=Calibration({"base.x": 0.0}))
+    arm = replace(Arm(chain), calibration=Calibration({"base.x": 0.0}))
     drawn = [np.random.default_rng(seed).uniform(-np.pi, np.pi, (POSES // 2, 6)) for seed in (7, 11)]
     places = [(Model(arm).position(q)[:, :3], Model(arm).orientations(q)) for q in drawn]
     missed = [sum(int(np.count_nonzero(~compensate(arm, at, orientations=axes).reached)) for at, axes in places)]

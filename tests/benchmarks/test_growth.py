@@ -40,7 +40,7 @@ def planar(links: int) -> Arm:
 
 def spatial(joints: int) -> Arm:
     rows = [DHRow(200.0 * (k % 2), np.pi / 2.0 * (-1.0) ** k, 150.0) for k in range(joints)]
-    return Arm.of_chain(chain_of(rows), sigma=0.05)
+    return Arm(chain_of(rows), sigma=0.05)
 
 
 def measured(arm: Arm, rows: int) -> tuple[Model, Measurements]:

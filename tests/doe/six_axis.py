@@ -21,7 +21,7 @@ TABLE = (
 )
 REFLECTOR = np.array([60.0, 40.0, 100.0])  # off the last axis
 CHAIN = replace(chain_of([DHRow(a, np.radians(alpha), d) for a, alpha, d in TABLE]), tools={"1": REFLECTOR})
-SIX_AXIS = Arm.of_chain(CHAIN, sigma=0.05, name="six-axis")
+SIX_AXIS = Arm(CHAIN, sigma=0.05, name="six-axis")
 WITHIN = np.radians(100.0)  # of limits that matter
 LIMITED = replace(SIX_AXIS, lower=np.full(6, -WITHIN), upper=np.full(6, WITHIN) * [1.0, 0.6, 1.0, 0.8, 1.0, 1.0])
 STEP = 1e-5  # [mm, rad] of central differences

@@ -14,7 +14,7 @@ q + scale q + encoder_cos cos q + encoder_sin sin q.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.kinematics.parameters import Parameter, ParameterSet
-from identification.measurements import Measurements
 from identification.vectorize import vectorize
 
 AXES = "xyz"
@@ -280,14 +279,3 @@ def spatial(model: SpatialModel | None = None, **changes: Any) -> DesignProblem:
 def random_postures(model: SpatialModel, count: int, seed: int) -> Array:
     """(count, n) uniform within the limits."""
     return np.random.default_rng(seed).uniform(model.lower, model.upper, (count, model.joints))
-
-
-def measured(model: SpatialModel, true: Array, postures: Array, sigma: float, seed: int) -> Measurements:
-    """Positions of the oracle's chain at true parameter values, with noise."""
-    exact = tip_positions(model, postures, true)
-    return Measurements(postures, exact + sigma * np.random.default_rng(seed).standard_normal(exact.shape))
-
-
-def with_values(model: SpatialModel, values: Array) -> SpatialModel:
-    """The model with other best known values."""
-    return replace(model, known=tuple(values.tolist()))

@@ -87,7 +87,7 @@ def test_an_arm_file_is_written_as_it_is_read(tmp_path: Path, arm: Arm, space: b
         slide = DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(-100.0, 300.0))
         rows = [DHRow(0.0, 1.5, 300.0), DHRow(400.0, 0.0, 0.0), DHRow(300.0, 0.0, 0.0), slide]
         counting = Counting((1, 1, -1, -1), (0, 0, -2, 0), (0.1, 0.2, 0.3, 0.0))
-        arm = Arm.of_chain(chain_of(rows), counting=counting)
+        arm = Arm(chain_of(rows), counting=counting)
     (tmp_path / "again.toml").write_text(dump_arm(arm))
     again = load_arm(tmp_path / "again.toml")
     assert again.counting is not None

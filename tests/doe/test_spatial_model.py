@@ -5,14 +5,12 @@ Every figure is checked against the oracle's numpy chain with finite differences
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
-from itertools import combinations, permutations
+from itertools import permutations
 
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.stats import norm
 
 from doe.advise import advise
 from doe.bounds.approximate_design import ApproximateDesign
@@ -20,32 +18,22 @@ from doe.bounds.column_generation import continuous_design
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.bounds.relaxation import relax
 from doe.design import score_plan
-from doe.discrimination.design import discrimination_design
-from doe.discrimination.misidentification import EffectLibrary
-from doe.discrimination.swaps import CLOUD, pool_of
-from doe.discrimination.t_optimal import RivalPredictions, t_optimal
 from doe.plan.order import ordered, travel
 from doe.plan.replicate_spacing import too_near
-from doe.problem.bayesian import deviated_draws, ensemble_problem
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
 from doe.report.design import accuracy, design_document
-from doe.report.figures import certificate_figure
 from doe.solvers import solve
-from doe.studies.comparison import Comparison, compare, evaluated
+from doe.studies.comparison import evaluated
 from identification.arrays import Array
 from identification.document import Sheet
-from identification.estimation import estimate
 from tests.doe.spatial import (
     LARGE_MODEL,
     SMALL,
     SpatialModel,
     difference_information,
     difference_jacobian,
-    measured,
     random_postures,
     spatial,
-    tip_positions,
-    with_values,
 )
 
 RUNS = 8
@@ -132,18 +120,6 @@ def test_ipopt_ends_where_no_joint_gains_anything() -> None:
                 assert abs(slope) < 1e-4
 
 
-def test_fedorov_finds_the_best_of_all_choices() -> None:
-    """Every choice of 5 out of 10 postures, 252 of them, by the oracle."""
-    few = candidates()[:10]
-    blocks = difference_jacobian(SpatialModel(), few) / SpatialModel().parameters.scales
-    each = np.einsum("mdp,mdq->mpq", blocks, blocks) / 5.0
-    best = max(log_det(each[list(chosen)].sum(axis=0)) for chosen in combinations(range(10), 5))
-    design = solve(spatial(choices=few), 5, "fedorov")
-    assert design.value == pytest.approx(best, abs=1e-5)
-    assert design.efficiency is not None
-    assert design.efficiency <= 1.0
-
-
 def test_constraints_in_space() -> None:
     """A box for the tip, a sphere no link may touch, and a user's own; judged by points along the oracle's links."""
     model = SpatialModel()
@@ -202,18 +178,6 @@ def test_relaxation_over_a_list(solver: str) -> None:
         assert log_det(difference_information(model, candidates(), weights)) < found.value
 
 
-@pytest.mark.parametrize("solver", ["clarabel", "column_generation"])
-def test_relaxation_over_a_grid(solver: str) -> None:
-    problem, model = spatial(), SpatialModel()
-    found = relax(problem, 3, solver)
-    assert found.candidates == 3**3  # the first joint plays no part
-    axes = [np.linspace(problem.lower[j], problem.upper[j], 3) for j in (1, 2, 3)]
-    grid = np.stack([np.zeros(27), *(axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))], axis=1)
-    information = difference_information(model, found.plan.postures, found.plan.shares)
-    assert sensitivities(model, information, grid).max() <= 12.0 + 1e-3
-    assert found.efficiency_lower_bound > 0.9999
-
-
 def test_continuous_optimum_and_bound() -> None:
     model, found = SpatialModel(), continuous()
     information = difference_information(model, found.plan.postures, found.plan.shares)
@@ -224,13 +188,6 @@ def test_continuous_optimum_and_bound() -> None:
     assert not found.bound.rigorous  # a prismatic joint's positions are no trigonometric polynomial of its angle
     assert found.bound.value == pytest.approx(found.value, abs=1e-6)
     assert relax(spatial(), 3).value < found.value
-
-
-def test_the_picture_of_a_certificate() -> None:
-    """A panel for each joint that plays a part, in its unit and over its range."""
-    figure = certificate_figure(spatial(), continuous().plan.postures, samples=64)
-    assert [axes.get_xlabel() for axes in figure.axes] == ["$q_2$ [deg]", "$q_3$ [mm]", "$q_4$ [deg]"]
-    np.testing.assert_allclose(figure.axes[1].lines[0].get_xdata()[[0, -1]], [0.0, 400.0], atol=1e-9)
 
 
 # -- what to measure, and how often ------------------------------------------------------------------------------------
@@ -270,15 +227,6 @@ def test_a_plan_is_scored_and_compared_as_the_oracle_does() -> None:
     assert row["efficiency"] == scored.efficiency
 
 
-def test_solvers_compared_in_processes_of_their_own() -> None:
-    problem = spatial(choices=candidates()[:10])
-    rows = compare(Comparison((), [5], ["fedorov"], repeats=2, seconds=30.0, problems={"spatial": problem}))
-    best = solve(problem, 5, "fedorov").value
-    assert rows["arm"].to_list() == ["spatial"] * 2
-    assert rows["correct"].to_list() == [True] * 2
-    np.testing.assert_allclose(rows["value"].to_numpy(), best)
-
-
 def test_postures_in_the_units_of_their_joints() -> None:
     design = score_plan(spatial(choices=candidates()), candidates()[:5])
     data = design.to_json()
@@ -316,151 +264,6 @@ def test_kept_postures_count() -> None:
     assert design.value == pytest.approx(log_det(difference_information(model, together)), abs=1e-5)
     beside = [np.vstack([random_postures(model, 5, seed), kept]) for seed in range(50)]
     assert design.value > max(log_det(difference_information(model, plan)) for plan in beside)
-
-
-# -- identification --------------------------------------------------------------------------------------------------
-def truth(model: SpatialModel, seed: int) -> Array:
-    """(p,) errors of about a millimetre and a third of a degree."""
-    return deviated_draws(model, 1, np.random.default_rng(seed), 1.0, np.radians(0.3), 200.0)[0]
-
-
-@pytest.mark.parametrize("model", [SpatialModel(), LARGE_MODEL], ids=["p = 12", "p = 30"])
-def test_the_measured_plan_gives_the_true_parameters(model: SpatialModel) -> None:
-    """Without noise to rounding; with it inside the errors that the oracle's covariance predicts."""
-    postures, true = random_postures(model, 40, 6), truth(model, 7)
-    exact = estimate(model, measured(model, true, postures, 0.0, 1), sigma=0.1)  # type: ignore[arg-type]
-    assert exact.status.succeeded
-    np.testing.assert_allclose(exact.parameters * model.scales, true * model.scales, atol=1e-6)  # mm at the tip
-    noisy = estimate(model, measured(model, true, postures, 0.1, 1), sigma="given")  # type: ignore[arg-type]
-    jacobian = difference_jacobian(model, postures, true).reshape(120, -1)
-    covariance = 0.1**2 * np.linalg.inv(jacobian.T @ jacobian)
-    size = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-    np.testing.assert_allclose(noisy.covariance / size, covariance / size, atol=0.01)  # that at the estimate
-    error = noisy.parameters - true
-    # chi2 of p degrees of freedom: fails 5 standard deviations sqrt(2 p) above its mean p
-    assert error @ np.linalg.solve(covariance, error) < len(true) + 5.0 * np.sqrt(2.0 * len(true))
-    assert noisy.dof == 120 - len(true)
-    assert noisy.residuals_after.shape == (40, 3)
-    assert noisy.rms_after < 0.1 * np.sqrt(3.0) * 1.3 < noisy.rms_before
-
-
-def test_what_is_not_estimable_in_space_is_named() -> None:
-    """A first joint that never moves: where its frame and its encoder are off, the second joint's frame is off."""
-    model = replace(SpatialModel(), names=(*SMALL, "rotation_z:1", "rotation_x:1", "encoder_cos:1", "encoder_sin:1"))
-    still = random_postures(model, 40, 2)
-    still[:, 0] = 0.4
-    found = estimate(model, measured(model, np.zeros(16), still, 0.1, 3))  # type: ignore[arg-type]
-    columns = difference_jacobian(model, still).reshape(120, 16) / model.scales
-    assert len(found.not_identifiable) == 16 - np.linalg.matrix_rank(columns, tol=1e-5) == 4
-    named = " ".join(found.not_identifiable)
-    assert all(name in named for name in ("rotation_z:1", "rotation_x:1", "encoder_cos:1", "encoder_sin:1"))
-    null = np.linalg.svd(columns)[2][12:]
-    lost = np.abs(null).max(axis=0) > 1e-3
-    np.testing.assert_array_equal(found.identifiable, ~lost)
-
-
-# -- an arm that is not known well, effects that may be missing --------------------------------------------------------
-@pytest.mark.parametrize("kind", ["average", "worst"])
-def test_designs_over_a_prior(kind: str) -> None:
-    model = SpatialModel()
-    draws = deviated_draws(model, 3, np.random.default_rng(1), 20.0, np.radians(5.0), 200.0)
-    design = solve(ensemble_problem(spatial(choices=candidates()), draws, kind), 6, "fedorov")
-    each = [log_det(difference_information(with_values(model, draw), design.plan.postures)) for draw in draws]
-    assert design.log_det == pytest.approx(sum(each), abs=1e-4)
-    assert design.value == pytest.approx(sum(each) if kind == "average" else min(each), abs=1e-4)
-    assert design.efficiency is not None
-    assert design.efficiency <= 1.0
-    nominal = solve(spatial(choices=candidates()), 6, "fedorov").plan.postures
-    others = [log_det(difference_information(with_values(model, draw), nominal)) for draw in draws]
-    assert design.value >= (sum(others) if kind == "average" else min(others)) - 1e-4
-    assert design.deviations_per_draw is not None
-    assert len(design.deviations_per_draw) == 3
-
-
-EFFECTS = (("encoder_cos:2", "encoder_sin:2"), ("encoder_cos:4", "encoder_sin:4"), ("scale:3",))
-
-
-def spatial_effects() -> EffectLibrary:
-    """Eccentric encoders of joints 2 and 4, and a wrong scale of the prismatic joint."""
-    model = replace(SpatialModel(), names=(*SMALL, *(name for effect in EFFECTS for name in effect)))
-    bases = [np.eye(5)[:, columns] for columns in ([0, 1], [2, 3], [4])]
-    return EffectLibrary(12, model, tuple(bases), np.ones(3))
-
-
-def test_a_plan_that_tells_missing_effects_apart() -> None:
-    problem, library = spatial(), spatial_effects()
-    found = discrimination_design(problem, library, 12, starts=2, seconds=20.0)
-    assert found.relative_efficiency >= 0.95 - 1e-9
-    assert found.wrong < found.best_wrong
-    assert found.sees is None
-    q = found.design.plan.postures
-    assert np.all((q >= problem.lower) & (q <= problem.upper))
-    lost = log_det(difference_information(problem.model, found.best.plan.postures)) - log_det(
-        difference_information(problem.model, q)
-    )
-    assert lost <= -12.0 * np.log(0.95) + 1e-4
-    cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
-    assert found.wrong == pytest.approx(wrong_names(library.shown_by_postures, q, cloud), rel=1e-4)
-
-
-def wrong_names(model: SpatialModel, postures: Array, reference: Array) -> float:
-    """Mean probability of a wrong name for effects of length 8 on the reference, by projections of the columns.
-
-    An effect with two parameters is as likely to be one of them, their sum or their difference.
-    """
-    here, there = (scaled_columns(model, plan) for plan in (postures, reference))
-    effects = [np.eye(5)[:, columns] for columns in ([0, 1], [2, 3], [4])]
-    total = 0.0
-    for number, effect in enumerate(effects):
-        one, two = effect[:, 0], effect[:, -1]
-        directions = [one] if effect.shape[1] == 1 else [one, two, one + two, one - two]
-        for direction in directions:
-            column, base = here[:, 12:] @ direction, here[:, :12]
-            size = 8.0 / distance(there[:, 12:] @ direction, there[:, :12])
-            rivals = [np.hstack([base, here[:, 12:] @ rival]) for k, rival in enumerate(effects) if k != number]
-            lengths = [size * distance(column, explained) for explained in (base, *rivals)]
-            total += sum(norm.cdf(-0.5 * length) for length in lengths) / len(directions) / len(effects)
-    return float(total)
-
-
-def scaled_columns(model: SpatialModel, postures: Array) -> Array:
-    """(3 m, p) columns per run: divided by sqrt(m)."""
-    return (difference_jacobian(model, postures) / model.parameters.scales).reshape(3 * len(postures), -1) / np.sqrt(
-        len(postures)
-    )
-
-
-def distance(column: Array, others: Array) -> float:
-    """Length of what least squares on the other columns leaves of a column."""
-    return float(np.linalg.norm(column - others @ np.linalg.lstsq(others, column, rcond=None)[0]))
-
-
-def test_the_postures_that_settle_between_two_models() -> None:
-    """Two rivals of which each knows its parameters to 1 mm or so: of all pairs of 12 postures the most telling one.
-
-    lambda^2 = delta^T (I + J J^T)^-1 delta by a direct solve; the greedy choice with exchange may stop at a pair that
-    no single exchange improves.
-    """
-    model, pool = SpatialModel(), candidates()[:12]
-    other = with_values(model, deviated_draws(model, 1, np.random.default_rng(2), 1.0, np.radians(0.2), 200.0)[0])
-    sigma = 0.1
-    positions = np.array([tip_positions(m, pool) / sigma for m in (model, other)])
-    known = np.diag(1.0 / model.parameters.scales)
-    jacobians = [difference_jacobian(m, pool) @ known / sigma for m in (model, other)]
-    rivals = RivalPredictions(np.array([0.5, 0.5]), np.zeros((2, 2)), positions, jacobians)
-
-    def settled(rows: tuple[int, ...], rival: int) -> float:
-        delta = (positions[0] - positions[1])[list(rows)].ravel()
-        jacobian = jacobians[rival][list(rows)].reshape(-1, 12)
-        return float(delta @ np.linalg.solve(np.eye(delta.size) + jacobian @ jacobian.T, delta))
-
-    def merit(rows: tuple[int, ...]) -> float:
-        return settled(rows, 0) + settled(rows, 1)
-
-    chosen = tuple(t_optimal(rivals, 2))
-    neighbors = [(row, chosen[1]) for row in range(12)] + [(chosen[0], row) for row in range(12)]
-    assert merit(chosen) >= 0.98 * max(merit(rows) for rows in neighbors)
-    assert merit(chosen) > np.median([merit(rows) for rows in combinations(range(12), 2)])
 
 
 # -- thirty parameters -------------------------------------------------------------------------------------------------

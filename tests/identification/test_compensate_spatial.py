@@ -33,7 +33,7 @@ def arm(slide: bool) -> Arm:
     rows = [DHRow(a, alpha, d, limits=(-2.5, 2.5)) for a, alpha, d in [*SIX, (0.0, 0.0, 80.0)]]
     chain = chain_of([SLIDE, *rows] if slide else rows)
     calibration = Calibration(VALUES, base=BASE, tools={"1": TOOL})
-    return Arm.of_chain(replace(chain, base=BASE, tools={"1": TOOL}), calibration=calibration)
+    return Arm(replace(chain, base=BASE, tools={"1": TOOL}), calibration=calibration)
 
 
 def tip(chain: SpatialChain, q: Array, values: dict[str, float]) -> Array:

@@ -39,7 +39,7 @@ def arm_of(kind: str, **changes: object) -> Arm:
     known = frozenset({TOOL})
     chain = replace(CHAIN, instrument=instrument, base=base, tools={"1": REFLECTOR}, known=known)
     joints = tuple(replace(joint, lower=-2.0, upper=2.0) for joint in chain.joints)
-    return Arm.of_chain(replace(chain, joints=joints), sigma=0.01, **changes)
+    return Arm(replace(chain, joints=joints), sigma=0.01, **changes)
 
 
 @pytest.fixture
@@ -125,7 +125,7 @@ def test_a_calibration_says_the_radius() -> None:
 
 SHORT = chain_of([DHRow(0.0, np.pi / 2, 200.0), DHRow(-300.0, 0.0, 0.0), DHRow(-250.0, 0.1, 40.0)])
 TOOLS = {"a": np.array([50.0, 0.0, 20.0]), "b": np.array([-40.0, 30.0, 10.0])}
-MODEL = Model(Arm.of_chain(replace(SHORT, tools=TOOLS), sigma=0.05))
+MODEL = Model(Arm(replace(SHORT, tools=TOOLS), sigma=0.05))
 POSTURES = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 3))
 
 
@@ -142,7 +142,7 @@ def test_the_points_are_stacked_in_numbers_and_in_symbols() -> None:
 
 def test_an_ensemble_has_a_block_for_each_draw() -> None:
     draws = 1e-3 * np.random.default_rng(1).standard_normal((2, len(MODEL.names)))
-    one = Model(Arm.of_chain(replace(SHORT, tools={"a": TOOLS["a"]}), sigma=0.05))
+    one = Model(Arm(replace(SHORT, tools={"a": TOOLS["a"]}), sigma=0.05))
     draws = draws[:, : len(one.names)]
     problem = DesignProblem(EnsembleModel(one, draws), np.full(3, -2.0), np.full(3, 2.0))
     jacobian, p = problem.scaled_jacobians(POSTURES), len(one.names)

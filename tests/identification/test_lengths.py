@@ -42,7 +42,7 @@ STEP = 1e-5  # [mm, rad] of central differences of some 1e3 mm: rounding 1e3 * 1
 
 
 def bar(**changes: object) -> Arm:
-    return Arm.of_chain(replace(CHAIN, instrument=BAR, base=BASE), sigma=0.01, **changes)
+    return Arm(replace(CHAIN, instrument=BAR, base=BASE), sigma=0.01, **changes)
 
 
 def length(instrument: Instrument, point: Array) -> float:
@@ -54,7 +54,7 @@ def length(instrument: Instrument, point: Array) -> float:
 def test_jacobian(kind: str, effect: bool) -> None:
     """Against differences of products of exponentials; with an effect the model is put together in another way."""
     instrument, chain = KINDS[kind](), replace(CHAIN, base=BASE)
-    arm = Arm.of_chain(replace(chain, instrument=instrument))
+    arm = Arm(replace(chain, instrument=instrument))
     model = Model(arm.with_effects(EffectSpec("encoder_eccentricity", 2)) if effect else arm)
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 6))
     read, jacobian = model.linearize(q)
@@ -81,7 +81,7 @@ def test_distances_of_two_links_in_the_plane_show_5() -> None:
     """d^2 = l1^2 + l2^2 + c^2 + 2 l1 l2 cos(q2 + e2) - 2 c l1 cos(q1 + e1 - g) - 2 c l2 cos(q1 + q2 + e1 + e2 - g) with
     the center at c exp(i g): lengths l1 and l2, c, the offset e2, and e1 - g alone, for a turn of all shows nothing."""
     chain = chain_of([DHRow(300.0, 0.0, 0.0), DHRow(200.0, 0.0, 0.0)])
-    model = Model(Arm.of_chain(replace(chain, instrument=BAR, base=pose([-350.0, 120.0, 0.0]))))
+    model = Model(Arm(replace(chain, instrument=BAR, base=pose([-350.0, 120.0, 0.0]))))
     wanted = ("base.x", "base.y", "tool[1].x", "tool[1].y", "joint_offset:2", "translation_x:2", "translation_y:2")
     columns = [model.names.index(name) for name in wanted]
     q = np.random.default_rng(0).uniform(-3.0, 3.0, (50, 2))
@@ -142,7 +142,7 @@ def test_a_bar_in_two_sockets() -> None:
     number = np.arange(240) // 80
     places = truth.base[:3, 3] + centers[number] @ truth.base[:3, :3].T
     read = np.linalg.norm(truth.poses(q)[:, :3, 3] - places, axis=1) + 0.01 * generator.standard_normal(240)
-    arm = Arm.of_chain(replace(drawing(), instrument=BAR), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=BAR), sigma=0.01)
     session, first = np.array(["a", "b", "c"])[number], number < 2
     found = fit(arm, q[first], read[first], session[first])
     assert found.status is Status.converged
@@ -163,7 +163,7 @@ def test_contacts_with_a_sphere() -> None:
     generator = np.random.default_rng(5)
     truth, radius = Exponentials(generator), 30.0
     q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), radius), 120, generator)
-    arm = Arm.of_chain(replace(drawing(), instrument=Sphere(radius)), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=Sphere(radius)), sigma=0.01)
     found = fit(arm, q, radius + 0.01 * generator.standard_normal(120))
     assert found.status is Status.converged
     assert found.rms_after < 0.012 < 0.5 < found.rms_before
@@ -178,7 +178,7 @@ RADIUS = "sphere.radius"
 def test_heights_above_a_sphere_of_unknown_radius(effect: bool) -> None:
     """And their derivatives, against differences of |p| - r with p by products of exponentials."""
     chain = replace(CHAIN, base=BASE)
-    arm = Arm.of_chain(replace(chain, instrument=BALL))
+    arm = Arm(replace(chain, instrument=BALL))
     model = Model(arm.with_effects(EffectSpec("encoder_eccentricity", 2)) if effect else arm)
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 6))
     values = model.parameters.vector({RADIUS: 30.0})
@@ -203,7 +203,7 @@ def test_what_contacts_with_a_sphere_of_unknown_radius_show() -> None:
     generator = np.random.default_rng(5)
     truth = Exponentials(generator, np.eye(4))
     q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 120, generator)
-    arm = Arm.of_chain(replace(drawing(), instrument=BALL), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=BALL), sigma=0.01)
     found = estimate(Model(arm), Measurements(q, np.zeros((120, 1))))
     # the postures touch to 1e-8 mm of 1e3 mm, and so does the fit
     jacobian, scales = found.model.jacobian(q, found.parameters), found.model.scales
@@ -219,7 +219,7 @@ def test_a_sphere_of_unknown_radius(radius: float, noise: float) -> None:
     generator = np.random.default_rng(5)
     truth = Exponentials(generator)
     q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), radius), 120, generator)
-    arm = Arm.of_chain(replace(drawing(), instrument=BALL), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=BALL), sigma=0.01)
     found = fit(arm, q, noise * generator.standard_normal(120))
     assert found.status in (Status.converged, Status.almost_solved)
     assert found.rms_after < 1.2 * noise < 0.5 < found.rms_before
@@ -238,7 +238,7 @@ def test_contacts_with_planes() -> None:
     for normal, height in (((0.1, 0.05, 1.0), 200.0), ((1.0, 0.02, -0.03), 500.0), ((0.0, 1.0, 0.0), 400.0)):
         qs.append(touching(truth, plane(np.array(normal), height), 60, generator))
     q, session = np.concatenate(qs), np.repeat(["floor", "wall", "side"], 60)
-    arm = Arm.of_chain(replace(drawing(), instrument=Plane()), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=Plane()), sigma=0.01)
     found = fit(arm, q, 0.01 * generator.standard_normal(180), session)
     assert found.status is Status.converged
     assert found.rms_after < 0.012 < 0.5 < found.rms_before
@@ -250,7 +250,7 @@ def test_contacts_with_planes() -> None:
 
 
 def test_no_plan_says_where_a_surface_is_touched() -> None:
-    arm = Arm.of_chain(replace(CHAIN, instrument=Plane()), sigma=0.01)
+    arm = Arm(replace(CHAIN, instrument=Plane()), sigma=0.01)
     with pytest.raises(InputError, match="kind plane: at which postures"):
         simulate(arm, np.zeros((3, 6)), np.random.default_rng(0))
 
@@ -269,7 +269,7 @@ def test_a_minimal_set_of_contacts_is_what_the_largest_surface_shows(kind: str, 
     other = plane(np.array([1.0, 0.0, 0.0]), 500.0) if kind == "plane" else sphere(-center, 30.0)
     q = np.concatenate([touching(truth, other, 30, generator), touching(truth, surface, 80, generator)])
     length = 30.0 if kind == "sphere" else 0.0
-    arm = Arm.of_chain(replace(drawing(), instrument=Sphere(length) if length else Plane()), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=Sphere(length) if length else Plane()), sigma=0.01)
     data = Measurements(q, np.full((110, 1), length), session=np.repeat(["a", "b"], [30, 80]))
     assert len(minimal_of(Model(arm), data, PRACTICAL).names) == count
 
@@ -280,7 +280,7 @@ def test_an_effect_is_named_by_contacts_alone() -> None:
     truth = Exponentials(generator)
     q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 150, generator)
     q[:, 2] += 8e-4 * np.cos(q[:, 2]) + 3e-4 * np.sin(q[:, 2])
-    arm = Arm.of_chain(replace(drawing(), instrument=Sphere(30.0)), sigma=0.01)
+    arm = Arm(replace(drawing(), instrument=Sphere(30.0)), sigma=0.01)
     found = diagnose(arm, Measurements(q, 30.0 + 0.01 * generator.standard_normal((150, 1))))
     assert found.named.effects == ("encoder_eccentricity:3",)
 
@@ -289,7 +289,7 @@ def test_lengths_are_no_positions() -> None:
     """Of an arm that is measured by positions, and the reverse."""
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 6))
     with pytest.raises(InputError, match="positions of 1 coordinates, allowed: 3 as the model has"):
-        estimate(Model(Arm.of_chain(CHAIN)), Measurements(q, np.ones((60, 1))))
+        estimate(Model(Arm(CHAIN)), Measurements(q, np.ones((60, 1))))
     with pytest.raises(InputError, match="positions of 3 coordinates, allowed: 1 as the model has"):
         estimate(Model(bar()), Measurements(q, np.ones((60, 3))))
     with pytest.raises(InputError, match="positions of 1 coordinates, allowed: 2 as the model has"):

@@ -26,7 +26,7 @@ from tests.identification.exponentials import TABLE, Exponentials, drawing
 
 SIGMA, SIGMA_DEG = 0.05, 0.01
 SCALE = SIGMA / np.radians(SIGMA_DEG)
-SIX = Arm.of_chain(replace(drawing(), angle_scale=SCALE), sigma=SIGMA)
+SIX = Arm(replace(drawing(), angle_scale=SCALE), sigma=SIGMA)
 HIDDEN = {"base.x": 1500.0, "base.rx": 0.3, "base.rz": 2.0, "tool[1].x": 40.0, "tool[1].z": 50.0, "tool[1].ry": 0.7}
 
 
@@ -118,8 +118,8 @@ def test_a_planar_arm_with_its_angle() -> None:
     turns = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0]).as_matrix()
     data = Measurements(q, np.column_stack([points.real, points.imag, np.zeros(25)]), orientations=turns)
     kept = {f"joint_offset:{j}" for j in (1, 2, 3)} | {f"translation_x:{j}" for j in (2, 3)}
-    every = Model(Arm.of_chain(chain, sigma=SIGMA)).names
-    arm = Arm.of_chain(replace(chain, fixed=frozenset(every) - kept), sigma=SIGMA)
+    every = Model(Arm(chain, sigma=SIGMA)).names
+    arm = Arm(replace(chain, fixed=frozenset(every) - kept), sigma=SIGMA)
     found = estimate(Model(arm), data)
 
     x = np.zeros(5)  # dl_1, dl_2, three offsets: Gauss-Newton, converged after three steps

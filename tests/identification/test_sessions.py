@@ -156,7 +156,7 @@ def test_sessions_of_a_spatial_arm(poses: bool) -> None:
     stand to one another as they were put. Without noise all of it is exact but for the prior's pull."""
     parts = {"a": in_space(0, "top", poses), "b": in_space(1, "top", poses), "c": in_space(2, "side", poses)}
     data = pooled_sessions(parts)
-    arm = Arm.of_chain(replace(CHAIN, angle_scale=300.0 if poses else None), sigma=1e-4)
+    arm = Arm(replace(CHAIN, angle_scale=300.0 if poses else None), sigma=1e-4)
     assert data_warnings(data, arm) == []
     model = placed_model(Model(with_sessions(arm, data)), data)
     found = estimate(minimal(model), data)

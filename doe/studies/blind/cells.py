@@ -25,6 +25,8 @@ from doe.studies.blind.simulator import (
 )
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.spatial import planar_chain
 from identification.measurements import Measurements
 
 
@@ -187,14 +189,12 @@ def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     gravity = Gravity(down, masses, np.full(truth.n, truth.center), payload)
     effects = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled)
     if truth.dimension == 2:
-        return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=effects)
-    from identification.kinematics.denavit_hartenberg import DHRow, chain_of  # CasADi, which simulates nothing
-
+        return Arm(planar_chain(truth.lengths), truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=effects)
     limits = zip(truth.lower.tolist(), truth.upper.tolist(), strict=True)
     rows = [DHRow(a, alpha, d, limits=pair) for (a, alpha, d), pair in zip(truth.table.tolist(), limits, strict=True)]
     chain = replace(chain_of(rows), tools={str(k + 1): np.zeros(3) for k in range(len(truth.tools))})
     effects += (EffectSpec("tool_mass"),) if spec.wrong == "tool" else ()
-    return Arm.of_chain(chain, sigma=truth.sigma, gravity=gravity, effects=effects)
+    return Arm(chain, sigma=truth.sigma, gravity=gravity, effects=effects)
 
 
 def to_be_planned(cell: str, seed: int) -> tuple[Arm, int] | None:

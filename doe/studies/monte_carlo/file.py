@@ -122,7 +122,7 @@ def _values(place: str, entries: Mapping[str, float], arms: Sequence[Arm]) -> di
     """Errors of a spatial arm's geometry, from file to API units, which every arm must have in common."""
     converted: list[dict[str, float]] = []
     for arm in arms:
-        if arm.chain is None:
+        if arm.chain.planar:
             raise InputError(f"{place}: arm {arm.name} is planar, allowed: spatial arms")
         factors = {p.name: p.to_file for p in arm.chain.parameters()}
         for name in entries:

@@ -27,8 +27,7 @@ from identification.files.arm import arm_from_tables
 from identification.for_design import without_prior
 from identification.information import covariance, covariances
 from identification.kinematics.counting import in_columns, in_joints
-from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
-from identification.kinematics.planar import orientation_transform
+from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, orientation_transform
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
@@ -61,7 +60,7 @@ def rows_of(truth: Model, postures: Array, remembers: bool = False) -> tuple[Arr
     conditions = sessions(rows, remembers or truth.remembers)
     if count > 1:
         conditions = replace(conditions, marker=np.broadcast_to(np.arange(rows.shape[-2]) % count, rows.shape[:-1]))
-    if truth.arm.chain is None or truth.arm.chain.angle_scale is None:
+    if truth.arm.chain.angle_scale is None:
         return rows, conditions
     return rows, replace(conditions, orientation=truth.orientations(rows, conditions))
 
@@ -70,7 +69,7 @@ def plan_of(truth: Model, postures: Array) -> Measurements:
     """A plan (m, n) as measurements without positions: rows of `rows_of`."""
     rows, conditions = rows_of(truth, postures)
     chain, named = truth.arm.chain, {}
-    if chain is not None and conditions.marker is not None:
+    if conditions.marker is not None:
         names = tuple(chain.tools)
         named = {"marker": np.array(names)[conditions.marker], "marker_names": names}
     return Measurements(rows, np.zeros((len(rows), truth.dimension)), orientations=conditions.orientation, **named)
@@ -80,7 +79,7 @@ def true_values(model: Model, truth: Model) -> Array:
     """(p,) values of the fitted parameters that are true: those of the truth, zero for those that it does not have;
     of a spatial arm's geometry those that mean the same."""
     values = model.parameters.mapping(model.parameters.vector(truth.best_known))
-    if model.arm.chain is not None:
+    if not model.arm.chain.planar:
         drawn, real = (Model(replace(each.arm, effects=())) for each in (model, truth))
         postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (POSTURES, model.joints))
         plan = plan_of(real, postures)
@@ -111,7 +110,7 @@ def prepared(arm: str, truth: str) -> tuple[Model, Model, Array, Array]:
     fitted, simulated = (arm_from_tables(tomllib.loads(text)) for text in (arm, truth))
     model, true_model = Model(without_prior(fitted)), Model(simulated)
     transform = np.eye(len(model.names))
-    if model.arm.chain is None:
+    if model.arm.chain.planar:
         transform = np.vstack([transform, orientation_transform(model.parameters)])
     return model, true_model, true_values(model, true_model), transform
 

@@ -25,12 +25,12 @@ MOST_TASKS = 100_000  # of a cell: each is a row of a table
 
 def simulated(arm: Arm) -> Arm:
     """The arm with its measured points in place; a planar arm as it is."""
-    return arm if arm.chain is None else replace(arm, chain=with_points(arm.chain))
+    return arm if arm.chain.planar else replace(arm, chain=with_points(arm.chain))
 
 
 def points(model: Model) -> int:
     """Number of measured points, each a row at every posture."""
-    return 1 if model.arm.chain is None else len(model.arm.chain.tools)
+    return len(model.arm.chain.tools)
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Truth:
     def of(self, arm: Arm) -> Arm:
         """The true arm. Raises `InputError` for errors that the arm does not have, and if they are not one for each
         link."""
-        calibration = self._planar(arm) if arm.chain is None else self._spatial(arm)
+        calibration = self._planar(arm) if arm.chain.planar else self._spatial(arm)
         if self.effects is None:
             effects = {} if arm.calibration is None else arm.calibration.effects
             return replace(arm, calibration=replace(calibration, values={**calibration.values, **effects}))
@@ -74,7 +74,7 @@ class Truth:
         before = {} if arm.calibration is None else arm.calibration.values
         geometry = {name: value for name, value in before.items() if GEOMETRY.fullmatch(name)}
         values = geometry if self.values is None else self.values
-        allowed = arm.chain.parameters().names if arm.chain is not None else ()
+        allowed = arm.chain.parameters().names if not arm.chain.planar else ()
         for name in values:
             if name not in allowed:
                 raise InputError(f"values: unknown parameter {name!r}, {nearest(name, allowed)}")

@@ -103,7 +103,7 @@ def dft_postures(links: int, runs: int) -> Array:
 
 def _dft(arm: Arm, runs: int) -> Array | str:
     """The plan, or why there is none."""
-    if arm.chain is not None:
+    if not arm.chain.planar:
         return f"plan dft: arm {arm.name} is spatial, allowed: planar arms"
     if runs < arm.links:
         return f"plan dft: {runs} runs are too few for {arm.links} links, allowed: at least {arm.links}"

@@ -30,6 +30,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation import estimate_batch, estimate_each
 from identification.information import information_matrix
+from identification.kinematics.spatial import planar_chain
 from identification.model import Model
 
 PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text())  # what it prints
@@ -47,8 +48,8 @@ ALERT = 4.5  # standard errors between simulation and theory; 100 rows from one 
 def paper_arm(links: int = 4, limited: bool = False) -> Arm:
     """The first links of the paper's arm; `limited`: within the joint limits of doe/README.md, "Planar theorem"."""
     lower, upper = (np.radians(PAPER["joint_limits_deg"][side][:links]) for side in ("lower", "upper"))
-    arm = Arm(np.array(LENGTHS[:links]), sigma=SIGMA, name=f"{links} links")
-    return Arm(arm.lengths, lower, upper, SIGMA, LIMITED) if limited else arm
+    arm = Arm(planar_chain(LENGTHS[:links]), sigma=SIGMA, name=f"{links} links")
+    return Arm(arm.chain, lower, upper, SIGMA, LIMITED) if limited else arm
 
 
 def paper_truth(links: int = 4) -> Truth:

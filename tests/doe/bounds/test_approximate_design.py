@@ -68,14 +68,6 @@ def test_contract_keys() -> None:
     assert data["bound"].keys() >= {"value", "source"}
 
 
-def test_prints_what_matters() -> None:
-    text = str(judged(FACTORIAL))
-    assert "125 candidates" in text
-    assert "gap" in text
-    assert "<table" in judged(FACTORIAL)._repr_html_()
-    assert "none" in str(judged(FACTORIAL, Status.almost_solved))
-
-
 def test_where_time_ended_the_search_the_bound_holds_and_says_so() -> None:
     cut, whole = judged(FACTORIAL, Status.time_limit).bound, judged(FACTORIAL, Status.converged).bound
     assert cut is not None

@@ -211,13 +211,6 @@ def test_other_criteria_have_no_better_neighbor(name: str) -> None:
         assert float(criterion.value(other)) <= design.bound.value + 1e-9
 
 
-def test_identical_seeds_identical_plans() -> None:
-    case = problem(Arm(FOUR.lengths[:3], FOUR.lower[:3], FOUR.upper[:3]), ECCENTRICITY)
-    first, second = (continuous_design(case, tolerance=1e-7, proof=0.0) for _ in range(2))
-    assert np.array_equal(first.plan.postures, second.plan.postures)
-    assert np.array_equal(first.plan.shares, second.plan.shares)
-
-
 def test_not_identifiable() -> None:
     with pytest.raises(JobError, match="identified"):
         column_generation(problem(FOUR), PostureList(np.zeros((3, 4))))

@@ -214,11 +214,6 @@ def test_repeats_of_a_whole_plan_are_those_of_its_postures(kept: int) -> None:
     assert answers == {True, False}
 
 
-def test_same_seed_same_plan() -> None:
-    one, two = (designed([-180] * 4, [180] * 4, 12, seed=3) for _ in range(2))
-    np.testing.assert_array_equal(one.design.plan.postures, two.design.plan.postures)
-
-
 def test_bad_loss() -> None:
     with pytest.raises(InputError, match="loss"):
         designed([-180] * 4, [180] * 4, 12, loss=1.0)

@@ -28,7 +28,7 @@ LOSS, RUNS = 0.1, 9
 def spatial(points: int) -> Arm:
     chain = replace(chain_of(ROWS), tools=dict(list(TOOLS.items())[:points]))
     limits = {"lower": np.radians([-170.0, -100.0, -120.0]), "upper": np.radians([170.0, 100.0, 120.0])}
-    return Arm.of_chain(chain, sigma=0.05, gravity=GRAVITY, **limits)
+    return Arm(chain, sigma=0.05, gravity=GRAVITY, **limits)
 
 
 def columns(model: Model, postures: Array, points: int) -> Array:
@@ -73,7 +73,7 @@ def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
 
 def test_a_slide_is_moved_off_its_limits_and_never_goes_round() -> None:
     rows = [*ROWS[:2], DHRow(0.0, 0.0, 100.0, 0.0, "prismatic", (0.0, 500.0))]
-    arm = Arm.of_chain(replace(chain_of(rows), tools={"a": TOOLS["a"]}), sigma=0.05)
+    arm = Arm(replace(chain_of(rows), tools={"a": TOOLS["a"]}), sigma=0.05)
     problem = DesignProblem.of(Model(arm))
     assert turning(problem).tolist() == [True, True, False]
     corners = np.column_stack([np.zeros((12, 2)), np.tile([0.0, 500.0], 6)])

@@ -27,9 +27,9 @@ def test_rivals_are_told_apart_where_they_differ() -> None:
     generator = np.random.default_rng(2)
     postures = generator.uniform(-0.8, 0.8, (16, 3))
     real = postures + np.eye(3)[1] * 2e-3 * np.cos(postures[:, 1:2] - 1.2)
-    exact = Model(Arm.of_chain(STANDS)).position(real)
+    exact = Model(Arm(STANDS)).position(real)
     data = Measurements(postures, exact + SIGMA * generator.standard_normal((16, 3)))
-    found = diagnose(Arm.of_chain(CHAIN, sigma=SIGMA), data)
+    found = diagnose(Arm(CHAIN, sigma=SIGMA), data)
     assert found.verdict == "ambiguous"
     chosen = discriminate(found.arm, found, data, 4, seed=0)
     rivals = [Model(found.extended_arm(candidate)) for candidate in found.candidates]

@@ -170,7 +170,7 @@ def test_the_best_of_all_plans_of_several_points() -> None:
     for angle_scale, each in ((None, 3), (200.0, 6)):
         chain = replace(chain_of(rows), tools=tools, angle_scale=angle_scale)
         choices = generator.uniform(-2.0, 2.0, (8, 3))
-        problem = DesignProblem.of(Model(Arm.of_chain(chain, sigma=0.05)), choices=choices)
+        problem = DesignProblem.of(Model(Arm(chain, sigma=0.05)), choices=choices)
         case = robust_problem(problem, missing_effects(problem, ["encoder_eccentricity", "gear_ratio"]))
         model = case.model.model  # type: ignore[attr-defined]
         assert case.model.dimension == 2 * each

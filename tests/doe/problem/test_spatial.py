@@ -75,7 +75,7 @@ def test_points_that_are_not_known_lie_beside_the_last_axis() -> None:
 
 def test_every_point_is_measured_at_every_posture() -> None:
     tools = {"1": REFLECTOR, "2": np.array([-50.0, 20.0, 80.0])}
-    arm = Arm.of_chain(replace(CHAIN, tools=tools), sigma=0.05)
+    arm = Arm(replace(CHAIN, tools=tools), sigma=0.05)
     problem = six_axis(arm)
     assert isinstance(problem.model, ArmModel)
     assert problem.model.dimension == 6
@@ -100,7 +100,7 @@ def test_uncertain_arms_keep_their_prior() -> None:
 
 def bar(**changes: Any) -> Arm:
     chain = replace(CHAIN, instrument=Distance(), **changes)
-    return Arm.of_chain(chain, sigma=0.01, lower=np.full(6, -2.0), upper=np.full(6, 2.0))
+    return Arm(chain, sigma=0.01, lower=np.full(6, -2.0), upper=np.full(6, 2.0))
 
 
 def test_distances_have_one_coordinate() -> None:
@@ -154,6 +154,6 @@ def test_an_optimal_plan_of_distances_is_better_than_a_random_one() -> None:
 
 
 def test_contacts_at_an_unknown_place_have_no_plans() -> None:
-    arm = Arm.of_chain(replace(CHAIN, instrument=Sphere(20.0)))
+    arm = Arm(replace(CHAIN, instrument=Sphere(20.0)))
     with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
         DesignProblem.of(Model(arm))

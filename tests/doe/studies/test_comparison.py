@@ -157,7 +157,7 @@ def test_bad_comparisons() -> None:
 def test_solvers_on_a_spatial_arm() -> None:
     """Each on the problem of the stored file, its measured point included; what does not apply says so."""
     chain = chain_of([DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)])
-    arm = Arm.of_chain(replace(chain, tools={"1": np.array([40.0, 30.0, 20.0])}), sigma=0.1, name="elbow")
+    arm = Arm(replace(chain, tools={"1": np.array([40.0, 30.0, 20.0])}), sigma=0.1, name="elbow")
     solvers = ["random", "analytic"]
     found = compare(Comparison([arm], [9], solvers, starts=[1], repeats=1, seconds=5.0))
     rows = {row["solver"]: row for row in found.iter_rows(named=True)}

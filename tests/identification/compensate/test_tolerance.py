@@ -33,7 +33,7 @@ def session(rows: int, seed: int, width: float = 1.2) -> tuple[Array, Array]:
 
 def calibrated() -> tuple[Arm, float]:
     """The arm, and the RMS distance [mm] that its calibration expects of a right position: noise and its own error."""
-    arm = Arm.of_chain(replace(CHAIN, tools={"1": REFLECTOR}, known=frozenset()), sigma=NOISE)
+    arm = Arm(replace(CHAIN, tools={"1": REFLECTOR}, known=frozenset()), sigma=NOISE)
     found = estimate(Model(arm), Measurements(*session(40, 0)))
     assert found.expected_tip is not None
     return replace(found.model.arm, calibration=found.calibration()), float(

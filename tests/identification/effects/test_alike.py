@@ -66,12 +66,6 @@ def test_all_are_estimated_and_known_values_stay() -> None:
     assert fixed.names[6:] == (f"{RIPPLE}:1[k=20].b", f"{RIPPLE}:1[k=29].a", f"{RIPPLE}:1[k=29].b")
 
 
-@pytest.mark.parametrize("twice", [[ripple(1, 20), ripple(1, 20)], [ripple(1, 20, a=1.0), ripple(2, 3), ripple(1, 20)]])
-def test_the_same_setting_twice_is_refused(twice: list[EffectSpec]) -> None:
-    with pytest.raises(InputError, match=r"^effects: transmission_ripple:1\[k=20\] is given 2 times, allowed: once$"):
-        _ = Model(ARM.with_effects(*twice)).names
-
-
 def test_effects_without_settings_are_there_once() -> None:
     for spec in (EffectSpec("base_offset"), EffectSpec("backlash", 2)):
         with pytest.raises(InputError, match=f"^effects: {spec.key} is given 2 times, allowed: once$"):
@@ -98,14 +92,6 @@ def test_files_hold_them_all(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.calibration.covariance, arm.calibration.covariance, rtol=1e-14)
     assert f'"{RIPPLE}:1[k=29].b_deg" = ' in text
     assert f'"{RIPPLE}:2.a_deg" = ' in text
-
-
-def test_files_that_say_the_same_twice_are_refused(tmp_path: Path) -> None:
-    text = "links_mm = [300, 200, 100]\n" + entry(1, 20) + entry(1, 29)
-    assert [spec.values["k"] for spec in load(tmp_path, text).effects] == [20, 29]
-    with pytest.raises(InputError) as error:
-        load(tmp_path, text + entry(1, 20, "a_deg = 0.1\n"))
-    assert str(error.value) == f"{tmp_path / 'arm.toml'}: effects: {RIPPLE}:1[k=20] is given 2 times, allowed: once"
 
 
 def test_only_what_is_not_there_yet_is_added(tmp_path: Path) -> None:

@@ -14,16 +14,16 @@ ARM = Arm([300.0, 200.0])
 
 
 def test_the_joint_from_zero() -> None:
-    assert build(EffectSpec("backlash", 2), 2, ARM.lengths).joint_index == 1
-    assert build(EffectSpec("backlash", 2), 2, ARM.lengths).link_length == 200.0
+    assert build(EffectSpec("backlash", 2), ARM.chain).joint_index == 1
+    assert build(EffectSpec("backlash", 2), ARM.chain).link_length == 200.0
     with pytest.raises(InputError, match="thermal_growth needs a joint, allowed: 1 to 2"):
-        _ = build(EffectSpec("thermal_growth"), 2, ARM.lengths).joint_index
+        _ = build(EffectSpec("thermal_growth"), ARM.chain).joint_index
 
 
 def test_parameters_know_their_joint_and_kind() -> None:
-    a, b = build(EffectSpec("encoder_eccentricity", 2), 2, ARM.lengths).parameters
+    a, b = build(EffectSpec("encoder_eccentricity", 2), ARM.chain).parameters
     assert (a.name, a.kind, a.joint, b.short) == ("encoder_eccentricity:2.a", "effect", 2, "b")
-    assert build(EffectSpec("base_offset"), 2, ARM.lengths).parameters[0].joint is None
+    assert build(EffectSpec("base_offset"), ARM.chain).parameters[0].joint is None
 
 
 def test_effects_act_in_the_order_of_the_chain() -> None:
@@ -31,7 +31,7 @@ def test_effects_act_in_the_order_of_the_chain() -> None:
     q = np.array([0.4, -1.2])
     specs = [EffectSpec("base_offset"), EffectSpec("base_rotation"), EffectSpec("gear_ratio", 2)]
     specs += [EffectSpec("tool_offset"), EffectSpec("axes_skew")]
-    effects = [build(spec, 2, ARM.lengths) for spec in specs]
+    effects = [build(spec, ARM.chain) for spec in specs]
     base, angle, ratio, tool, skew = 3.0 + 4.0j, 0.2, 0.01, 5.0 - 6.0j, 0.001 + 0.002j
     values = [1.0, 2.0, 0.01, 0.02, base.real, base.imag, angle, ratio, tool.real, tool.imag, skew.real, skew.imag]
     first = q[0] + 0.01

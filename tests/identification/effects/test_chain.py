@@ -37,12 +37,14 @@ def test_torques_are_minus_the_gradient_of_the_energy() -> None:
 
 
 def test_loads_beyond_a_link() -> None:
-    np.testing.assert_allclose(number(chain().load_force(beyond=1)), (3.0 + PAYLOAD) * np.array([2.0, -9.0]))
-    np.testing.assert_allclose(number(chain().load_force(beyond=2)), [0.0, 0.0])
-    # the payload alone hangs beyond the middle of the last link's mass: moment about that mass's own place
-    arm = 0.6 * 0.3 * np.array([np.cos(POSTURE.sum()), np.sin(POSTURE.sum())])  # [m] from there to the tip
-    expected = PAYLOAD * (arm[0] * -9.0 - arm[1] * 2.0)
-    np.testing.assert_allclose(number(chain().load_moment(1, 0.4, beyond=1)), [expected], rtol=1e-12)
+    """In the axes of the first link: what hangs on the second, and nothing beyond it."""
+    pull = (3.0 + PAYLOAD) * (2.0 - 9.0j) * np.exp(-1j * POSTURE[0])
+    np.testing.assert_allclose(number(chain().weight(1, 0)), [pull.real, pull.imag, 0.0], atol=1e-13)
+    np.testing.assert_allclose(number(chain().weight(2, 0)), [0.0, 0.0, 0.0])
+    # moment about joint 2 of the link's mass, at 0.4 of it, and the payload at the tip
+    along = np.array([np.cos(POSTURE.sum()), np.sin(POSTURE.sum())])  # of the second link, 0.3 m long
+    lever = 0.3 * (0.4 * 3.0 + PAYLOAD) * along
+    np.testing.assert_allclose(number(chain().moment(1)), [0.0, 0.0, lever[0] * -9.0 - lever[1] * 2.0], atol=1e-13)
 
 
 def test_conditions_stand_where_their_table_has_them() -> None:
@@ -51,7 +53,6 @@ def test_conditions_stand_where_their_table_has_them() -> None:
         number(part).tolist() for part in (made.payload, made.temperature, made.time, made.session, made.directions)
     ]
     assert values == [[PAYLOAD], [1.5], [-0.25], [2.0], [1.0, -1.0]]
-    np.testing.assert_allclose(number(made.orientations), np.cumsum(POSTURE))
 
 
 def test_without_gravity_there_are_no_torques() -> None:

@@ -17,6 +17,7 @@ from identification.errors import InputError
 from identification.estimation.estimate import estimate
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm, with_calibration, with_effects
+from identification.kinematics.spatial import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.simulate import simulate
@@ -135,6 +136,6 @@ def test_bad_files(tmp_path: Path, entry: str, message: str) -> None:
 
 def test_needs_its_table() -> None:
     with pytest.raises(InputError, match="joint_error_curve:1 has no table of values"):
-        build(EffectSpec("joint_error_curve", 1), 2)
+        build(EffectSpec("joint_error_curve", 1), planar_chain(np.ones(2)))
     with pytest.raises(InputError, match="gear_ratio:1 has a table of values"):
-        build(EffectSpec("gear_ratio", 1, curve=CURVE), 2)
+        build(EffectSpec("gear_ratio", 1, curve=CURVE), planar_chain(np.ones(2)))

@@ -24,7 +24,7 @@ from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 OFFSET, C = EffectSpec("length_offset"), "length_offset.c"
 BASE = pose([-700.0, 200.0, -300.0])
-BAR = Arm.of_chain(replace(CHAIN, instrument=Distance(), base=BASE), sigma=0.01)
+BAR = Arm(replace(CHAIN, instrument=Distance(), base=BASE), sigma=0.01)
 Q = np.random.default_rng(0).uniform(-2.0, 2.0, (40, 6))
 
 
@@ -61,7 +61,7 @@ def test_it_is_estimated_and_named() -> None:
     center = truth.base[:3, :3] @ np.array([600.0, -200.0, 300.0]) + truth.base[:3, 3]
     read = np.linalg.norm(truth.poses(q)[:, :3, 3] - center, axis=1) + 0.6 + 0.02 * generator.standard_normal(150)
     data = Measurements(q, read[:, None])
-    arm = Arm.of_chain(replace(drawing(), instrument=Distance()), sigma=0.02)
+    arm = Arm(replace(drawing(), instrument=Distance()), sigma=0.02)
     found = estimate(Model(arm.with_effects(OFFSET)), data)
     k = found.names.index(C)
     deviation = float(np.sqrt(found.covariance[k, k]))
@@ -79,7 +79,7 @@ def test_it_is_simulated() -> None:
 
 def test_it_is_refused_where_no_distances_are_measured() -> None:
     for instrument, width in ((Sphere(30.0), 1), (TRACKER, 3)):
-        arm = Arm.of_chain(replace(CHAIN, instrument=instrument), effects=(OFFSET,))
+        arm = Arm(replace(CHAIN, instrument=instrument), effects=(OFFSET,))
         with pytest.raises(InputError, match="length_offset needs measured distances, allowed: an arm file with"):
             estimate(Model(arm), Measurements(Q, np.ones((40, width))))
     with pytest.raises(InputError, match="length_offset is of spatial arms"):

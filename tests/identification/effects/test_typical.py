@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from identification.arm import EffectSpec
 from identification.effects import Effect, Parameter, Setting, build, library
 from identification.kinematics.parameters import ParameterSet, chain_parameters
+from identification.kinematics.spatial import planar_chain
 
 TABLE = (Path(__file__).parents[3] / "identification" / "README.md").read_text().partition("### Typical sizes")[2]
 ROW = re.compile(r"^\| `(\w+)` \| ([`\w, .]+) \| ([\d.e-]+)\b", re.MULTILINE)
@@ -28,7 +30,8 @@ def example(cls: type[Effect]) -> Effect:
     """The effect at joint 2 of an arm with two links where it needs a joint, with its smallest settings."""
     settings = {name: Setting.of(allowed).low for name, allowed in cls.settings.items()}
     spec = EffectSpec(cls.name, 2 if cls.per_joint == "required" else None, settings)
-    return build(spec, 2, np.array([300.0, 200.0]), dimension=cls.dimensions[0])
+    chain = planar_chain([300.0, 200.0])
+    return build(spec, chain if 2 in cls.dimensions else replace(chain, axes="xyz"))
 
 
 @pytest.mark.parametrize("name", OWN)

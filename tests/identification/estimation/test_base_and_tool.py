@@ -22,7 +22,7 @@ QUARTER = np.pi / 2.0
 FOREARM = [(0.0, -QUARTER, 550.0), (0.0, QUARTER, 0.0), (0.0, 0.0, 90.0)]
 TABLE = [(0.0, QUARTER, 350.0), (600.0, 0.0, 0.0), (50.0, QUARTER, 0.0), *FOREARM]  # a, alpha, d
 CHAIN = chain_of([DHRow(*row) for row in TABLE])
-ARM = Arm.of_chain(CHAIN, sigma=0.05)
+ARM = Arm(CHAIN, sigma=0.05)
 SCARA = chain_of([DHRow(400.0, 0.0, 300.0), DHRow(300.0, 0.0, 0.0), DHRow(0.0, 0.0, -80.0)])
 POINT = np.array([30.0, 20.0, 80.0])
 
@@ -50,7 +50,7 @@ def kept(rows: int, wobble: float, about: tuple[float, float, float] | None = No
 def measured(postures: np.ndarray, chain: SpatialChain = CHAIN) -> Measurements:
     generator = np.random.default_rng(2)
     stands = pose((2000.0, -500.0, 700.0), from_own_axes(0.1, -0.4, 2.0))
-    model = Model(Arm.of_chain(replace(chain, base=stands, tools={"1": POINT})))
+    model = Model(Arm(replace(chain, base=stands, tools={"1": POINT})))
     exact = model.position(postures, generator.normal(0.0, 0.3 / model.scales))
     return Measurements(postures, exact + generator.normal(0.0, 0.05, exact.shape))
 
@@ -120,7 +120,7 @@ def test_what_is_not_the_cause() -> None:
     """Few rows of turned flanges, a tool that is given, and an arm that can turn its flange about one axis only."""
     few = estimate(Model(replace(ARM, sigma=None)), measured(np.random.default_rng(6).uniform(-1.2, 1.2, (9, 6))))
     assert sentences(few) == []
-    given = Arm.of_chain(replace(CHAIN, tools={"1": POINT}, known=frozenset({"tool"})), sigma=0.05)
+    given = Arm(replace(CHAIN, tools={"1": POINT}, known=frozenset({"tool"})), sigma=0.05)
     assert sentences(estimate(Model(given), measured(kept(200, 0.0)))) == []
     planes = np.random.default_rng(6).uniform(-2.0, 2.0, (60, 3))
-    assert sentences(estimate(Model(Arm.of_chain(SCARA, sigma=0.05)), measured(planes, SCARA))) == []
+    assert sentences(estimate(Model(Arm(SCARA, sigma=0.05)), measured(planes, SCARA))) == []

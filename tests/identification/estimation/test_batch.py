@@ -78,23 +78,6 @@ def test_spatial_arms_equal_single_fits(held: bool) -> None:
         assert fits.rss[k] == pytest.approx(weights * np.sum(single.residuals_after**2), rel=1e-9)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
-def test_converged_means_stationary(name: str) -> None:
-    """J^T r is nought in every parameter that is off its bound, recomputed with the model alone."""
-    model, postures = Model(arm(*EFFECTS[name])), plan(20)
-    positions = batch(model, postures, 300, 1.0)
-    fits = estimate_batch(model, postures, positions)
-    conditions = Measurements(postures, positions[0]).conditions
-    position, jacobian = model.linearize(postures, fits.parameters, conditions)
-    residuals = positions - position
-    cosines = np.einsum("kmdp,kmd->kp", jacobian, residuals) / np.linalg.norm(jacobian, axis=(1, 2))
-    cosines /= np.linalg.norm(residuals, axis=(1, 2))[:, None]
-    free = fits.parameters > [p.lower for p in model.parameters]
-    assert np.max(np.abs(cosines[free])) < 3e-9
-    assert np.all(cosines[~free] < 0.0)
-    np.testing.assert_allclose(fits.rss, np.sum(residuals**2, axis=(1, 2)), rtol=1e-10)
-
-
 @pytest.mark.parametrize("name", ["base offset", "two"])
 def test_weights_and_conditions_are_those_of_single_fits(name: str) -> None:
     model, postures = Model(arm(*EFFECTS[name])), plan(25)

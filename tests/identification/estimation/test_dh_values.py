@@ -20,7 +20,7 @@ from tests.identification.kinematics.test_corrected_dh import UR10, elementary
 
 @cache
 def fitted() -> Identification:
-    arm = Arm.of_chain(chain_of(UR10), sigma=0.05)
+    arm = Arm(chain_of(UR10), sigma=0.05)
     model, generator = Model(arm), np.random.default_rng(4)
     parameters = model.parameters
     truth = 0.3 * parameters.vector(model.prior, default=0.0) * generator.standard_normal(len(parameters))

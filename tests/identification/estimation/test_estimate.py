@@ -243,41 +243,21 @@ def test_calibrated_arm_computes_what_was_fitted() -> None:
 
 def test_result_is_read_only_and_prints() -> None:
     found = estimate(Model(arm(EffectSpec("base_rotation"))), data(Model(arm()), plan(20)))
-    with pytest.raises(ValueError, match="read-only"):
-        found.parameters[0] = 1.0
-    with pytest.raises(ValueError, match="read-only"):
-        found.identifiable[0] = False
-    text = str(found)
-    assert "not identifiable" in text
+    for values in (found.parameters, found.identifiable):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 1.0
+    text, page = str(found), found._repr_html_()
     assert "joint_offset:1 + base_rotation.angle" in text
     assert "nan" not in text
     assert max(map(len, text.splitlines())) <= 130
-    page = found._repr_html_()
-    assert "<pre>" not in page
-    parameters, facts = page.split("</table>")[:2]
+    parameters = page.split("</table>")[0]
     assert parameters.count("<tr>") == 1 + len(found.names)
-    assert ">joint_offset:2</td>" in parameters
     value, std = (row[found.names.index("joint_offset:2")] for row in np.degrees([found.parameters, found.std]))
     shown = f"{value:.{2 - int(np.floor(np.log10(std)))}f}"  # to the third digit of the standard deviation
     assert f">joint_offset:2</td><td>{shown}</td>" in parameters.replace(' data-heading="value"', "")
-    assert ">σ</th>" in facts
-    assert "→" in facts
 
 
 # -- refusals --------------------------------------------------------------------------------------------------------
-def test_fewer_equations_than_unknowns() -> None:
-    with pytest.raises(InputError, match=r"fewer equations than unknowns: 2 m = 6 < p = 8, allowed: m >= 4"):
-        estimate(Model(arm()), data(Model(arm()), plan(3)))
-
-
-def test_wrong_number_of_joints() -> None:
-    with pytest.raises(InputError, match="4 joints for an arm of 2 links, allowed: 2"):
-        estimate(Model(Arm([100.0, 100.0])), data(Model(arm()), plan(10)))
-
-
-def test_positions_of_another_dimension() -> None:
-    with pytest.raises(InputError, match="positions of 3 coordinates, allowed: 2 as the model has"):
-        estimate(Model(arm()), Measurements(plan(10), np.zeros((10, 3))))
 
 
 def test_data_that_effects_need() -> None:
@@ -294,8 +274,14 @@ def test_data_that_effects_need() -> None:
 
 def test_bad_arguments() -> None:
     model, measurements = Model(arm()), data(Model(arm()), plan(10))
-    with pytest.raises(InputError, match="unknown name 'gaus_newton', did you mean 'gauss_newton'"):
+    with pytest.raises(InputError, match="'gaus_newton', did you mean 'gauss_newton'"):
         estimate(model, measurements, "gaus_newton")
+    with pytest.raises(InputError, match=r"2 m = 6 < p = 8, allowed: m >= 4"):
+        estimate(model, data(model, plan(3)))
+    with pytest.raises(InputError, match="4 joints for an arm of 2 links, allowed: 2"):
+        estimate(Model(Arm([100.0, 100.0])), measurements)
+    with pytest.raises(InputError, match="positions of 3 coordinates, allowed: 2"):
+        estimate(model, Measurements(plan(10), np.zeros((10, 3))))
     for sigma in (0.0, -1.0, np.nan, np.ones(3)):
         with pytest.raises(InputError, match="sigma_mm: "):
             estimate(model, measurements, sigma=sigma)
@@ -306,9 +292,9 @@ def test_bad_arguments() -> None:
     positions[6, 1] = np.inf
     with pytest.raises(InputError, match=r"positions: row 7 has .*inf.*, allowed: finite"):
         estimate(model, replace(measurements, positions=positions))
-    with pytest.raises(InputError, match=r"model: found Arm, allowed: a Model, as in Model\(arm\)"):
+    with pytest.raises(InputError, match=r"model: found Arm"):
         estimate(arm(), measurements)
-    with pytest.raises(InputError, match=r"measurements: found str, allowed: Measurements, as load_measurements\("):
+    with pytest.raises(InputError, match=r"measurements: found str"):
         estimate(model, "data.csv")
 
 

@@ -68,30 +68,23 @@ def test_few_measurements_are_said_and_many_are_not() -> None:
     assert [said.partition(":")[0] for said in few.warnings] == ["too few measurements"]
     assert many.warnings == ()
     assert many.to_json()["expected_tip_mm"] == many.expected_tip
-    assert f"{many.expected_tip:.4g} mm over the joint limits" in " ".join(str(many).split())
     assert many.to_json()["expected_tip_measured_mm"] == pytest.approx(many.expected_tip, rel=0.2)  # nearly all angles
 
 
 def test_limits_of_half_a_turn_are_limits_as_any_others() -> None:
     """Rows of 12 degrees to either side leave millimetres open elsewhere; a tenth of a degree of the limits is nothing,
-    though an arm file that gives none has half a turn. Fits to other noise are as far from each other as is said."""
+    though an arm file that gives none has half a turn."""
     model, near = Model(arm(sigma=SIGMA)), 0.1 * plan(12)
     found = estimate(model, data(model, near), sigma=SIGMA)
     narrow = replace(arm(sigma=SIGMA), lower=np.full(4, -np.pi + 0.002), upper=np.full(4, np.pi - 0.002))
     less = estimate(Model(narrow), data(model, near), sigma=SIGMA)
     assert found.expected_tip == pytest.approx(less.expected_tip, rel=0.01)
-    where = np.random.default_rng(12).uniform(-np.pi, np.pi, (200, 4))
-    positions = np.array([data(model, near, seed=s).positions for s in range(400)])
-    fits = estimate_batch(model, near, positions).parameters
-    squares = np.sum((model.position(where, fits) - model.position(where, truth(model))) ** 2, axis=-1)
-    assert found.expected_tip**2 == pytest.approx(np.mean(squares), rel=4.0 * np.sqrt(2.0 / 400.0))
     assert found.expected_tip > 5.0 * found.expected_tip_measured
 
 
-@pytest.mark.parametrize("rows", [12, 40])
-def test_postures_like_those_measured_fill_no_box_of_angles(rows: int) -> None:
+def test_postures_like_those_measured_fill_no_box_of_angles() -> None:
     """Joints that move together, as on a grid of places or along paths: new postures drawn as the rows were are
-    predicted as well as is said, of 300 plans, each with its own fit; random angles of the same ranges far worse."""
+    predicted as well as is said, of 300 plans of 12 rows; random angles of the same ranges far worse."""
     model, said, off, box = Model(arm(sigma=SIGMA)), [], [], []
 
     def postures(generator: np.random.Generator, count: int) -> np.ndarray:
@@ -99,7 +92,7 @@ def test_postures_like_those_measured_fill_no_box_of_angles(rows: int) -> None:
 
     for seed in range(300):
         generator = np.random.default_rng([13, seed])
-        q, fresh = postures(generator, rows), postures(generator, 50)
+        q, fresh = postures(generator, 12), postures(generator, 50)
         found = estimate(model, data(model, q, seed=seed), sigma=SIGMA)
         said.append(found.expected_tip_measured**2)
         for there, errors in ((fresh, off), (generator.uniform(q.min(axis=0), q.max(axis=0), (50, 4)), box)):
@@ -146,7 +139,7 @@ def test_what_is_not_identifiable_has_no_expected_error() -> None:
 )
 def test_where_more_postures_do_not_show_the_size(instrument: Instrument, said: str) -> None:
     """An arm twice as large touches planes, and spheres twice as large, at the same postures."""
-    found = size_left_open(Arm.of_chain(replace(CHAIN, instrument=instrument)))
+    found = size_left_open(Arm(replace(CHAIN, instrument=instrument)))
     assert found.endswith(said)
     assert bool(found) == bool(said)
     assert size_left_open(limited()) == ""

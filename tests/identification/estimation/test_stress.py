@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from identification.arm import Arm
 from identification.compensate import compensate
 from identification.estimation import Identification, estimate
-from identification.files.measurement import load_measurements
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -136,22 +135,6 @@ def test_a_short_link_before_a_long_one_is_what_is_named() -> None:
     found = estimate(Model(Arm(tuple(lengths), sigma=1e-3)), data)
     assert found.not_identifiable == ("joint_offset:2",)
     np.testing.assert_allclose(found.std[:2], 1e-3 / np.sqrt(50), rtol=0.1)
-
-
-def test_units_of_a_file_do_not_matter(tmp_path) -> None:
-    generator = np.random.default_rng(8)
-    arm = Arm((300.0, 200.0), sigma=0.1)
-    data = measured(np.array([300.0, 200.0]), generator.uniform(-3.0, 3.0, (12, 2)), 0.1, generator)
-    columns = {
-        "a": ("q1_deg,q2_deg,x_mm,y_mm", np.c_[np.degrees(data.postures), data.positions]),
-        "b": ("q1_rad,q2_rad,x_m,y_m", np.c_[data.postures, data.positions / 1000.0]),
-    }
-    fits = []
-    for name, (header, table) in columns.items():
-        path = tmp_path / f"{name}.csv"
-        path.write_text("\n".join([header, *(",".join(map(repr, row)) for row in table.tolist())]) + "\n")
-        fits.append(estimate(Model(arm), load_measurements(path, arm)))
-    np.testing.assert_allclose((fits[0].parameters - fits[1].parameters) / fits[0].std, 0.0, atol=DIGITS)
 
 
 @given(n=st.integers(2, 6), seed=st.integers(0, 2**32))

@@ -75,7 +75,7 @@ def linearized(chain: SpatialChain, q: np.ndarray, names: tuple[str, ...], value
 def case(n: int, lengths: np.ndarray, sigma: float, m: int, generator: np.random.Generator) -> tuple:
     """A model with a minimal set of parameters, and measurements of an arm that is not as drawn: by three sigma, at
     most 1 % of the links, and by 1e-3 rad."""
-    drawn = Arm.of_chain(chain_with(lengths, generator), sigma=sigma)
+    drawn = Arm(chain_with(lengths, generator), sigma=sigma)
     q = generator.uniform(-np.pi, np.pi, (m, n))
     model = Model(practical(drawn, Measurements(q, tips(drawn.chain, q, {}).real)))
     sizes = [1e-3 if p.unit == "rad" else min(3.0 * sigma, 0.01 * lengths.min()) for p in model.parameters]

@@ -52,7 +52,7 @@ def test_what_the_prior_holds_is_determined_beside_rows_without_noise(sigma: flo
     chain = chain_of(
         [DHRow(0.0, np.pi / 2, 400.0), DHRow(-600.0, 0.0, 0.0), DHRow(-500.0, 0.0, 0.0), DHRow(120.0, np.pi / 2, 150.0)]
     )
-    model = Model(Arm.of_chain(chain, sigma=sigma))
+    model = Model(Arm(chain, sigma=sigma))
     q, fresh = generator.uniform(-2.0, 2.0, (60, 4)), generator.uniform(-2.0, 2.0, (20, 4))
     truth = 0.3 * model.parameters.vector(model.prior, 0.0) * generator.standard_normal(len(model.names))
     found = estimate(model, Measurements(q, model.position(q, truth)))
@@ -63,7 +63,7 @@ def test_what_the_prior_holds_is_determined_beside_rows_without_noise(sigma: flo
 
 def test_what_neither_rows_nor_prior_determine_stays_undetermined() -> None:
     """One joint that turns about z: how high base and tool are is a sum, and nothing holds either."""
-    model = Model(Arm.of_chain(chain_of([DHRow(300.0, 0.0, 0.0)]), sigma=1e-9))
+    model = Model(Arm(chain_of([DHRow(300.0, 0.0, 0.0)]), sigma=1e-9))
     q = np.linspace(-2.0, 2.0, 30)[:, None]
     found = estimate(model, Measurements(q, model.position(q)))
     assert found.status is Status.not_identifiable
@@ -146,6 +146,12 @@ def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
     assert np.mean(plain) < 0.8
 
 
+@pytest.mark.parametrize("deviation", [0.0, -1.0, np.inf, np.nan])
+def test_wrong_deviation(deviation: float) -> None:
+    with pytest.raises(InputError, match="prior: length_error:1"):
+        Prior({"length_error:1": deviation})
+
+
 def test_fewer_rows_than_parameters_are_enough() -> None:
     data, _ = measured(np.random.default_rng(4), 3, 0.1)
     assert estimate_with_prior(MODEL, data, PRIOR).identifiable.all()
@@ -172,7 +178,7 @@ CHAIN = replace(
     tools={"1": np.array([60.0, 20.0, 30.0])},
     base=np.eye(4),
 )
-SPATIAL = Model(Arm.of_chain(CHAIN))
+SPATIAL = Model(Arm(CHAIN))
 
 
 def far_off(times: float, generator: np.random.Generator) -> tuple[Measurements, Measurements, Array]:

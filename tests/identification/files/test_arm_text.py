@@ -43,8 +43,8 @@ WALLS = (
 )
 VALUES = {"translation_x:2": 0.7, "rotation_y:3": 0.01, "joint_offset:3": -0.02, "base.rx": 0.003}
 ARMS = {
-    "drawn": Arm.of_chain(CHAIN),
-    "with everything": Arm.of_chain(
+    "drawn": Arm(CHAIN),
+    "with everything": Arm(
         replace(MIXED, base=PLACE, tools=TOOLS, known=frozenset({BASE, TOOL})),
         name='six "axes"',
         sigma=0.05,
@@ -54,11 +54,11 @@ ARMS = {
         effects=(EffectSpec("encoder_eccentricity", 2, {"a": 1e-3, "b": 2e-3}), EffectSpec("gear_ratio", 3)),
         machining=Machining(0.2, 0.001),
     ),
-    "placed": Arm.of_chain(replace(MIXED, base=PLACE, tools=TOOLS)),
-    "of poses": Arm.of_chain(
+    "placed": Arm(replace(MIXED, base=PLACE, tools=TOOLS)),
+    "of poses": Arm(
         replace(MIXED, base=PLACE, tools=TOOLS, tool_axes={"top": PLACE[:3, :3]}, angle_scale=250.0), sigma=0.05
     ),
-    "calibrated": Arm.of_chain(
+    "calibrated": Arm(
         replace(CHAIN, base=PLACE, tools={"1": TOOLS["top"]}), sigma=0.1, calibration=Calibration(VALUES)
     ),
 }

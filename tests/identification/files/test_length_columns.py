@@ -17,7 +17,7 @@ from identification.instruments import Distance, Plane, Sphere
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 
 CHAIN = chain_of([DHRow(300.0, 0.0, 10.0), DHRow(200.0, 1.0, 0.0)])
-BAR, BALL, FACE = (Arm.of_chain(replace(CHAIN, instrument=one)) for one in (Distance(), Sphere(12.5), Plane()))
+BAR, BALL, FACE = (Arm(replace(CHAIN, instrument=one)) for one in (Distance(), Sphere(12.5), Plane()))
 HEAD = 'kind = "spatial"\n[[dh]]\na_mm = 300.0\nalpha_deg = 0.0\nd_mm = 10.0\n'
 
 

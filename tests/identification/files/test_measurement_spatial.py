@@ -15,7 +15,7 @@ from identification.files.measurement import load_measurements, measurement_text
 from identification.files.target import commands_text, load_targets
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 
-ARM = Arm.of_chain(chain_of([DHRow(300.0, 0.0, 10.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))]))
+ARM = Arm(chain_of([DHRow(300.0, 0.0, 10.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))]))
 PLAIN = "q1_deg,q2_mm,x_mm,y_mm,z_mm,marker\n30,50,1,2,3,top\n-90,7.5,4,5,6,side\n"
 
 
@@ -34,13 +34,6 @@ def test_round_trip(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.positions, data.positions)
     assert again.marker is not None
     assert again.marker.tolist() == ["top", "side"]
-
-
-def test_metres_and_radians_are_converted(tmp_path: Path) -> None:
-    text = "q1_rad,q2_m,x_m,y_m,z_m\n0.5,0.05,0.001,0.002,0.003\n"
-    data = load_measurements(saved(tmp_path, text), ARM)
-    np.testing.assert_allclose(data.postures, [[0.5, 50.0]])
-    np.testing.assert_allclose(data.positions, [[1.0, 2.0, 3.0]])
 
 
 def test_a_planar_arm_ignores_the_third_coordinate(tmp_path: Path) -> None:

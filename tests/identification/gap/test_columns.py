@@ -22,6 +22,7 @@ from identification.gap.columns import bundles
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows
 from identification.gap.hypotheses import hypotheses
+from identification.kinematics.spatial import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -185,16 +186,16 @@ def test_settings_in_files(tmp_path: Path) -> None:
     assert load_arm(tmp_path / "arm.toml").effects[0] == spec
     for value, allowed in ((50.0, "a number 0.1 to 40"), (None, "a number 0.1 to 40")):
         with pytest.raises(InputError, match=f"breathing: rate .*, allowed: {allowed}"):
-            build(EffectSpec("breathing", None, {} if value is None else {"rate": value}), 2)
+            build(EffectSpec("breathing", None, {} if value is None else {"rate": value}), planar_chain(np.ones(2)))
     with pytest.raises(InputError, match=r"series:1: terms = 2.5, allowed: a whole number 2 to 3"):
-        build(EffectSpec("series", 1, {"terms": 2.5}), 2)
+        build(EffectSpec("series", 1, {"terms": 2.5}), planar_chain(np.ones(2)))
 
 
 def test_effects_of_gravity_act_through_the_load_and_its_direction() -> None:
     """Levers of payload and turn of gravity of a model with compliance, against the same arm loaded or tilted."""
     arm = ARM.with_effects(EffectSpec("joint_compliance", None, {"c1": 1e-5, "c2": 2e-5, "c3": 3e-5}))
     levers, _ = Model(arm).place_levers(POSTURES, None, rows().conditions)
-    assert list(widths(3))[:2] == ["payload", "gravity_turn"]
+    assert list(widths(planar_chain(np.ones(3))))[:2] == ["payload", "gravity_turn"]
     assert arm.gravity is not None
 
     def tip(payload: float, turn: float) -> np.ndarray:
@@ -210,7 +211,7 @@ def test_effects_of_gravity_act_through_the_load_and_its_direction() -> None:
 
 def test_library_holds_the_users_effects() -> None:
     assert set(NAMES) < set(library())
-    assert isinstance(library()["breathing"]([1.0], None, {"rate": ca.SX.sym("r")}).chosen["rate"], ca.SX)
+    assert isinstance(library()["breathing"](planar_chain([1.0]), None, {"rate": ca.SX.sym("r")}).chosen["rate"], ca.SX)
 
 
 def test_formulas_are_shared_by_arms_of_one_geometry() -> None:
@@ -219,5 +220,5 @@ def test_formulas_are_shared_by_arms_of_one_geometry() -> None:
     other = replace(ARM, lower=np.full(ARM.links, -1.0), sigma=0.3, effects=(EffectSpec("base_offset"),))
     for one, two in zip(bundles(ARM, numbered), bundles(other, numbered), strict=True):
         assert one.formulas is two.formulas
-    heavier = replace(ARM, lengths=1.1 * ARM.lengths)
+    heavier = replace(ARM, chain=1.1 * ARM.lengths)
     assert bundles(heavier, numbered)[0].formulas is not bundles(ARM, numbered)[0].formulas

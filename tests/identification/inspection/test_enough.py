@@ -85,7 +85,7 @@ def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
     flat = np.exp(1j * np.cumsum(q, axis=1)) @ np.array([325.0, 275.0, 40.0 + 10.0j])
     positions = np.column_stack([flat.real, flat.imag, np.full(40, 410.0)]) + NOISE * generator.standard_normal((40, 3))
     measured = Measurements(q, positions)
-    found = estimate(Model(Arm.of_chain(chain, sigma=NOISE)), measured)
+    found = estimate(Model(Arm(chain, sigma=NOISE)), measured)
     seen = sufficiency(found, measured, NoiseFloor())
     assert [name for name, *_ in seen.weak] == ["base.z", "tool[1].z"]
     assert seen.identifiable[:2] == ("base (x, y, rx, ry, rz)", "tool[1] (x, y)")
@@ -99,7 +99,7 @@ def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
 
 def test_what_the_machining_holds_is_no_unknown() -> None:
     chain = chain_of([DHRow(0.0, 1.5, 300.0), DHRow(400.0, 0.0, 0.0), DHRow(300.0, 0.0, 0.0)])
-    arm = Arm.of_chain(chain, sigma=NOISE)
+    arm = Arm(chain, sigma=NOISE)
     q = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 3))
     measured = Measurements(q, Model(arm).position(q))
     found = sufficiency(estimate(Model(arm), measured), measured, NoiseFloor())

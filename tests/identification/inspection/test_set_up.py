@@ -47,7 +47,7 @@ def test_a_frame_as_the_file_has_it() -> None:
     assert turned_frame(PLANAR, in_the_plane(3.0)) == []
     other = Arm(LENGTHS[::-1])  # no angle explains the positions
     assert turned_frame(other, in_the_plane(40.0)) == []
-    assert turned_frame(Arm.of_chain(drawing()), in_the_plane(40.0)) == []
+    assert turned_frame(Arm(drawing()), in_the_plane(40.0)) == []
 
 
 def test_a_base_that_stands_elsewhere() -> None:
@@ -59,14 +59,14 @@ def test_a_base_that_stands_elsewhere() -> None:
     away[:3, :3] = rotation_about([0.0, 1.0, 0.0], np.radians(60.0)) @ away[:3, :3]
     away[2, 3] += 500.0
     chain = replace(drawing(), base=away, known=frozenset({BASE}))
-    (said,) = other_base(Arm.of_chain(chain), data)
+    (said,) = other_base(Arm(chain), data)
     assert "another frame than [base] says: turned by " in said
     turn, shift = (float(said.split(word)[1].split()[0]) for word in ("turned by ", "deg and "))
     assert turn == pytest.approx(60.0, abs=0.5)
     assert shift == pytest.approx(500.0, abs=5.0)
     assert "zero of joint 1" not in said
-    assert other_base(Arm.of_chain(replace(chain, base=truth.base)), data) == []
-    assert other_base(Arm.of_chain(drawing()), data) == []
+    assert other_base(Arm(replace(chain, base=truth.base)), data) == []
+    assert other_base(Arm(drawing()), data) == []
 
 
 def test_a_base_turned_about_joint_1_may_be_its_zero() -> None:
@@ -74,7 +74,7 @@ def test_a_base_turned_about_joint_1_may_be_its_zero() -> None:
     truth, q = Exponentials(generator), generator.uniform(-2.0, 2.0, (60, 6))
     data = Measurements(q, truth.poses(q)[:, :3, 3])
     turned = truth.base @ pose(rotation=rotation_about([0.0, 0.0, 1.0], np.radians(-40.0)))
-    (said,) = other_base(Arm.of_chain(replace(drawing(), base=turned, known=frozenset({BASE}))), data)
+    (said,) = other_base(Arm(replace(drawing(), base=turned, known=frozenset({BASE}))), data)
     assert "or the zero of joint 1 is off by that" in said
 
 
@@ -96,7 +96,7 @@ def bar_readings(offset: float, q: Array, generator: np.random.Generator) -> Mea
 def test_a_constant_in_all_distances(offset: float) -> None:
     generator = np.random.default_rng(4)
     data = bar_readings(offset, generator.uniform(-2.0, 2.0, (100, 6)), generator)
-    arm = Arm.of_chain(replace(drawing(), instrument=Distance()), sigma=0.05)
+    arm = Arm(replace(drawing(), instrument=Distance()), sigma=0.05)
     found = constant_length(arm, data, estimate(Model(arm), data))
     if not offset:
         assert found == []

@@ -42,9 +42,9 @@ def test_a_camera_with_unknown_base() -> None:
     errors = {f"joint_offset:{j}": 3e-3 for j in range(2, 6)} | {"translation_x:3": 0.8, "rotation_y:4": 2e-3}
     eccentric = EffectSpec("encoder_eccentricity", 3, {"a": 1e-3, "b": 5e-4})
     chain = replace(CHAIN, instrument=Camera(), base=BASE)
-    truth = Arm.of_chain(chain, sigma=SIGMA, effects=(eccentric,), calibration=Calibration(errors))
+    truth = Arm(chain, sigma=SIGMA, effects=(eccentric,), calibration=Calibration(errors))
     data = simulate(truth, q, generator)
-    arm = Arm.of_chain(replace(CHAIN, instrument=Camera(), base=np.eye(4), tools={"1": np.zeros(3)}), sigma=SIGMA)
+    arm = Arm(replace(CHAIN, instrument=Camera(), base=np.eye(4), tools={"1": np.zeros(3)}), sigma=SIGMA)
     found = estimate(Model(arm.with_effects(EffectSpec("encoder_eccentricity", 3))), data)
     assert found.status is Status.converged
     assert found.chi2 is not None

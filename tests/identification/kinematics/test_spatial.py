@@ -221,3 +221,10 @@ def test_bad_joints_are_one_line() -> None:
     for axis, said in (([0.0] * 3, r"\[0.0, 0.0, 0.0\]"), ([0.0, np.nan, 1.0], r"\[0.0, nan, 1.0\]")):
         with pytest.raises(InputError, match=rf"joint a: axis {said}, allowed: not zero"):
             Joint("a", np.eye(4), np.array(axis))
+
+
+def test_a_shift_along_the_axes_of_the_base_turns_by_them() -> None:
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    chain = SpatialChain((Joint("a", np.eye(4), np.eye(3)[2]),), np.eye(4), base=pose(rotation=turned))
+    shift = chain.along_base({"base.x": 1.0, "base.z": 3.0, "base.rx": 0.5}, {})
+    assert {name: float(x) for name, x in shift.items()} == {"base.x": 0.0, "base.y": 1.0, "base.z": 3.0}

@@ -18,12 +18,12 @@ SHARED = compiled_arm(CHAIN, None, False, ())
 
 
 def effect_of(spec: EffectSpec) -> Effect:
-    (effect,) = Model(Arm.of_chain(CHAIN, effects=(spec,))).effects
+    (effect,) = Model(Arm(CHAIN, effects=(spec,))).effects
     return effect
 
 
 def conditions() -> np.ndarray:
-    return Model(Arm.of_chain(CHAIN)).condition_table(POSTURES, Conditions())
+    return Model(Arm(CHAIN)).condition_table(POSTURES, Conditions())
 
 
 def test_a_wave_adds_to_its_joint_alone() -> None:
@@ -67,7 +67,7 @@ def frame(row: DHRow, angle: float) -> np.ndarray:
 
 def test_the_geometry_takes_what_is_added_to_angles() -> None:
     """Of known values, with an angle added at each joint: products of matrices, and their differences as levers."""
-    model = Model(Arm.of_chain(CHAIN))
+    model = Model(Arm(CHAIN))
     geometry = SHARED.geometry((0.0,) * len(model.names), ("joint_angles",), True)
     added = np.array([1e-3, -2e-3, 3e-3])
     tip, by_geometry, levers = geometry(POSTURES, conditions(), np.zeros(0), added)
@@ -89,5 +89,5 @@ def test_parts_are_compiled_once() -> None:
     assert compiled_arm(chain_of(ROWS), None, False, ()) is compiled_arm(CHAIN, None, False, ())
     eccentric = EffectSpec("encoder_eccentricity", 1)
     assert SHARED.of(effect_of(eccentric)) is SHARED.of(effect_of(eccentric))
-    known = (0.0,) * len(Model(Arm.of_chain(CHAIN)).names)
+    known = (0.0,) * len(Model(Arm(CHAIN)).names)
     assert SHARED.geometry(known, ("joint_angles",), True) is SHARED.geometry(known, ("joint_angles",), True)

@@ -49,7 +49,7 @@ WARM = Conditions(
 
 
 def model_and_arguments(specs: tuple[EffectSpec, ...] = SPECS) -> tuple[Model, tuple[np.ndarray, ...]]:
-    model = Model(Arm.of_chain(CHAIN, gravity=GRAVITY, effects=specs))
+    model = Model(Arm(CHAIN, gravity=GRAVITY, effects=specs))
     generator = np.random.default_rng(5)
     postures = generator.uniform(-1.0, 1.0, (ROWS, 4)) + np.array([0.0, 0.0, 300.0, 0.0])
     values = np.maximum(1e-2 * generator.standard_normal((3, len(model.names))) / model.scales, model.parameters.lower)
@@ -100,7 +100,7 @@ def test_values_that_belong_to_curves() -> None:
     part = {"base.x": 0.3, "translation_x:2": 0.2, "rotation_x:3": 1e-3, "tool[2].y": -0.1, "base_drift.vx": 0.4}
     curves = [EffectSpec("joint_error_curve", j, curve=ErrorCurve(-0.5, 0.5, values, part)) for j in (2, 4)]
     turned_base = replace(CHAIN, base=pose((500.0, 0.0, 80.0), from_own_axes(0.3, -0.2, 2.0)))
-    arm = Arm.of_chain(turned_base, gravity=GRAVITY, effects=(*SPECS[:6], *curves))
+    arm = Arm(turned_base, gravity=GRAVITY, effects=(*SPECS[:6], *curves))
     whole = Model(arm)
     for model in (whole, Model(arm, {name: 0.01 for name in whole.names if name[-2:] in (".x", ":2", "vx", "vy")})):
         _, (postures, _, _) = model_and_arguments()
@@ -126,7 +126,7 @@ def test_parts_are_made_once() -> None:
 def test_poses() -> None:
     """Three coordinates more, which the instrument does not touch, against measured orientations and without."""
     poses = replace(CHAIN, angle_scale=300.0)
-    model = Model(Arm.of_chain(poses, gravity=GRAVITY, effects=SPECS))
+    model = Model(Arm(poses, gravity=GRAVITY, effects=SPECS))
     generator = np.random.default_rng(6)
     postures = generator.uniform(-1.0, 1.0, (ROWS, 4)) + np.array([0.0, 0.0, 300.0, 0.0])
     values = np.maximum(1e-2 * generator.standard_normal(len(model.names)) / model.scales, model.parameters.lower)

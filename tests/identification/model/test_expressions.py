@@ -44,7 +44,7 @@ def test_the_planar_arm_is_one_whose_axes_are_parallel() -> None:
     level = Gravity(np.array([0.0, -9.81]), *map(np.array, loads[:2]), loads[2])
     flat = Model(Arm(LENGTHS, gravity=level, effects=SPECS))
     gravity = Gravity(np.array([0.0, -9.81, 0.0]), *map(np.array, loads[:2]), loads[2])
-    space = Model(Arm.of_chain(PARALLEL, gravity=gravity, effects=SPECS))
+    space = Model(Arm(PARALLEL, gravity=gravity, effects=SPECS))
     values = np.array([1e-5, 2e-5, 3e-5, 4e-4, -3e-4, 2e-5])
     planar = flat.position(POSTURES, np.r_[np.zeros(6), values], WARM)
     spatial = space.position(POSTURES, np.r_[np.zeros(len(space.geometry_parameters)), values], WARM)
@@ -56,7 +56,7 @@ def test_the_planar_arm_is_one_whose_axes_are_parallel() -> None:
 def test_derivatives_against_finite_differences(chain: SpatialChain) -> None:
     gravity = Gravity(np.array([0.0, 1.0, -9.7]), np.full(len(chain), 5.0), np.full(len(chain), 0.5), 2.0)
     specs = (*SPECS[:2], EffectSpec("base_drift"), EffectSpec("base_rotation_drift"), EffectSpec("gravity_tilt"))
-    model = Model(Arm.of_chain(chain, gravity=gravity, effects=specs))
+    model = Model(Arm(chain, gravity=gravity, effects=specs))
     generator = np.random.default_rng(3)
     q = np.array([[joint.lower, joint.upper] for joint in chain.joints])
     postures = generator.uniform(q[:, 0], q[:, 1], (7, len(chain)))
@@ -71,7 +71,7 @@ def test_derivatives_against_finite_differences(chain: SpatialChain) -> None:
     for j in range(len(chain)):
         step = 1e-6 * np.eye(len(chain))[j]
         # of the angle as it is, not as effects of the commanded one see it: without effects both are one
-        bare = Model(Arm.of_chain(chain))
+        bare = Model(Arm(chain))
         change = (bare.position(postures + step) - bare.position(postures - step)) / 2e-6
         np.testing.assert_allclose(levers[..., j], change, atol=1e-2 * np.abs(change).max())
 
@@ -80,7 +80,7 @@ def test_gravity_torques_are_the_work_of_the_loads() -> None:
     """tau_j = -dU/dq_j of the potential energy of all masses [J], by central differences in plain numpy."""
     masses, share, payload = np.array([7.0, 5.0, 3.0, 2.0]), np.array([0.5, 0.3, 0.7, 0.5]), 1.5
     down = np.array([0.3, -1.0, -9.7])
-    arm = Arm.of_chain(SIX, gravity=Gravity(down, masses, share, payload))
+    arm = Arm(SIX, gravity=Gravity(down, masses, share, payload))
     model, q = Model(arm), np.array([0.4, -1.1, 320.0, 0.9])
 
     def energy(posture: np.ndarray) -> float:
@@ -104,14 +104,14 @@ def test_models_share_what_is_compiled_where_their_symbols_are_equal() -> None:
     narrow = replace(arm, lower=np.full(3, -1.0), upper=np.full(3, 1.0), sigma=0.1, name="narrow")
     assert Model(narrow).expressions is first
     others = [
-        Model(replace(arm, lengths=1.1 * LENGTHS)),
+        Model(replace(arm, chain=1.1 * LENGTHS)),
         Model(replace(arm, gravity=Gravity(np.array([0.0, -9.81]), np.ones(3), np.full(3, 0.5), 1.0))),
         Model(arm.with_effects()),
         Model(arm.with_effects(replace(ripple, joint=1))),
         Model(arm.with_effects(replace(ripple, values={"k": 6.0}))),
         Model(arm.with_effects(replace(ripple, values={"k": 5.0, "a": 1e-3}))),
         Model(arm, {"length_error:1": 0.5}),
-        Model(Arm.of_chain(PARALLEL, effects=(ripple,))),
+        Model(Arm(PARALLEL, effects=(ripple,))),
     ]
     assert all(model.expressions is not first for model in others)
     moved = [model.position(POSTURES, 0.01 * np.ones(len(model.names))) for model in (Model(arm), *others[:-1])]

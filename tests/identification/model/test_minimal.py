@@ -40,7 +40,7 @@ SLIDING = replace(DHRow(0.0, HALF, 0.0), type=PRISMATIC, limits=(100.0, 600.0))
 )
 def test_as_many_as_can_be_told_apart(chain: SpatialChain, count: int | None) -> None:
     """The rank of all parameters' Jacobian, by singular values, is that of the minimal set; nothing is lost."""
-    model = Model(Arm.of_chain(chain))
+    model = Model(Arm(chain))
     found = minimal(model)
     generator = np.random.default_rng(5)
     postures = generator.uniform(model.arm.lower, model.arm.upper, (200, len(chain)))
@@ -59,11 +59,11 @@ def test_a_fit_predicts_as_that_of_all() -> None:
     """Errors of parameters that are left out move the points as those that are kept, to first order: what is left is of
     the square of the errors, some (0.3 mm)^2 over a lever of 100 mm, 1e-3 mm."""
     chain = replace(SIX, tools=OFF_AXIS, known=frozenset({"base"}))
-    truth, generator = Model(Arm.of_chain(chain)), np.random.default_rng(6)
+    truth, generator = Model(Arm(chain)), np.random.default_rng(6)
     values = 0.3 / truth.scales * generator.standard_normal(len(truth.names))
     postures = generator.uniform(-2.0, 2.0, (60, 6))
     data = Measurements(postures, truth.position(postures, values))
-    found = estimate(minimal(placed_model(Model(Arm.of_chain(replace(chain, tools=ON_AXIS))), data)), data)
+    found = estimate(minimal(placed_model(Model(Arm(replace(chain, tools=ON_AXIS))), data)), data)
     fresh = generator.uniform(-2.0, 2.0, (50, 6))
     np.testing.assert_allclose(found.model.position(fresh, found.parameters), truth.position(fresh, values), atol=2e-3)
 
@@ -76,10 +76,10 @@ def test_what_measurements_hardly_tell_is_left_out() -> None:
     """A reflector 0.2 mm off the last axis tells that axis's own errors by a few micrometres: as on the axis."""
     nearly = replace(SIX, tools={"1": np.array([0.2, 0.0, 30.0])})
     data = Measurements(np.random.default_rng(1).uniform(-2.0, 2.0, (80, 6)), np.zeros((80, 3)))
-    data = replace(data, positions=Model(Arm.of_chain(nearly)).position(data.postures))
-    found = practical(Arm.of_chain(SIX), data)
+    data = replace(data, positions=Model(Arm(nearly)).position(data.postures))
+    found = practical(Arm(SIX), data)
     assert len(Model(found).names) == 25
-    assert len(minimal(placed_model(Model(Arm.of_chain(SIX)), data)).names) == 27
+    assert len(minimal(placed_model(Model(Arm(SIX)), data)).names) == 27
     assert practical(found, data) is found
     planar = Arm([300.0, 200.0])
     assert practical(planar, data) is planar

@@ -30,7 +30,7 @@ def measured(chain: SpatialChain, rows: int = 60) -> Measurements:
     postures = generator.uniform(-2.5, 2.5, (rows, 6))
     names = np.array(list(TOOLS))[np.arange(rows) % 2]
     data = Measurements(postures, np.zeros((rows, 3)), marker=names)
-    return replace(data, positions=Model(Arm.of_chain(chain)).position(postures, conditions=data.conditions))
+    return replace(data, positions=Model(Arm(chain)).position(postures, conditions=data.conditions))
 
 
 @pytest.mark.parametrize("known", [(), ("base",), ("tool",)], ids=" ".join)
@@ -40,7 +40,7 @@ def test_found_from_nothing(known: tuple[str, ...]) -> None:
     start = replace(CHAIN, tools=dict.fromkeys(TOOLS, np.zeros(3)), known=frozenset(known))
     for name in known:
         start = replace(start, **given[name])  # type: ignore[arg-type]
-    model = placed_model(Model(Arm.of_chain(start)), measured(TRUE))
+    model = placed_model(Model(Arm(start)), measured(TRUE))
     chain = model.arm.chain
     assert chain is not None
     np.testing.assert_allclose(chain.base, BASE, atol=0.5)
@@ -53,7 +53,7 @@ def test_found_from_nothing(known: tuple[str, ...]) -> None:
 
 def test_what_is_known_stays() -> None:
     chain = replace(CHAIN, base=BASE, tools=TOOLS, known=frozenset({"base", "tool"}))
-    model = Model(Arm.of_chain(chain))
+    model = Model(Arm(chain))
     assert placed_model(model, measured(TRUE)) is model
     planar = Model(Arm([300.0, 200.0]))
     assert placed_model(planar, Measurements(np.zeros((1, 2)), np.zeros((1, 2)))) is planar

@@ -16,7 +16,7 @@ from identification.model import Model
 from identification.model.positions import in_own_frame, of_positions, tip_jacobian
 from tests.doe.six_axis import CHAIN
 
-BAR = Arm.of_chain(replace(CHAIN, instrument=Distance(), base=pose([-700.0, 200.0, -300.0])), sigma=0.01)
+BAR = Arm(replace(CHAIN, instrument=Distance(), base=pose([-700.0, 200.0, -300.0])), sigma=0.01)
 POSTURES = np.random.default_rng(0).uniform(-2.0, 2.0, (30, 6))
 
 
@@ -48,7 +48,7 @@ def test_what_is_left_after_registration() -> None:
 
 
 def test_of_a_tracker_as_it_is() -> None:
-    model = Model(Arm.of_chain(CHAIN))
+    model = Model(Arm(CHAIN))
     np.testing.assert_array_equal(tip_jacobian(model, POSTURES), model.jacobian(POSTURES))
     assert in_own_frame(model.arm) is model.arm
 
@@ -57,5 +57,5 @@ def test_in_the_frame_of_the_base() -> None:
     """The base drops out, the rest of the calibration stays."""
     values = {"base.x": 3.0, "translation_x:3": 0.5, "tool[1].z": 1.0}
     own = in_own_frame(replace(BAR, calibration=Calibration(values)))
-    bare = Arm.of_chain(CHAIN, calibration=Calibration({"translation_x:3": 0.5, "tool[1].z": 1.0}))
+    bare = Arm(CHAIN, calibration=Calibration({"translation_x:3": 0.5, "tool[1].z": 1.0}))
     np.testing.assert_allclose(Model(own).position(POSTURES), Model(bare).position(POSTURES), atol=1e-9)

@@ -112,8 +112,8 @@ def in_space(shift: float = 0.0, base: float = 0.0) -> tuple[Measurements, Arm]:
     whole = replace(CHAIN, known=frozenset({"base", "tool"}), tools={"1": np.array([40.0, 20.0, 30.0])})
     values = {"joint_offset:2": 0.004, "joint_offset:3": -0.003 + shift, "translation_x:3": 0.6}
     q = np.random.default_rng(7).uniform(-2.0, 2.0, (40, 4))
-    points = Model(Arm.of_chain(whole, calibration=Calibration(values))).position(q)
-    return Measurements(q, points + base * np.array([1.0, 2.0, -1.0])), Arm.of_chain(CHAIN, sigma=1e-4)
+    points = Model(Arm(whole, calibration=Calibration(values))).position(q)
+    return Measurements(q, points + base * np.array([1.0, 2.0, -1.0])), Arm(CHAIN, sigma=1e-4)
 
 
 def test_one_motor_of_a_spatial_arm() -> None:
@@ -156,7 +156,7 @@ def test_words_that_name_nothing() -> None:
     with pytest.raises(InputError, match=r"only: 'lenghts' is no parameter of the model, did you mean 'lengths'"):
         only(ARM, ["lenghts"])
     with pytest.raises(InputError, match="only: base is to be held, but the arm file does not say where it is"):
-        only(Arm.of_chain(CHAIN), ["joint_offsets", "tool"])
+        only(Arm(CHAIN), ["joint_offsets", "tool"])
     assert only(Arm(LENGTHS), ["base"]).names == ("joint_offset:1", "base_offset.x0", "base_offset.y0")
     assert words_of(["a, b", "c"]) == ["a", "b", "c"]
 
@@ -164,7 +164,7 @@ def test_words_that_name_nothing() -> None:
 def test_priors_that_do_not_fit() -> None:
     with pytest.raises(InputError, match="prior: found no covariance"):
         earlier(ARM, Model(ARM), session(1, 5, (0.0, 0.0))[0])
-    other = replace(ARM, lengths=LENGTHS + 1.0, calibration=replace(FIXED, covariance=np.eye(1)))
+    other = replace(ARM, chain=LENGTHS + 1.0, calibration=replace(FIXED, covariance=np.eye(1)))
     with pytest.raises(InputError, match="prior: a calibration of another drawing"):
         earlier(other, Model(ARM), session(1, 5, (0.0, 0.0))[0])
 
@@ -202,7 +202,7 @@ SCARA = chain_of([DHRow(0.0, 0.0, 300.0), DHRow(325.0, 0.0, 0.0), SLIDE, DHRow(0
 def test_heights_of_base_and_reflector_that_only_the_tilts_of_parallel_axes_tell_apart(seed: int) -> None:
     """A SCARA calibrated, then set up anew: the sum of squares, by exponentials, is a parabola along the combination
     that is known least, with its vertex at the fit."""
-    generator, model = np.random.default_rng(seed), Model(Arm.of_chain(SCARA, sigma=0.05))
+    generator, model = np.random.default_rng(seed), Model(Arm(SCARA, sigma=0.05))
     lengths = ("translation", "joint_offset:3")
     truth = {
         name: generator.standard_normal() * (0.3 if name.startswith(lengths) else np.radians(0.1))

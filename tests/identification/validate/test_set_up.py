@@ -26,7 +26,7 @@ from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 NOISE = 0.02  # [mm]
 POINTS = {"A": REFLECTOR, "B": np.array([-90.0, 70.0, 120.0])}
-ARM = Arm.of_chain(replace(CHAIN, tools={"1": np.zeros(3)}), name="six-axis")
+ARM = Arm(replace(CHAIN, tools={"1": np.zeros(3)}), name="six-axis")
 MOVED = np.array([1.0, -0.5, 2.0])
 SLIDE = DHRow(275.0, np.pi, 0.0, type="prismatic", limits=(0.0, 200.0))
 SCARA = chain_of([DHRow(0.0, 0.0, 300.0), DHRow(325.0, 0.0, 0.0), SLIDE, DHRow(0.0, 0.0, 50.0)], "modified")
@@ -111,7 +111,7 @@ def test_a_point_that_nothing_holds_stays_near_the_arm(seed: int) -> None:
     """Two places of a reflector fitted as one: the sum of squares of a SCARA falls with its height, without an end. How
     far they are apart is told across that height alone."""
     away = np.random.default_rng(seed).uniform(-15.0, 15.0, 3)
-    data, arm = cell(2, {(1, "A"): away}, seed, marked=False, chain=SCARA), Arm.of_chain(SCARA)
+    data, arm = cell(2, {(1, "A"): away}, seed, marked=False, chain=SCARA), Arm(SCARA)
 
     def fit(data: Measurements) -> Identification:
         return estimate(Model(with_sessions(arm, data)), data)

@@ -207,7 +207,7 @@ def test_temperature_counts_from_the_mean_of_the_identification() -> None:
     ("arm", "m", "refit", "sentence"),
     [
         (calibrated(), 9, "all", "refit: unknown name 'all'"),
-        (Arm(LENGTHS), 9, "base", "calibration: the arm has none, allowed: a file written by"),
+        (Arm(LENGTHS), 9, "base", "calibration: the arm has none, allowed: an arm file written by"),
         (calibrated(), 1, "base", "too few for 3 refitted parameters, 1 in all, allowed: at least 2 rows"),
         (Arm(LENGTHS[:2], calibration=Calibration.of([1, 1], [0, 0])), 9, "base", "found 4 joints, allowed: 2"),
     ],
@@ -266,7 +266,7 @@ def test_another_set_up_keeps_the_geometry_of_curves_in_space() -> None:
     }
     curve = ErrorCurve(-1.0, 1.0, 5e-4 * rng.normal(size=12), own)
     effects = (EffectSpec("joint_error_curve", 2, curve=curve),)
-    arm = Arm.of_chain(chain, effects=effects, calibration=Calibration(values))
+    arm = Arm(chain, effects=effects, calibration=Calibration(values))
     q = rng.uniform(-1.0, 1.0, (80, 4))
     q[40:, 1] += 2.5  # the curve ends at 1
     axes = np.array(chain.base[:3, :3]) @ [own[f"base.{axis}"] for axis in "xyz"]
@@ -274,7 +274,7 @@ def test_another_set_up_keeps_the_geometry_of_curves_in_space() -> None:
         f"base.{axis}": values[f"base.{axis}"] - x for axis, x in zip("xyz", axes, strict=True)
     }
     bent = q[:40] + curve.at(q[:40, 1])[:, None] * [0.0, 1.0, 0.0, 0.0]
-    drawn = Arm.of_chain(chain)
+    drawn = Arm(chain)
     places = [
         Model(replace(drawn, calibration=Calibration(v))).position(rows)
         for v, rows in ((values, bent), (without, q[40:]))
@@ -293,6 +293,6 @@ def test_no_row_of_a_slide_is_outside_what_it_was_identified_on() -> None:
     chain = chain_of([DHRow(300.0, 0.0, 100.0), DHRow(0.0, 0.0, 50.0, type=PRISMATIC, limits=(0.0, 1000.0))])
     q = np.column_stack([np.linspace(-1.0, 1.0, 9), np.linspace(102.529714, 977.470693, 9)])
     known = Calibration({}, provenance=joint_range(q, chain.joint_types))
-    arm = replace(Arm.of_chain(chain), calibration=known)
+    arm = replace(Arm(chain), calibration=known)
     assert not outside(arm, q).any()
     np.testing.assert_array_equal(outside(arm, q + np.array([0.0, 0.001]))[:, 1], [False] * 8 + [True])

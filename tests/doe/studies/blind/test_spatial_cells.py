@@ -55,7 +55,7 @@ def test_every_hidden_effect_is_one_of_the_library() -> None:
         if not spec.space or spec.physics in others:
             continue
         data = data_set(cell, 901)
-        effects = build_all(data.specs, data.arm.links, data.arm.lengths, 3)
+        effects = build_all(data.specs, data.arm.chain)
         assert sorted(effect.key for effect in effects) == sorted(data.effects)
         assert len({*data.effects}) == len(effects)
         expected = 0 if spec.lam is None or spec.outside else 2 if spec.wrong == "place" else spec.effects

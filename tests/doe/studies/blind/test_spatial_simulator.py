@@ -62,7 +62,7 @@ def model_of(truth: TrueArm, *specs: EffectSpec) -> Model:
     tools = dict(zip("12", truth.tools, strict=True))
     chain = replace(chain, base=truth.base, tools=tools, known=frozenset({"base", "tool"}))
     gravity = Gravity(truth.gravity, truth.masses, np.full(truth.n, truth.center), truth.payload, truth.load)
-    return Model(Arm.of_chain(chain, gravity=gravity, effects=specs))
+    return Model(Arm(chain, gravity=gravity, effects=specs))
 
 
 def difference(truth: TrueArm, run: RowConditions, *specs: EffectSpec) -> float:
@@ -155,7 +155,7 @@ def test_what_the_geometry_can_be_wrong_about() -> None:
     chain = replace(
         chain_of([DHRow(*row) for row in truth.table.tolist()]), base=truth.base, tools={"1": truth.tools[0]}
     )
-    model = Model(Arm.of_chain(chain))
+    model = Model(Arm(chain))
     steps = 1e-4 / model.scales
     columns = [
         (model.position(run.q, model.values + step) - model.position(run.q, model.values - step)).ravel() / 2e-4

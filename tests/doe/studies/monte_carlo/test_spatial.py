@@ -22,7 +22,7 @@ from identification.model import Model
 
 ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
 CHAIN = replace(chain_of(ROWS), tools={"1": np.array([40.0, 30.0, 20.0])})
-ARM = Arm.of_chain(CHAIN, sigma=0.05, name="elbow")
+ARM = Arm(CHAIN, sigma=0.05, name="elbow")
 MACHINED = Truth(
     "machined", values={"translation_x:2": 0.4, "translation_y:3": -0.3, "rotation_y:3": 2e-3, "base.x": 2.0}
 )
@@ -94,7 +94,7 @@ def test_every_point_and_frame_is_measured_at_every_posture(measured: dict[str, 
     """Expected deviations from (sum of J^T J)^-1 with J by central differences of the model's own positions and turned
     axes; the fits scatter by as much, and the intervals hold."""
     chain = replace(CHAIN, **measured)
-    arm = Arm.of_chain(chain, sigma=0.05, name="elbow")
+    arm = Arm(chain, sigma=0.05, name="elbow")
     study = Study([arm], [("plan", Plan(PLAN.postures[:8])), "random"], [9], (), [MACHINED], replications=100)
     cells = run_study(study, seed=4).cells
     model, count = Model(without_prior(arm)), len(chain.tools)
@@ -124,7 +124,7 @@ def test_every_point_and_frame_is_measured_at_every_posture(measured: dict[str, 
 
 def test_several_points_make_up_for_few_postures() -> None:
     with pytest.raises(InputError, match="runs: found 2, allowed: at least"):
-        Study([Arm.of_chain(replace(CHAIN, **SEVERAL), sigma=0.1)], ["random"], [2])
+        Study([Arm(replace(CHAIN, **SEVERAL), sigma=0.1)], ["random"], [2])
 
 
 def test_units_of_sliding_joints() -> None:

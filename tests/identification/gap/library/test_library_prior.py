@@ -141,7 +141,7 @@ def test_what_a_narrow_joint_1_cannot_show_is_not_taken_for_frames() -> None:
     """Six lines in space with eccentric encoders of typical size, joint 1 within 60 degrees, rows on its other side
     predicted, base and point found anew: with the effects under their prior, from which they were drawn, the squares
     that geometry alone leaves are at least halved (the mean of a posterior has the least of all estimates)."""
-    arm, squares = Arm.of_chain(drawing()), []
+    arm, squares = Arm(drawing()), []
     for seed in range(2):
         generator = np.random.default_rng([43, seed])
         real, (a, b) = Exponentials(generator), 5e-4 * generator.standard_normal((2, 6))
