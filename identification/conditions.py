@@ -17,7 +17,6 @@ from identification.arrays import Array, ByValue
 BY_ORDER = frozenset({"time", "directions", "past"})
 FOLLOWING = frozenset({"directions", "past"})
 LABELS = 0.75  # share of rows behind a gap from which the numbers of order are frames or labels, not counts
-SESSION = 3  # column of the table that has the number of the session
 REMEMBERED = 12  # turning points of a past: of 60 random postures in 3,000 one row needs more
 
 
@@ -91,7 +90,7 @@ class Conditions(ByValue):
         table[..., 0] = payload if self.payload is None else self.payload
         table[..., 1] = 0.0 if self.temperature is None else self.temperature
         table[..., 2] = 0.0 if self.time is None else self.time
-        table[..., SESSION] = 0.0 if self.session is None else self.session
+        table[..., 3] = 0.0 if self.session is None else self.session
         table[..., 4 : 4 + n] = 1.0 if self.directions is None else self.directions
         if postures is not None:
             past = postures[..., None] if self.past is None else np.asarray(self.past)

@@ -179,7 +179,9 @@ class ArmModel:
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         for _ in range(BATCHES):
             anywhere = generator.uniform(lower, upper, (BATCH, len(chain)))
-            q = led_to_contact(self.model, anywhere, chain.instrument.touched, units)
+            targets = len(chain.instrument.targets)  # as many postures for each
+            target = np.arange(BATCH) % targets if targets else None
+            q = led_to_contact(self.model, anywhere, chain.instrument.touched, units, target)
             q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
@@ -294,7 +296,8 @@ class ArmModel:
             time = session_time(np.arange(len(postures), dtype=float))
             past = past_from_order(postures) if ordered.remembers else None
             conditions = Conditions(time=time, directions=directions_from_order(postures), past=past)
-            each = (replace(conditions, marker=np.full(len(postures), k)) for k in range(self.points_read))
+            points = [None] if self.points_read == 1 else [np.full(len(postures), k) for k in range(self.points_read)]
+            each = (replace(conditions, marker=point) for point in points)
             return np.concatenate([ordered.jacobian(postures, conditions=at) for at in each], axis=1) / ordered.scales
 
         def preflight(postures: Array) -> Detectability:

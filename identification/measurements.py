@@ -209,12 +209,6 @@ class Measurements(ByValue):
         return np.array([number[name] for name in self.session.tolist()])
 
     @property
-    def session_numbers(self) -> NDArray[np.int64]:
-        """(m,) number of each row's session, from 0, among `session_names`; 0 where the data name none."""
-        numbers = self._session_numbers
-        return np.zeros(len(self), dtype=np.int64) if numbers is None else numbers.astype(np.int64)
-
-    @property
     def marker_numbers(self) -> NDArray[np.int64] | None:
         """(m,) number of each row's measured point among `marker_names`, None: there is one."""
         if self.marker is None:

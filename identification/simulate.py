@@ -94,7 +94,7 @@ def _seated(model: Model, session: Measurements, noise: float, generator: np.ran
     points = of_positions(model).position(q)
     apart = [np.linalg.norm(points - place, axis=1) for place in targets.values()]
     names = np.array([*targets])[np.argmin(apart, axis=0)]
-    return replace(session, postures=q, session=names, session_names=tuple(targets))
+    return replace(session, postures=q, marker=names, marker_names=tuple(targets))
 
 
 def _noise(truth: Arm, sigma: float | None) -> float:

@@ -220,7 +220,7 @@ class InstrumentTable(StrictTable):
     radius_mm: Radius | None = None
     center_mm: Point | None = None
     normal: Direction | None = None
-    cups: dict[str, Point] | None = None
+    cups: dict[str, Point] | None = Field(None, description="COORDINATES [mm] for each cup")
     distances_mm: list[Distance] | None = Field(
         None, description="a list of [cup, other cup, mm between their centers]"
     )

@@ -77,8 +77,9 @@ class Instrument:
     keys : of `[instrument]` that it has, besides `kind`
     coordinates : of a reading; none: it reads nothing, a target is touched (`contact`)
     target : column of files that names what is touched, each with a place of its own; empty: there is none
-    own_targets : whether these stand in the frame of the base, by `parameters`; else each session has a base
-    unsaid : number of the session where nothing is said of it
+    own_targets : whether these have `parameters`, in the frame of the base, and rows name them as they name measured
+        points (`Measurements.marker`); else they count as sessions, each of which has a base
+    unsaid : number of the target where nothing is said of it
     offers : what effects may need of it (`Effect.needs`)
     reads_positions : whether a reading is the position of the measured point, or with its orientation the pose
     guide : what the first files say of it, where it has a `kind`
@@ -95,17 +96,17 @@ class Instrument:
     guide: ClassVar[Guide]
 
     # -- what a row reads ------------------------------------------------------------------------------------------
-    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         """(d,) what it reads of a point (3,) [mm] in its frame.
 
-        values : of its own `parameters`;  session : number of the row's session, from 0
+        values : of its own `parameters`;  target : number of what the row touches, from 0, of those with `own_targets`
         """
         raise NotImplementedError
 
-    def linearized(self, points: Array, values: Array, session: Array) -> tuple[Array, Array, Array]:
-        """(..., d) what it reads of points (..., 3) in its frame with values (..., k) of its own parameters in sessions
+    def linearized(self, points: Array, values: Array, target: Array) -> tuple[Array, Array, Array]:
+        """(..., d) what it reads of points (..., 3) in its frame with values (..., k) of its own parameters and targets
         (..., 1), and the derivatives by points and values, (..., d, 3) and (..., d, k)."""
-        reading, by_point, by_values = _linearized(self)(points, values, session)
+        reading, by_point, by_values = _linearized(self)(points, values, target)
         return reading[..., 0], by_point, by_values
 
     @property
@@ -192,7 +193,7 @@ class Instrument:
     def with_targets(self, points: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Instrument:
         """With `own_targets` where rows touch them.
 
-        points : (m, 3) measured ones in its frame, as best known;  numbers : (m,) of sessions, whose `names` these are
+        points : (m, 3) measured ones in its frame, as best known;  numbers : (m,) of the targets, by their `names`
         """
         return self
 
@@ -232,10 +233,10 @@ PLACE = "base"  # kind of a parameter that says where something stands, as that 
 @lru_cache(maxsize=32)
 def _linearized(instrument: Instrument) -> Evaluate:
     """Compiled once for equal instruments."""
-    point, values, session = (ca.SX.sym(*name) for name in (("p", 3), ("v", len(instrument.parameters)), ("session",)))
-    reading = ca.SX(instrument.reading(point, values, session))
+    point, values, target = (ca.SX.sym(*name) for name in (("p", 3), ("v", len(instrument.parameters)), ("target",)))
+    reading = ca.SX(instrument.reading(point, values, target))
     outputs = [ca.densify(reading), ca.jacobian(reading, point), ca.jacobian(reading, values)]
-    return vectorize(ca.Function("reading", [point, values, session], ca.cse(outputs)))
+    return vectorize(ca.Function("reading", [point, values, target], ca.cse(outputs)))
 
 
 def relative(first: Array, base: Array) -> dict[str, float]:

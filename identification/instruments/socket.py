@@ -44,7 +44,7 @@ class Socket(Instrument):
 
     cups : names and places (3,) [mm] in the frame of the base, about, where fits start; empty: not known yet
     distances : pairs of cups and what is known between their centers [mm]
-    numbers : of the sessions in which each cup is touched, from 0; empty: in order
+    numbers : of the cups, by which rows name them, from 0; empty: in order
     """
 
     kind = "socket"
@@ -72,8 +72,8 @@ class Socket(Instrument):
     def dimension(self) -> int:
         return len(AXES)
 
-    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
-        """From the cup of the session; where it has none from the nearest."""
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        """From the cup of this number; where there is none from the nearest."""
         if not self.cups:
             return point
         places = ca.reshape(self._places(values), 3, -1)
@@ -82,7 +82,7 @@ class Socket(Instrument):
         for other in beside[1:]:
             chosen, least = ca.if_else(ca.sumsqr(other) < least, other, chosen), ca.fmin(least, ca.sumsqr(other))
         for number, one in zip(self._numbers, beside, strict=True):
-            chosen = ca.if_else(session == number, one, chosen)
+            chosen = ca.if_else(target == number, one, chosen)
         return chosen
 
     @cached_property
@@ -145,7 +145,7 @@ class Socket(Instrument):
         return Placement(np.eye(4), tool, float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))))
 
     def with_targets(self, points: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Socket:
-        """With a cup in the middle of the points of each session."""
+        """With a cup in the middle of the points of each."""
         touched = np.unique(numbers).tolist()
         cups = tuple((names[k], _triple(points[numbers == k].mean(axis=0))) for k in touched)
         return replace(self, cups=cups, numbers=tuple(touched))

@@ -45,7 +45,7 @@ class Sphere(Distance):
 
     radius: float | None = None
 
-    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return distance_to_center(point) - (values[0] if self.radius is None else 0.0)
 
     @property

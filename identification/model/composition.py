@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.arrays import Array
-from identification.conditions import SESSION
 from identification.effects import Effect
 from identification.effects.places import OF_FRAME
 from identification.instruments import TRACKER, Instrument
@@ -54,6 +53,7 @@ class Composition:
     values : of all parameters, those of the geometry first, then those of the instrument, None for the free ones
     tied : the part of each value that belongs to error curves, off where these do not hold; empty: none
     instrument : what is read of the position, which the parts compute
+    target : column of c that says of which target, None: there is one
     """
 
     shared: CompiledArm
@@ -61,6 +61,7 @@ class Composition:
     values: tuple[float | None, ...]
     tied: tuple[float, ...] = ()
     instrument: Instrument = TRACKER
+    target: slice | None = None
 
     def position(self, q: Array, c: Array, p: Array) -> tuple[Array]:
         """(..., d, 1) positions."""
@@ -154,7 +155,8 @@ class Composition:
             position[..., POINT] += self._total(added, batch)[..., shared.places[INSTRUMENT]]
         reads = not self.instrument.reads_positions
         if reads:
-            position, by_point, by_own = self.instrument.linearized(position, own, c[..., SESSION, None])
+            target = np.zeros(1) if self.target is None else c[..., self.target]
+            position, by_point, by_own = self.instrument.linearized(position, own, target)
         if not derivatives:
             return At(position, np.zeros(0), np.zeros(0), state, added)
         by_geometry, levers = self._derivatives(computed[1], computed[2], added, used)

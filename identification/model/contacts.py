@@ -13,14 +13,17 @@ LONGEST = 0.5  # [rad] of a step; of a prismatic joint that share of its range /
 FLAT = 1e-12  # share of the largest slope below which a step goes nowhere
 
 
-def led_to_contact(model: Model, postures: Array, goals: Array | float, units: Array) -> Array:
+def led_to_contact(
+    model: Model, postures: Array, goals: Array | float, units: Array, target: Array | None = None
+) -> Array:
     """Postures (m, n) led to where the instrument reads the goals (m, d), most of them; limits apart.
 
-    units : (n,) what counts as a radian of each joint [rad, mm]
+    units : (n,) what counts as a radian of each joint [rad, mm];  target : (m,) number of what each touches, of several
+        that have one; None: the nearest
     """
     q = np.array(postures)
     for _ in range(STEPS):
-        conditions = model.condition_table(q, Conditions())
+        conditions = model.condition_table(q, Conditions(marker=target))
         reading, slopes = model.expressions.posture_jacobian(q, conditions, model.values[None])
         slopes = slopes * units
         across = slopes @ np.swapaxes(slopes, 1, 2)

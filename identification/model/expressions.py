@@ -11,7 +11,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.conditions import SESSION, Conditions
+from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
 from identification.effects.chain import ORIENTATION, chain_at, condition_width, orientation_columns
 from identification.effects.places import by_place, position_and_state, widths
@@ -116,7 +116,9 @@ class Expressions:
         shared, tied = compiled_arm(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
         tied |= {name: float(x) for name, x in chain.along_base(tied, {}).items()}
         off = tuple(tied.get(name, 0.0) for name in every) if tied else ()
-        return Composition(shared, self.effects, values, off, chain.instrument)
+        width = Conditions.columns(self.arm.links, self.remembers)
+        target = slice(width, width + 1) if "marker" in self.extra else None
+        return Composition(shared, self.effects, values, off, chain.instrument, target)
 
     def table(self, postures: Array, conditions: Conditions) -> Array:
         """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
@@ -124,10 +126,9 @@ class Expressions:
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         shape, past = postures.shape[:-1], postures if self.remembers else None
         columns = [conditions.table(shape, self.arm.links, payload, past)]
-        if conditions.session is None and (chain := self.arm.chain) is not None and chain.instrument.unsaid:
-            columns[0][..., SESSION] = chain.instrument.unsaid
         if "marker" in self.extra:
-            columns.append(np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, shape)[..., None])
+            marker = self.arm.chain.instrument.unsaid if conditions.marker is None else conditions.marker
+            columns.append(np.broadcast_to(marker, shape)[..., None])
         if "orientation" in self.extra:
             columns.append(self._reference(postures, columns, conditions.orientation))
         if "errors" in self.extra:  # tables are looked up here: as formulas they would be thousands of terms

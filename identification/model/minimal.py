@@ -18,6 +18,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.kinematics.frames import AXES
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.measurements import Conditions, Measurements
@@ -68,11 +69,25 @@ def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT
     if not chain.instrument.contact:
         return minimal(placed, least)
     if chain.instrument.own_targets:
-        return minimal(placed, least, measurements.postures, measurements.conditions)
+        shown = minimal(placed, least, measurements.postures, measurements.conditions)
+        return _of_drawn_size(shown) if chain.instrument.size_is_open[0] else shown
     longest_session = measurements.rows(max(measurements.session_rows, key=len))
-    shown = minimal(placed_model(model, longest_session), least, longest_session.postures).arm.chain
-    assert shown is not None
-    return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.fixed)))
+    shown = minimal(placed_model(model, longest_session), least, longest_session.postures)
+    return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.arm.chain.fixed)))
+
+
+def _of_drawn_size(model: Model) -> Model:
+    """The model with the longest step that is a parameter as drawn: readings that do not show the size of the arm would
+    all the same, where they do not fit, fit an arm better that is next to nothing."""
+    chain = model.arm.chain
+    steps = {
+        f"translation_{axis}:{j}": abs(float(step))
+        for j, joint in enumerate(chain.joints, start=1)
+        for axis, step in zip(AXES, joint.origin[:3, :3].T @ joint.origin[:3, 3], strict=True)
+    }
+    longest = max((name for name in model.names if name in steps), key=steps.__getitem__, default="")
+    fixed = chain.fixed | ({longest} if longest else set())
+    return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=fixed)))
 
 
 def placed_calibration(arm: Arm, calibration: Calibration) -> Calibration:
@@ -109,5 +124,6 @@ def _jacobian(model: Model, postures: Array | None, conditions: Conditions | Non
     if conditions is not None:
         return model.jacobian(postures, None, conditions).reshape(-1, len(model.parameters))
     markers = len(arm.chain.tools)
-    rows = [model.jacobian(postures, None, Conditions(marker=np.full(len(postures), float(k)))) for k in range(markers)]
+    points = [None] if markers == 1 else [np.full(len(postures), float(k)) for k in range(markers)]
+    rows = [model.jacobian(postures, None, Conditions(marker=point)) for point in points]
     return np.concatenate(rows).reshape(-1, len(model.parameters))
