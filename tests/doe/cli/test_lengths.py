@@ -260,9 +260,9 @@ def test_the_loop_of_a_socket(folder: Folder) -> None:
     folder.write("arm.toml", SIX + SOCKET)
     folder.write("truth.toml", SIX + SOCKET + "[calibration.values]" + truth + ECCENTRIC)
     folder.write("blank.toml", SIX + 'kind = "socket"\ndistances_mm = [["A", "B", 360.5]]\n')
-    for runs, seed, name, solver in (("60", "1", "seats", "exchange"), ("40", "2", "fresh", "random")):
+    for runs, seed, name in (("60", "1", "seats"), ("40", "2", "fresh")):
         plan = folder.armcal(
-            "design", "arm.toml", "--runs", runs, "--solver", solver, "--seed", seed, "--out", f"{name}.csv"
+            "design", "arm.toml", "--runs", runs, "--starts", "1", "--seed", seed, "--out", f"{name}.csv"
         )
         assert plan.code == 0, plan.err
         words = "arm.toml", f"{name}.csv", "--truth", "truth.toml", "--seed", seed, "--out", f"{name}d.csv"
