@@ -10,7 +10,7 @@ _PLACES = {
     "Design": "doe.design",
     "DesignProblem": "doe.problem.problem",
     "Plan": "doe.plan.plan",
-    "load_plan": "doe.plan.file",
+    "load_plan": "doe.plan.plan",
     "score": "doe.design",
     "score_plan": "doe.design",
     "solve": "doe.solvers",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
-from doe.bounds.approximate_design import ApproximateDesign
+from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.column_generation import continuous_design
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.design import Design

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
+from identification.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -126,6 +128,22 @@ class Document:
         return head + "".join(html(part) for part in self.parts) + steps
 
 
+@dataclass
+class Answer:
+    """What a command answers.
+
+    data : the object of --json;  shown : documents and lines for people;  exit_code : 0 done, 1 the job failed
+    warnings : doubts that `shown` has too, for those who read `data`
+    failure : why files that were asked for are not there, beside an answer that holds all the same
+    """
+
+    data: dict[str, Any]
+    shown: list[Any]
+    exit_code: int = 0
+    warnings: Sequence[str] = ()
+    failure: InputError | None = None
+
+
 def _without_pictures(parts: Sequence[Part]) -> list[Part]:
     sections = (replace(one, parts=_without_pictures(one.parts)) if isinstance(one, Section) else one for one in parts)
     return [one for one in sections if not isinstance(one, Pictures)]
@@ -160,6 +178,20 @@ def html(part: Part, picture: Callable[[Figure], str] | None = None, name: str =
         head = f"<h2>{escape(part.title)}</h2>\n"
         return f"<details>\n<summary>{head}</summary>\n{inside}</details>\n" if part.folded else head + inside
     return part._repr_html_() if isinstance(part, Document) else ""
+
+
+def picture_bytes(figure: Figure, path: Path) -> bytes:
+    """The content of a picture file. Raises `InputError` for a name whose ending is no format."""
+    check_picture(path)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=path.suffix.lower().removeprefix("."), dpi=150)
+    return buffer.getvalue()
+
+
+def check_picture(path: Path) -> None:
+    """Raises `InputError` for the name of a picture file whose ending is no format."""
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")
 
 
 def html_image(figure: Figure) -> str:
@@ -289,7 +321,7 @@ def in_symbols(text: str) -> str:
 # -- numbers as people read them ---------------------------------------------------------------------------------------
 def number(value: float | None, digits: int = 4) -> str:
     """A number formatted for a table; a dash for None."""
-    return "-" if value is None or not np.isfinite(value) else f"{value:z.{digits}f}"  # no -0.0000
+    return "-" if value is None or not math.isfinite(value) else f"{value:z.{digits}f}"  # no -0.0000
 
 
 def to_significant_digits(value: float | None, std: float | None) -> str:
@@ -298,7 +330,7 @@ def to_significant_digits(value: float | None, std: float | None) -> str:
         return "-"
     if not std:
         return f"{value:.5g}"
-    digits = int(np.clip(2 - np.floor(np.log10(abs(std))), 0, 12))
+    digits = min(max(2 - math.floor(math.log10(abs(std))), 0), 12)
     return f"{value:z.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
 
 
@@ -316,11 +348,11 @@ def estimate_text(value: float | None, std: float | None, unit: str) -> str:
 
 def in_a_sentence(value: float | None) -> str:
     """A length to three significant digits, as people say it: `0.110`, `1.42`, `34`; a dash for None."""
-    if value is None or not np.isfinite(value):
+    if value is None or not math.isfinite(value):
         return "-"
     if value == 0.0:
         return "0"
-    digits = int(np.clip(2 - np.floor(np.log10(abs(value))), 0, 6))
+    digits = min(max(2 - math.floor(math.log10(abs(value))), 0), 6)
     return f"{value:z.{digits}f}"
 
 

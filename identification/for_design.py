@@ -23,25 +23,28 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, Conditions
 from identification.errors import InputError
 from identification.kinematics.frames import pose
-from identification.kinematics.parameters import ParameterSet
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import directions_from_order, past_from_order, session_time
 from identification.model import Model
 from identification.model.contacts import led_to_contact
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.positions import of_positions, tip_jacobian
-from identification.validate.row_groups import diagnosed
 from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
 
 if TYPE_CHECKING:
+    from identification.arm import Arm
     from identification.gap.detectability import Detectability
     from identification.gap.library.library_prior import LibraryPrior
+    from identification.kinematics.parameters import ParameterSet
 
+NEEDS_SIGMA = (  # the end of a sentence
+    "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
+    "or what the standard deviation of one coordinate is [mm]"
+)
 AHEAD = 0.5  # of the reach: where the center of measured distances is assumed
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
 CHOICES = 2000  # postures that touch to choose from, as for robust designs
@@ -180,7 +183,7 @@ class ArmModel:
         for _ in range(BATCHES):
             anywhere = generator.uniform(lower, upper, (BATCH, len(chain)))
             targets = len(chain.instrument.targets)  # as many postures for each
-            target = np.arange(BATCH) % targets if targets else None
+            target = np.arange(BATCH) % float(targets) if targets else None
             q = led_to_contact(self.model, anywhere, chain.instrument.touched, units, target)
             q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
@@ -241,12 +244,14 @@ class ArmModel:
     def machining(self) -> tuple[float, float, float]:
         """Standard deviations of lengths [mm] and angles [rad] of such arms, and the lever [mm] of an angle of which
         nothing else is known."""
-        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.lengths))
+        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.chain.levers))
 
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property
     def complete(self) -> bool:
         """Whether nothing is missing: what the data of a diagnosed arm could show is in its model."""
+        from identification.validate.origin import diagnosed
+
         return diagnosed(self.arm)
 
     def missing_effects(self, names: Sequence[str] | None, fastest: float) -> LibraryPrior:
@@ -336,6 +341,21 @@ def without_prior(arm: Arm) -> Arm:
     if arm.chain.planar:
         return arm
     return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
+
+
+def with_scatter(arm: Arm) -> tuple[Arm, str]:
+    """The arm with a sigma, where it has none the scatter that its calibration left; and where it comes from, or what
+    is missing without one."""
+    if arm.sigma is not None:
+        return arm, ""
+    from identification.arm import SIGMA_RANGE
+    from identification.validate.origin import identified
+
+    scatter = identified(arm).get("scatter_mm")
+    if not isinstance(scatter, float) or not SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1]:
+        return arm, f"No standard deviations, no tip error: that {NEEDS_SIGMA}."
+    scatter_in_words = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
+    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is taken for it."
 
 
 def refuse_contacts(chain: SpatialChain) -> None:

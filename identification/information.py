@@ -70,37 +70,6 @@ def product_inverse(product: Array, tolerance: float = PRODUCT_TOLERANCE) -> Arr
     return np.asarray(inverse / lengths / lengths[:, None])
 
 
-def log_determinants(information: Array) -> Array:
-    """(...) log det of information matrices (..., p, p) of scaled parameters; -inf where the rule calls them singular.
-
-    The determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most matrices their
-    eigenvalues.
-    """
-    p = information.shape[-1]
-    sizes = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
-    usable = np.array(np.all(np.isfinite(information), axis=(-2, -1)))
-    lengths, zero = column_lengths(np.where(usable[..., None], sizes, 1.0), np.ones(p))
-    usable &= ~np.any(zero, axis=-1)
-    scaled = information / lengths[..., :, None] / lengths[..., None, :]
-    unit = np.where(usable[..., None, None], scaled, np.eye(p))
-    signs, logs = np.linalg.slogdet(unit)
-    usable &= signs > 0
-    close = usable & (logs <= 1.0 + np.log(p * rounding_share(p)))
-    if np.any(close):
-        usable[close] = np.all(significant(np.linalg.eigvalsh(unit[close]), rounding_share(p)), axis=-1)
-    return np.where(usable, logs + 2.0 * np.sum(np.log(lengths), axis=-1), -np.inf)
-
-
-def inverses(information: Array) -> Array:
-    """(..., p, p) inverses of information matrices of scaled parameters, infinite where `log_determinants` is -inf."""
-    p = information.shape[-1]
-    singular = np.isneginf(log_determinants(information))[..., None, None]
-    matrices = np.where(singular, np.eye(p), information)
-    lengths = np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
-    inverse = np.linalg.inv(matrices / lengths[..., :, None] / lengths[..., None, :])
-    return np.where(singular, np.inf, inverse / lengths[..., :, None] / lengths[..., None, :])
-
-
 def column_space(jacobian: Array, scales: Array) -> Array:
     """(N, rank) orthonormal basis of the columns of a Jacobian (N, p) that may be whitened."""
     return column_space_of(jacobian, scales)[0]

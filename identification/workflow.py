@@ -1,14 +1,365 @@
-"""The commands of identification."""
+"""The commands of identification: files in, files out, and an `Answer` of what there is to say.
+
+Each function is a verb of `armcal`, which its signature, its docstring and its example declare (doe/cli/common.py), and
+may be called from Python as well: `identify_files("arm.toml", "data.csv", out="calibrated.toml")`. Verbs take units of
+files; those of one name without `_files` are the same of objects, in millimetres and radians. What they load is loaded
+when they are called, so that `armcal --help` answers at once.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
 
+from identification.document import Answer, Document
 from identification.errors import InputError
-from identification.estimation.corrected_values import Calibrated, CorrectedValue, dh_places, dh_values
-from identification.files.arm_chain import dh_rows
-from identification.kinematics.frames import point_table, pose_table
+from identification.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from identification.arm import Arm
+    from identification.estimation import Identification
+    from identification.estimation.corrected_values import Calibrated, CorrectedValue
+    from identification.gap.library.library_prior import LibraryPrior
+    from identification.measurements import Measurements
+    from identification.model import Model
+
+Written = NewType("Written", Path)  # a file that a verb writes
+Picture = NewType("Picture", Written)  # .png, .svg, .pdf
+Names = Annotated[str, "NAMES"]
+PathLike = str | os.PathLike[str]
+
+
+# -- reading -----------------------------------------------------------------------------------------------------------
+def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
+    """The measurements of an arm from one file or several, each of which is a session of its file's name; warns where
+    the units look wrong.
+
+    Raises `InputError` where they certainly are, and for a file given twice.
+    """
+    from identification.sessions import pooled_sessions
+
+    real = [os.path.realpath(path) for path in paths]
+    for path, target in zip(paths, real, strict=True):
+        if real.count(target) > 1:
+            raise InputError(f"{path}: is given {real.count(target)} times, allowed: each session once")
+    read = [_measured(path, arm) for path in paths]
+    stems = [Path(path).stem for path in paths]
+    names = [stem if stems.count(stem) == 1 else str(path) for path, stem in zip(paths, stems, strict=True)]
+    return read[0] if len(read) == 1 else pooled_sessions(dict(zip(names, read, strict=True)))
+
+
+def _measured(path: Path, arm: Arm) -> Measurements:
+    from identification.files.measurement import load_measurements
+    from identification.inspection.data_checks import certainly_wrong_units, data_warnings
+
+    measurements = load_measurements(path, arm)
+    if wrong := certainly_wrong_units(measurements, arm):
+        raise InputError(f"{path}: {wrong}")
+    for sentence in data_warnings(measurements, arm):
+        warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
+    return measurements
+
+
+# -- check, simulate ---------------------------------------------------------------------------------------------------
+def check_files(arm: Path, data: Path, *, progress: Progress = silent) -> Answer:
+    """Are the measurements what they should be?
+
+    Look at the measurements DATA of ARM before anything is fitted in earnest.
+
+    Rows, ranges against limits, units, repeats, what the drawing leaves after fitting where the arm stands, joints that
+    turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
+
+    The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
+    """
+    from identification.files.arm import load_arm
+    from identification.files.arm_chain import urdf_masses
+    from identification.files.measurement import load_measurements
+    from identification.inspection.inspection import inspect
+
+    loaded = load_arm(arm)
+    measurements = load_measurements(data, loaded)
+    progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
+    inspection = inspect(loaded, measurements, urdf_masses(arm))
+    return Answer(inspection.to_json(), [inspection.document(str(arm), str(data))])
+
+
+def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: bool = False, seed: int = 0) -> Answer:
+    """Simulate the measurements of a plan.
+
+    Measure the TRUTH at the postures of a PLAN, with the arm's noise (sigma_mm). The plan may give payload_kg,
+    temperature_C and direction1.. of every row.
+
+    truth : Arm file with [calibration] and [[effects]] values.
+    out : Measurements CSV to write.
+    force : Overwrite an existing file.
+    """
+    import numpy as np
+
+    from identification.effects import build_all
+    from identification.files.arm import load_arm
+    from identification.files.io import write_together
+    from identification.files.measurement import measurement_text
+    from identification.files.plan import read_plan
+    from identification.simulate import simulate
+
+    loaded, true_arm = load_arm(arm), load_arm(truth)
+    if true_arm.links != loaded.links:
+        raise InputError(f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
+    if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
+        kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
+        raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
+    wanted = read_plan(plan, loaded.joint_types, conditions=True)
+    sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
+    if sigma is None:
+        raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
+    calibrated = {} if true_arm.calibration is None else true_arm.calibration.effects
+    built = build_all(true_arm.effects, true_arm.chain)
+    for effect, spec in zip(built, true_arm.effects, strict=True):
+        if not effect.scatter and not any(p.short in spec.values or p.name in calibrated for p in effect.parameters):
+            keys = ", ".join(p.toml_key for p in effect.parameters)
+            warnings.warn(f"{truth}: {effect.key} has no value and does nothing; it has {keys}", stacklevel=2)
+    try:
+        data = simulate(true_arm, wanted.postures, np.random.default_rng(seed), sigma=sigma, **wanted.conditions)
+    except InputError as error:
+        raise InputError(f"{truth}: {error}") from None
+    text = measurement_text(replace(data, fit=wanted.fit), loaded.joint_types, loaded.chain.instrument)
+    write_together({out: text}, force=force)
+    summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
+    return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"])
+
+
+# -- identify ----------------------------------------------------------------------------------------------------------
+def identify_files(
+    arm: Path,
+    data: Path,
+    *,
+    method: str | None = None,
+    sigma: Literal["given", "estimated"] | None = None,
+    prior: Annotated[bool | None, "--prior/--no-prior", "--library-prior/--no-library-prior"] = None,
+    missing: Names | None = None,
+    prior_from: Path | None = None,
+    only: tuple[Names, ...] = (),
+    parameters: Literal["minimal", "all"] | None = None,
+    without_outliers: bool = False,
+    full: bool = False,
+    urdf: Written | None = None,
+    out: Written | None = None,
+    force: bool = False,
+    progress: Progress = silent,
+) -> Answer:
+    """Estimate the arm's parameters from measurements.
+
+    With 95 % intervals. Where a column session distinguishes sessions, each gets a base of its own; the file has that
+    of the first. With --only all other parameters stay at the values of ARM.
+
+    method : linear, gauss_newton or paper_steps; left out: the best for the model.
+    sigma : What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.
+    prior : Fit the library's effects too, each held by a prior of its typical size, or not.
+    missing : Only these effects, for --library-prior: backlash,gear_ratio
+    prior_from : An earlier calibration with its covariance as the prior; --prior FILE is the same.
+    only : Estimate only these, with commas: lengths, joint_offsets, base, tool, effects, names such as joint_offset:2.
+    parameters : Of a spatial arm: all errors of its geometry, held by [machining] (left out: this), or as many as are
+        free.
+    without_outliers : Leave rows out that nothing of the model explains, and say which.
+    full : Print every corrected value of a spatial arm, also those hardly determined.
+    urdf : Write the corrected URDF file of a spatial arm.
+    out : Write a calibrated arm file (TOML).
+    force : Overwrite an existing file.
+    """
+    from identification.documents.identification import hardly_better, identification_actions, identification_document
+    from identification.estimation import estimate
+    from identification.estimation import without_outliers as fitted_without_outliers
+    from identification.files.arm import load_arm
+    from identification.model import Model
+    from identification.servo import following_errors, with_servo_errors
+    from identification.sessions import with_sessions
+    from identification.validate.origin import diagnosed
+    from identification.validate.reuse import at_reference, with_base_doubt, with_mounting_doubt, words_of
+    from identification.validate.validation import prior_judged
+
+    loaded, words = load_arm(arm), words_of(only)
+    for option, value in (("--parameters", parameters), ("--urdf", urdf)):
+        if value is not None and loaded.chain.planar:
+            raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
+    old = None if prior_from is None else load_arm(prior_from)
+    measurements = load_sessions([data], loaded)
+    loaded = with_servo_errors(loaded, measurements)
+    if old or words or any(effect.values for effect in loaded.effects):
+        # where something is held, temperatures count from those that it was found at
+        measurements = at_reference(measurements, old or loaded)
+    asked = None
+    if measurements.fit:  # by the plan of these rows, unless an option says otherwise
+        refused = {
+            "--no-library-prior": prior is False,
+            f"--method {method}": method not in (None, "gauss_newton"),
+            "--parameters minimal": parameters == "minimal",
+        }
+        against = None if prior else next((option for option, refuses in refused.items() if refuses), None)
+        if prior is None and against is None:
+            prior, missing = True, missing or measurements.fit.partition("--missing ")[2] or None
+        asked = {"asked": measurements.fit, "followed": against is None, "against": against}
+    if missing is not None and not prior:
+        raise InputError("--missing: found without --prior, allowed: with --prior")
+    if prior or old is not None:
+        if parameters == "minimal":
+            raise InputError("--parameters: minimal with --prior, allowed: all")
+        if method not in (None, "gauss_newton"):
+            raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
+    names = None if missing is None else [name.strip() for name in missing.split(",")]
+    library: LibraryPrior | None = None
+
+    def fit(rows: Measurements) -> Identification:
+        """The library's effects in it are those that these rows can show."""
+        nonlocal library
+        wide = with_sessions(loaded, rows)
+        if prior:
+            library, wide = _with_library(wide, rows, names)
+        return _fitted(wide, rows, words, library, old, prior_from, method, sigma, minimal=parameters == "minimal")
+
+    progress(0, None, f"fitting {len(measurements)} rows")
+    rows, keys = measurements, dict[str, Any]({"only": words} if words else {})
+    if without_outliers:
+        identified, left_out = fitted_without_outliers(fit, measurements)
+        keys["left_out"] = list(left_out)
+        rows = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
+    else:
+        identified = fit(measurements)
+    effects = library
+    if identified.prior is not None and (earlier := identified.prior.earlier) is not None:
+        held = {*identified.prior.names, *identified.model.prior}
+        keys["prior_from"] = {
+            "file": str(prior_from),
+            "parameters": list(earlier.names),
+            "anew": [name for name in identified.names if name not in held],
+            "contradicted": [one.to_json() for one in identified.contradictions],
+        }
+    if words:
+        identified = with_base_doubt(identified, with_sessions(loaded, rows), words, rows)
+    before, identified = identified, with_mounting_doubt(identified, rows, fit)
+    offered = None
+    if effects is not None and not words and old is None:
+        offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, rows)), rows), identified, rows)
+
+    # what there is to say
+    hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
+    result = identified.to_json() | _beside_the_fit(identified, arm, loaded, rows, words) | keys
+    lines, refusal = [], no_file(identified, force) if out or urdf else None
+    if effects is not None:
+        result |= {"prior": effects.to_json()}
+        result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
+        lines.append(effects.sentence)
+    if refusal is not None:
+        lines += [f"{name} was not written: {refusal}" for name in (out, urdf) if name is not None]
+    elif out or urdf:
+        kept = loaded.calibration if words else None, None if old is None else old.calibration
+        lines += _write_calibrated(identified, arm, (out, urdf), force, hidden, kept)
+    if asked is not None:
+        result["fit"] = asked
+        lines.append(_asked_in_words(asked, data))
+    lines += _keys_in_words(result)
+    doubts = list(identified.warnings)
+    if offered is not None:
+        result["offered"] = offered.to_json()
+        doubts += [] if offered.better else [hardly_better(result["offered"])]
+    if errors := following_errors(measurements, loaded.joint_types):
+        result["servo_error"] = [error.to_json() for error in errors]
+    every = full or old is not None or identified.machining_factor is None  # as where [machining] holds no value
+    document = identification_document(identified, result, hidden, full=every)
+    actions = identification_actions(
+        str(arm),
+        str(data),
+        out,
+        diagnosed=diagnosed(loaded),
+        allowed_for=effects is not None,
+        better=offered is None or offered.better,
+        mounted_anew=identified is not before,
+    )
+    failed = refusal is not None or (bool(identified.not_identifiable) and not (out or urdf))
+    shown = replace(document.plus(*lines), actions=[] if failed else actions)
+    return Answer(result, [shown], exit_code=int(failed), warnings=doubts)
+
+
+def _with_library(arm: Arm, rows: Measurements, names: Sequence[str] | None) -> tuple[LibraryPrior, Arm]:
+    """The library's effects that these rows can show, or those named, held by a prior; and the arm with them."""
+    from identification.gap.library.library_prior import given_by, library_prior
+
+    library = library_prior(arm, given_by(rows), names)
+    return library, library.arm
+
+
+def _fitted(
+    arm: Arm,
+    rows: Measurements,
+    words: Sequence[str],
+    library: LibraryPrior | None,
+    old: Arm | None,
+    prior_from: Path | None,
+    method: str | None,
+    sigma: Literal["given", "estimated"] | None,
+    *,
+    minimal: bool,
+) -> Identification:
+    """A fit of all parameters or those of --only (`words`), with the priors that were asked for."""
+    from identification.estimation import estimate, estimate_with_prior
+    from identification.estimation.prior import Prior
+    from identification.gap.noise import with_repeats_doubted
+    from identification.model import Model
+    from identification.validate.reuse import earlier, only
+
+    free = [] if library is None else list(library.prior.deviations)  # the library's effects always are
+    model = only(arm, [*words, *free], rows) if words else Model(arm)
+    if library is None and old is None:
+        model = minimal_model(model, rows) if minimal else model
+        return with_repeats_doubted(estimate(model, rows, method=method, sigma=sigma), rows)
+    prior = Prior({}) if library is None else library.prior
+    if old is not None:
+        try:
+            prior = replace(prior, earlier=earlier(old, model, rows))
+        except InputError as error:
+            raise InputError(f"{prior_from}: {error}") from None
+    return with_repeats_doubted(estimate_with_prior(model, rows, prior, sigma=sigma), rows)
+
+
+def minimal_model(model: Model, measurements: Measurements) -> Model:
+    """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
+    from identification.model.minimal import PRACTICAL, minimal_of
+
+    readings, _ = model.arm.chain.instrument.size_is_open
+    if readings:
+        reduced = f"minimal for {readings}, which leave the size of the arm open"
+        raise InputError(f"--parameters: found {reduced}, allowed: all, with the prior of [machining]")
+    kept = minimal_of(model, measurements, PRACTICAL)
+    if hardly := [name for name in minimal_of(model, measurements).names if name not in kept.names]:
+        left = f"{', '.join(hardly)} would move no coordinate by {PRACTICAL:g} mm RMS"
+        warnings.warn(f"left as drawn, {len(kept.names)} parameters stay: {left}", UserWarning, stacklevel=2)
+    return kept
+
+
+def _beside_the_fit(
+    fit: Identification, path: Path, arm: Arm, rows: Measurements, words: Sequence[str]
+) -> dict[str, Any]:
+    """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
+    from identification.estimation.corrected_values import Calibrated
+    from identification.estimation.expected_tip import left_out_rms
+    from identification.measurements import rms_distance
+    from identification.validate import drawing_residuals
+
+    try:
+        drawing = rms_distance(drawing_residuals(arm, rows))
+    except InputError:  # too few rows
+        drawing = None
+    keys = {"cross_validated_mm": left_out_rms(fit, rows), "rms_drawing_mm": drawing}
+    if arm.calibration is not None and words and set(words) <= {"base", "tool"} and drawing is not None:
+        keys["rms_nominal_mm"] = drawing
+    if fit.geometry is None or fit.not_identifiable:
+        return keys
+    table, places = dh_table(Calibrated.of(fit), fit.corrected_values, path)
+    return keys | ({"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {})
 
 
 def dh_table(
@@ -19,6 +370,10 @@ def dh_table(
 
     values : corrected ones, the radius among them
     """
+    from identification.estimation.corrected_values import dh_places, dh_values
+    from identification.files.arm_chain import dh_rows
+    from identification.kinematics.frames import point_table, pose_table
+
     if (table := dh_rows(arm)) is None:
         return (), []
     try:
@@ -32,3 +387,284 @@ def dh_table(
     own = {p.name for p in calibrated.geometry.chain.instrument.parameters}
     touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
     return rows, [*lines, *touched]
+
+
+def _asked_in_words(asked: Mapping[str, Any], data: Path) -> str:
+    """Whether the fit is the one that the plan is meant for."""
+    meant = f"{data} says # fit: {asked['asked']}"
+    if asked["followed"]:
+        return f"Fitted with the prior of the library, as the plan is meant: {meant} (--no-library-prior fits without)."
+    promise = "what the plan promises is of a fit with it"
+    return f"Not fitted with the prior of the library, because of {asked['against']}, although {meant}: {promise}."
+
+
+def _keys_in_words(data: Mapping[str, Any]) -> list[str]:
+    """What the JSON keys `only`, `left_out` and `prior_from` say."""
+    sentences = []
+    if words := data.get("only"):
+        sentences.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
+    if "left_out" in data:
+        rows = ", ".join(map(str, data["left_out"]))
+        sentences.append(f"Left out as outliers: {f'rows {rows}' if rows else 'no row'}.")
+    if (prior := data.get("prior_from")) is not None:
+        free = f"; without a prior: {', '.join(prior['anew'])}" if prior["anew"] else ""
+        sentences.append(f"Prior: {len(prior['parameters'])} parameters from {prior['file']}{free}.")
+    return sentences
+
+
+def no_file(fit: Identification, force: bool) -> str | None:
+    """The reason why a fit is not written into an arm file, or None if it is."""
+    from identification.status import Status
+
+    if fit.not_identifiable:
+        return "not every parameter is estimable from the data"
+    if fit.status is not Status.implausible:
+        return None
+    lengths = [] if fit.geometry else (fit.model.arm.lengths + fit.length_errors).tolist()
+    if lengths and min(lengths) <= 0.0:
+        return f"link {lengths.index(min(lengths)) + 1} would have no positive length"
+    return None if force else "the fit is implausible; --force writes it all the same"
+
+
+def _write_calibrated(
+    fit: Identification,
+    path: Path,
+    names: tuple[Path | None, Path | None],
+    force: bool,
+    hidden: frozenset[str],
+    kept: tuple[Any, Any],
+) -> list[str]:
+    """Write the calibrated arm and the corrected URDF file (`names`), all or none; the lines that report them.
+
+    path : of the arm file, which gets the calibration, and the effects of the fit that it lacks
+    hidden : parameters whose covariance is left out
+    kept : the calibration before, of which parameters that were not estimated keep covariance and data, and the one
+        that was the prior
+    """
+    from identification.files.arm_chain import corrected_urdf
+    from identification.files.arm_text import urdf_beside, with_calibration, with_effects
+    from identification.files.io import read_text, write_together
+    from identification.sessions import SESSIONS, without_sessions
+    from identification.validate.reuse import with_data_of, with_held
+
+    out, urdf = names
+    files: dict[PathLike, str | bytes] = {}
+    if out is not None:
+        kinds = fit.model.arm.joint_types
+        calibration = with_held(fit.calibration().about(set(fit.names) - hidden), kept[0], kinds)
+        calibration = without_sessions(with_data_of(calibration, kept[1], kinds))
+        effects = [spec for spec in fit.model.arm.effects if spec.name != SESSIONS]
+        text = with_effects(read_text(path), effects, Path(path).parent)
+        files[out] = with_calibration(text, calibration, Path(path).parent)
+    if fit.geometry is not None:
+        files |= urdf_beside(path, out)
+        files |= {} if urdf is None else {urdf: corrected_urdf(path, fit.geometry.real)}
+    write_together(files, force=force)
+    what = {out: "calibrated arm", urdf: "corrected URDF file"}
+    lines = [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
+    if urdf is not None and fit.model.effects:
+        left_out = ", ".join(effect.label for effect in fit.model.effects)
+        lines.append(f"a URDF file has no effects: {left_out} left out")
+    return lines
+
+
+# -- diagnose ----------------------------------------------------------------------------------------------------------
+def diagnose_files(
+    arm: Path,
+    data: tuple[Path, ...],
+    *,
+    holdout: Annotated[Path | float | None, "FILE|SHARE"] = None,
+    report: Written | None = None,
+    curves: Written | None = None,
+    named_only: bool = False,
+    out: Written | None = None,
+    force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
+    page: Callable[[Document, Sequence[Path]], str] = lambda document, _: document._repr_html_(),
+) -> Answer:
+    """Find and name the effect that the model lacks.
+
+    Find where model and measurements disagree, name the missing effect, and show the gap shrink. Several files DATA
+    are sessions of one arm, as are the rows that a column session tells apart: each gets a base of its own, and
+    each named effect is compared between them.
+
+    holdout : Measurements used for nothing but the confirmation; or a share of DATA (0.3): random postures are held
+        out.
+    report : Write an HTML page with pictures.
+    curves : Write the error curves of joints as a table (CSV).
+    named_only : Write what is named alone, without what is less likely and curves.
+    out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
+    force : Overwrite an existing file.
+    """
+    import numpy as np
+
+    from identification.files.arm import load_arm
+    from identification.files.arm_text import urdf_beside, with_calibration, with_effects
+    from identification.files.io import read_text, write_together
+    from identification.gap.confirmation import split
+    from identification.gap.curve import curves_text
+    from identification.gap.diagnose import diagnose
+    from identification.measurements import rms_distance
+    from identification.servo import with_servo_errors
+    from identification.validate import drawing_residuals
+    from identification.validate.validation import judged
+
+    loaded = load_arm(arm)
+    if models := [path for path in data if Path(path).suffix.lower() == ".toml"]:
+        raise InputError(f"{models[0]}: found an arm file among the data, allowed: files of measurements")
+    measurements, held_out = load_sessions(data, loaded), None
+    if isinstance(holdout, float):
+        measurements, held_out = split(measurements, holdout, np.random.default_rng(seed))
+    elif holdout is not None:
+        held_out = load_sessions([holdout], loaded)
+    loaded = with_servo_errors(loaded, measurements)
+    diagnosis = judged(diagnose(loaded, measurements, held_out, seed, progress), loaded, measurements, held_out)
+    doubts = list(diagnosis.warnings)
+    doubts += [f"not confirmed: {diagnosis.confirmation}"] if diagnosis.confirmed is False else []
+    if curves is not None and loaded.counting is not None:
+        meaning = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
+        warnings.warn(f"{curves}: {meaning}; armcal compensate writes commands as the controller counts", stacklevel=2)
+    names = [*map(str, (arm, *data))]
+    answer = Answer(diagnosis.to_json() | {"files": names}, [diagnosis.document(names, out)], warnings=doubts)
+    files: dict[PathLike, str | bytes] = {}
+    try:
+        if out is not None and diagnosis.confirmed is False and not force:
+            warnings.warn(f"{out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
+        elif out is not None:
+            model = diagnosis.extended_arm(diagnosis.named if named_only else None)
+            folder = Path(arm).parent
+            assert model.calibration is not None  # a diagnosis has one
+            files[out] = with_calibration(
+                with_effects(read_text(arm), model.effects, folder), model.calibration, folder
+            )
+            files |= urdf_beside(arm, out)
+        if curves is not None:
+            files[curves] = curves_text(diagnosis.curves)
+        if report is not None:
+            nominal = rms_distance(drawing_residuals(diagnosis.arm, measurements))
+            read = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
+            files[report] = page(diagnosis.document(names, out, nominal), read)
+        write_together(files, force=force)
+    except InputError as error:  # the diagnosis is shown all the same
+        answer.shown = [replace(answer.shown[0], actions=())]
+        answer.failure = error
+        return answer
+    answer.shown = [answer.shown[0].plus(*(f"written: {path}" for path in files))]
+    return answer
+
+
+# -- a calibration in use ----------------------------------------------------------------------------------------------
+def validate_files(
+    model: Path,
+    data: Path,
+    *,
+    refit: Literal["base", "offsets", "none"] = "base",
+    picture: Picture | None = None,
+    force: bool = False,
+) -> Answer:
+    """How well a calibrated model predicts other measurements.
+
+    Compare the calibrated MODEL (an arm file with [calibration]) with other measurements DATA. All that was identified
+    stays as it is; the drawing, refitted in the same way, stands beside it. A session column in DATA has the base
+    refitted in each session.
+
+    refit : What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.
+    picture : Draw residuals against time and over the workspace (PNG, SVG, PDF).
+    force : Overwrite an existing file.
+    """
+    from identification.documents.use import is_better, validation_actions
+    from identification.files.arm import load_arm
+    from identification.files.io import write_together
+    from identification.validate import validate
+    from identification.validate.origin import check_calibrated, mostly_outside
+
+    arm = load_arm(model)
+    check_calibrated(arm, str(model))
+    validation = validate(arm, load_sessions([data], arm), refit)
+    beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
+    result = validation.to_json()
+    actions = validation_actions(is_better(result), refit, str(model), str(data), beyond=beyond)
+    if picture is not None:
+        from identification.document import picture_bytes
+        from identification.documents.pictures import validation_figure
+
+        write_together({picture: picture_bytes(validation_figure(validation), picture)}, force)
+    notes = [f"{data}: {note}" for note in validation.notes]
+    return Answer(result, [replace(validation.document(), actions=actions)], warnings=notes)
+
+
+def compensate_files(
+    calibrated: Path,
+    targets: Path,
+    *,
+    out: Written | None = None,
+    force: bool = False,
+    constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
+) -> Answer:
+    """Joint commands that reach targets on the real arm.
+
+    TARGETS are x_mm,y_mm or nominal q1_deg.. on the CALIBRATED arm; in space with z_mm, and rx_deg, ry_deg, rz_deg
+    or a quaternion where the tool's orientation matters. Targets are in the frame of the measurements that
+    calibrated the arm (of a ball bar or a probe: of the arm's base). Commands keep to the joint limits and the
+    [[constraints]] of the arm file; where that cannot be, the row says why and has no angles. A warning counts the
+    targets that need joint angles outside those of the identification, where the model extrapolates.
+
+    out : Write the joint commands (CSV).
+    force : Overwrite an existing file.
+    """
+    from identification.compensate import compensate
+    from identification.files.arm import load_arm
+    from identification.files.io import write_together
+    from identification.files.target import commands_text, load_targets
+    from identification.model import Model
+    from identification.validate.origin import check_calibrated
+
+    arm = load_arm(calibrated)
+    check_calibrated(arm, str(calibrated))
+    wanted = load_targets(targets, arm)
+    allowed = constraints(Model(arm)) if arm.constraints else ()
+    commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
+    lines = []
+    if out is not None:
+        wanted_poses = commands.orientations, commands.left_angles
+        columns = commands.left, arm.joint_types, *wanted_poses, commands.reached, commands.messages
+        write_together({out: commands_text(commands.safe_commands, commands.targets, *columns)}, force)
+        lines = [f"commands written to {out}"]
+    return Answer(commands.to_json(), [commands.document().plus(*lines)], warnings=commands.warnings)
+
+
+# -- the library -------------------------------------------------------------------------------------------------------
+def effects(name: str | None = None) -> Answer:
+    """The physical effects that armcal knows, and the data that each needs.
+
+    A list of the library, or everything about the effect NAME: formula, parameters with units and typical sizes,
+    which data or tables it needs and how to give them, and how it stands in an arm file. For gravity: the block of
+    the arm file that some of them need. Effects of installed packages (entry points armcal.effects) are in the
+    list.
+    """
+    from identification.documents.library import entry_document, gravity_document, library_document
+    from identification.effects.catalogue import GRAVITY, entries, entry
+
+    if name == "gravity":
+        needed = [effect.name for effect in entries() if "gravity" in effect.needs]
+        return Answer({"name": name, "needed_by": needed, "block": GRAVITY}, [gravity_document(needed)])
+    if name is not None:
+        effect = entry(name.partition(":")[0])
+        return Answer(effect.to_json(), [entry_document(effect)])
+    listed = entries()
+    return Answer({"effects": [effect.to_json() for effect in listed]}, [library_document(listed)])
+
+
+# verb -> what it does, and an example of it
+VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = MappingProxyType(
+    {
+        "simulate": (simulate_files, "armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv"),
+        "check": (check_files, "armcal check arm.toml measurements.csv"),
+        "identify": (identify_files, "armcal identify arm.toml data.csv --out calibrated.toml"),
+        "diagnose": (diagnose_files, "armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html"),
+        "validate": (validate_files, "armcal validate calibrated.toml other_session.csv --picture transfer.png"),
+        "compensate": (compensate_files, "armcal compensate calibrated.toml targets.csv --out commands.csv"),
+        "effects": (effects, "armcal effects joint_compliance"),
+    }
+)

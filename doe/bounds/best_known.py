@@ -1,7 +1,7 @@
 """The best upper bound that is known for a problem, for one number of runs or many; and a bound that a plan beats.
 
 What is known beforehand counts the less the more runs follow, so the bound depends on their number m. But the bounds of
-`doe.bounds.equivalence` ask of a matrix M and its gradient G nothing but g >= tr(G N) for all designs N, and
+`doe.bounds.certificate` ask of a matrix M and its gradient G nothing but g >= tr(G N) for all designs N, and
 
     max tr(G N) = (max_q tr(G B^T B) + tr(G K) / m) / (1 + k / m)
 
@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import column_generation, continuous_design, rough_design
 from doe.bounds.continuous import ContinuousSet
 from doe.bounds.planar_theorem import closed_form_bound

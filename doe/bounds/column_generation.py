@@ -6,30 +6,47 @@
 
 Cheap stages come first; the last one decides. The loop ends when no posture improves the design. The certificate at the
 end is of the plan that is reported, proven by `doe.bounds.branch_and_bound` where the model allows.
+
+`relax`: optimal weights over candidate postures, by column generation or as one convex program.
+
+The value and the bound are recomputed from the weights, whoever computed them; a solver's own numbers are not used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
+from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.bound import Bound
-from doe.bounds.branch_and_bound import maximum
+from doe.bounds.branch_and_bound import TrigonometricJacobian, maximum, trigonometric_jacobian
+from doe.bounds.certificate import (
+    REMEMBERED,
+    ApproximateDesign,
+    CandidateJacobians,
+    largest_sensitivity,
+    last_pass,
+)
 from doe.bounds.continuous import SAME, ContinuousSet, distinct
-from doe.bounds.convex_program import smallest_eigenvalue_weights
-from doe.bounds.equivalence import REMEMBERED, CandidateJacobians, largest_sensitivity, last_pass
-from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
-from doe.bounds.weights import POWERS, interior_point_weights, multiplicative_weights, sparsest
+from doe.bounds.weights import (
+    POWERS,
+    interior_point_weights,
+    multiplicative_weights,
+    proper_weights,
+    smallest_eigenvalue_weights,
+    solve_program,
+    sparsest,
+)
 from doe.criteria import Criterion
 from doe.plan.ascent import PlanAscent
-from doe.problem.postures import Candidates, PostureList, random_postures, well_spread
+from doe.problem.postures import Candidates, Grid, PostureList, grid, listed_candidates, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, never
 from identification.arrays import Array
-from identification.errors import InputError, JobError
+from identification.errors import InputError, JobError, nearest
+from identification.status import Status
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
 # largest sensitivity of all that was visited
@@ -161,7 +178,10 @@ def continuous_design(
     stages = ascents(everything, tolerance, stop)
     if problem.many_parameters:
         stages = [Stage(stages[-1].price, tolerance)]
-        start = climbed(problem, runs, stop) if also is None else also
+        start = also
+        if start is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
+            anywhere = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
+            start = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop)
     else:
         starts = PostureList(everything.starts)
         stages = [Stage(CandidatePrice(problem, starts, prior), COARSE), *stages]
@@ -176,23 +196,6 @@ def continuous_design(
         design, largest, rigorous = prove(everything, jacobians, design, largest, stages, goal, stop)
     settings = {"rigorous": rigorous, "solver": "column_generation"}
     return design.certified(largest, 10.0 * goal, cut=stop(), seconds=perf_counter() - began, **settings)
-
-
-def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8) -> Bound:
-    """No design within limits and constraints is better: a theorem where `rigorous` is True, else numerical.
-
-    Raises JobError where the optimum was not reached.
-    """
-    design = continuous_design(problem, runs=runs, tolerance=tolerance, proof=tolerance)
-    if design.bound is None:
-        raise JobError(f"continuous bound: {design.status.name}, gap {design.gap:.2g}; {design.status.value}")
-    return design.bound
-
-
-def climbed(problem: DesignProblem, runs: int | None, stop: Stop = never) -> Array:
-    """(k, n) postures of a long plan that was climbed on gradients: nearly the support of the best weights."""
-    postures = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
-    return PlanAscent(problem, runs or len(postures))(postures, stop=stop)
 
 
 def ascents(everything: ContinuousSet, tolerance: float, stop: Stop = never) -> list[Stage]:
@@ -383,3 +386,85 @@ def best_offers(postures: Array, values: Array, level: float, count: int, fracti
     order = np.argsort(-values)[:count]
     order = order[values[order] > level + fraction * max(largest - level, 0.0)]
     return postures[order], largest
+
+
+# -- the door ----------------------------------------------------------------------------------------------------------
+# candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
+LARGEST = MappingProxyType({"clarabel": 20_000, "scs": 100_000})
+OWN = MappingProxyType({"column_generation": column_generation, "multiplicative": rough_design})
+POSITIVE = 1e-7  # weight below which a posture is left out of the support; interior points give every posture a little
+STATUS = MappingProxyType(
+    {
+        "optimal": Status.converged,
+        "optimal_inaccurate": Status.almost_solved,
+        "user_limit": Status.iteration_limit,
+    }
+)
+
+
+def relax(
+    problem: DesignProblem,
+    candidates: int | ArrayLike | Candidates,
+    solver: str = "column_generation",
+    *,
+    runs: int | None = None,
+    stop: Stop = never,
+) -> ApproximateDesign:
+    """Optimal weights over candidate postures, with a certificate recomputed from the weights.
+
+    candidates : levels per joint of a grid from limit to limit, or (N, n) postures [rad], or `Candidates`
+    solver : `clarabel`, `scs`, `multiplicative` (rough, for very many parameters) or `column_generation`, which alone
+        has no limit of size
+    runs : number of new runs, needed where the problem keeps measured postures
+    stop : asked now and then by column_generation and multiplicative; the bound holds where it ended them early
+    Raises InputError for an unknown solver, too many candidates for it, no feasible candidate; JobError where the
+    solver returns no weights.
+    """
+    if solver not in (*LARGEST, *OWN):
+        raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, (*LARGEST, *OWN))}")
+    if isinstance(candidates, int | np.integer):
+        chosen: Candidates = grid(problem, int(candidates))
+    elif isinstance(candidates, Grid | PostureList):
+        chosen = candidates
+    else:
+        chosen = listed_candidates(problem, np.asarray(candidates, dtype=float))
+    try:
+        if solver in OWN:
+            return OWN[solver](problem, chosen, runs=runs, stop=stop)
+        return _one_program(problem, chosen, solver, problem.prior.per_new_run(runs))
+    except np.linalg.LinAlgError:
+        singular = "the candidates' information is singular to rounding; wider joint limits or fewer effects may help"
+        raise JobError(f"{solver}: {singular}") from None
+
+
+def _one_program(
+    problem: DesignProblem, candidates: Candidates, solver: str, prior: PriorInformation
+) -> ApproximateDesign:
+    if len(candidates) > LARGEST[solver]:
+        allowed = f"up to {LARGEST[solver]}, where one big program still works"
+        raise InputError(
+            f"candidates: {len(candidates)} for solver {solver}, allowed: {allowed}; solver column_generation works at "
+            "this size"
+        )
+    began, postures = perf_counter(), candidates.take(np.arange(len(candidates)))
+    jacobians = problem.scaled_jacobians(postures)
+    weights, solver_status, dual = solve_program(prior.posture_information(jacobians), problem.criterion, solver)
+    if weights is None:
+        raise JobError(
+            f"{solver}: status {solver_status} on {len(candidates)} candidates, no weights; solver column_generation "
+            "works at this size"
+        )
+    weights = proper_weights(weights)
+    design = ApproximateDesign.heaviest_first(
+        problem, prior, postures, np.where(weights > POSITIVE, weights, 0.0), dual
+    )
+    return replace(
+        design,
+        largest=largest_sensitivity(problem, candidates, design.gradient, prior),
+        candidates=len(candidates),
+        rigorous=True,
+        status=STATUS.get(solver_status, Status.solver_failed),
+        solver=solver,
+        solver_status=solver_status,
+        seconds=perf_counter() - began,
+    )

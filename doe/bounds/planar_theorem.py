@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.criteria import D
 from doe.problem.model import offered, offers
 from doe.problem.problem import DesignProblem

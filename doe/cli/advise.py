@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
-from doe.cli.common import Answer, CommonOptions, stated, verb, warn_beside_json, with_collisions
-from doe.cli.options import File, Names, Picture, Seconds, written
+from doe.cli.common import stated, verb, with_collisions
+from doe.cli.options import Seconds, written
+from identification.document import Answer
 from identification.errors import InputError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from doe.advise import Advice
+from identification.progress import Progress, silent
+from identification.workflow import Names, Picture
 
 
 @verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
 def command(
-    common: CommonOptions,
-    arm: File,
+    arm: Path,
     *,
     runs: Annotated[str, "A:B"] = "4:40",
     only: tuple[Names, ...] = (),
@@ -26,6 +24,8 @@ def command(
     seconds: Seconds = 60.0,
     picture: Picture | None = None,
     force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Answer:
     """How many measurements are needed?
 
@@ -39,10 +39,11 @@ def command(
     picture : Write the curve as .png, .svg or .pdf.
     force : Overwrite an existing file.
     """
-    from doe.advise import advise, with_scatter
+    from doe.advise import advise
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
     from identification.files.arm import load_arm
+    from identification.for_design import with_scatter
     from identification.model import Model
     from identification.validate.reuse import only as only_these
     from identification.validate.reuse import words_of
@@ -52,24 +53,22 @@ def command(
     if words and not stated("runs"):
         runs = f"{problem.fewest_runs}:40"
     numbers = run_range(runs, problem.fewest_runs)
-    advice = advise(problem, numbers, target=target_mm, seed=common.seed, seconds=seconds, progress=common.report)
+    advice = advise(problem, numbers, target=target_mm, seed=seed, seconds=seconds, progress=progress)
     subset_keys = {"only": words, "fewest_runs": problem.fewest_runs} if words else {}
     fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
     remark = f"identifiable from {fewest} or more at well-chosen postures; how accurately, the table says"
     enough = f"{', '.join(words)} alone: {remark}"
     document = advice_document(advice).plus(*([given_sigma] if given_sigma else []))
     shown = [*([enough] if words else []), document]
-    warn_beside_json([given_sigma] if given_sigma else [])
-    answer = Answer(advice.to_json() | subset_keys, shown)
-    written({picture: lambda: advice_drawing(advice)}, force)
+    answer = Answer(advice.to_json() | subset_keys, shown, warnings=[given_sigma] if given_sigma else [])
+
+    def draw() -> Any:
+        from doe.report.figures import advice_figure  # deferred: matplotlib takes longer to load than a small advice
+
+        return advice_figure(advice)
+
+    written({picture: draw}, force)
     return with_collisions(answer, loaded)
-
-
-def advice_drawing(advice: Advice) -> Figure:
-    """Efficiency and expected accuracy against the number of runs."""
-    from doe.report.figures import advice_figure  # deferred: matplotlib takes longer to load than a small advice
-
-    return advice_figure(advice)
 
 
 def run_range(text: str, fewest: int) -> range:

@@ -13,69 +13,63 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
 
 import click
 
-from doe.cli.options import FOLDER, FilePath
+from doe.cli.options import FOLDER, FileOrShare, FilePath
 from doe.cli.progress import shown_progress
 from doe.cli.stopping import stoppable, stopped_by
+from identification.document import Answer, check_picture
 from identification.errors import ArmcalError, InputError, JobError, in_one_line
 from identification.files.io import check_writable, provide_temporary_folder
-from identification.progress import Progress
+from identification.workflow import Picture, Written
 
 if TYPE_CHECKING:
-    from doe.report.page import Origin
     from identification.arm import Arm
-    from identification.measurements import Measurements
+    from identification.document import Document
 
 SHARED_MEMORY = Path("/dev/shm")  # of Linux; may be written to where nothing else may
 PIPE = 110  # characters of a line where no terminal says how many it has
 WORDS = "armcal.words"  # in the context's `meta`: what was typed after `armcal`
 # the arm file with a table added to it; --force may overwrite the old one
+PROVIDED = ("seed", "progress", "page", "constraints")  # parameters that are no options of their own
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 
 
-@dataclass
-class Answer:
-    """The result of a verb: `data` for --json, `shown` (parts of a document, or Markdown) for the terminal."""
-
-    data: dict[str, Any]
-    shown: list[Any] = field(default_factory=list)
-    exit_code: int = 0
-
-
-@dataclass(frozen=True)
-class CommonOptions:
-    """The common options of one call; report : a bar or, where standard error is no terminal, a line every ten
-    seconds."""
-
-    as_json: bool
-    quiet: bool
-    seed: int
-    report: Progress
+FILES: dict[Any, click.ParamType] = {
+    Path: FilePath(),
+    Written: FilePath(written=True),
+    Picture: FilePath(written=True, picture=True),
+}
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------
-def verb(example: str, kind: type[click.Command] = click.Command) -> Callable[[Callable[..., Answer]], click.Command]:
-    """Turn `function(common, argument, .., *, option, ..) -> Answer` into a click command of its module's name.
+def verb(
+    example: str, kind: type[click.Command] = click.Command, name: str = ""
+) -> Callable[[Callable[..., Answer]], click.Command]:
+    """Turn `function(argument, .., *, option, ..) -> Answer` into a click command of its module's name, or another.
 
     Positional parameters are arguments, the others options, those of a dataclass a group of them. Their types are those
-    of Python or `Annotated` with a type of click, words of the option (`--name`) or what it stands for in the help
-    (`NAMES`). The docstring's first line stands in `armcal --help`; lines `name : ..` say what an option is for.
+    of Python, with `Written` and `Picture` for files to write, or `Annotated` with a type of click, words of the option
+    (`--name`) or what it stands for in the help (`NAMES`). The docstring's first line stands in `armcal --help`; lines
+    `name : ..` say what an option is for.
 
-    Adds --json, --seed, --quiet and the example; errors become one line on standard error and an exit code.
+    Adds --json, --seed, --quiet and the example; errors become one line on standard error and an exit code. A function
+    with a parameter `seed`, `progress`, `page` or `constraints` is given the seed, a callback for its progress, what
+    makes a page of a document and of files that were read, and what makes the constraints of a model.
     """
 
     def decorate(function: Callable[..., Answer]) -> click.Command:
-        name = function.__module__.rpartition(".")[2]
+        called = name or function.__module__.rpartition(".")[2]
         text, helps = _documented(function)
         hints, parameters = get_type_hints(function, include_extras=True), list[click.Parameter]()
         groups: dict[str, Any] = {}
-        for parameter in list(inspect.signature(function).parameters.values())[1:]:
+        signature = inspect.signature(function).parameters
+        for parameter in (each for each in signature.values() if each.name not in PROVIDED):
             hint, default = hints[parameter.name], parameter.default
             if is_dataclass(hint):
                 groups[parameter.name] = hint
@@ -97,13 +91,20 @@ def verb(example: str, kind: type[click.Command] = click.Command) -> Callable[[C
             for group, type_ in groups.items():
                 values[group] = type_(**{each.name: values.pop(each.name) for each in fields(type_)})
             logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
-            with _warnings_as_lines(quiet), shown_progress(name, quiet) as report:
-                answer = _guarded(function, CommonOptions(as_json, quiet, seed, report), values)
+            with _warnings_as_lines(quiet), shown_progress(called, quiet) as progress:
+                provided = dict(zip(PROVIDED, (seed, progress, _page, _constraints), strict=True))
+                values |= {key: value for key, value in provided.items() if key in signature}
+                answer = _guarded(function, values)
+                for sentence in answer.warnings if as_json else ():
+                    warnings.warn(sentence, UserWarning, stacklevel=2)
+            if answer.failure is not None:
+                say(str(answer.failure))
+                answer.exit_code = answer.failure.exit_code
             _deliver(answer, as_json)
             sys.exit(answer.exit_code)
 
         epilog = f"\b\nExample:\n  {example}"
-        return kind(name, callback=run, params=parameters, help=text, short_help=text.split("\n")[0], epilog=epilog)
+        return kind(called, callback=run, params=parameters, help=text, short_help=text.split("\n")[0], epilog=epilog)
 
     return decorate
 
@@ -136,12 +137,14 @@ def _unwrapped(hint: Any) -> tuple[Any, list[Any]]:
 def _typed(hint: Any, default: Any) -> tuple[dict[str, Any], list[str], bool]:
     """Arguments of a click parameter for a type; words of the option; whether there may be several values."""
     inner, extras = _unwrapped(hint)
+    share = {Path, float} <= set(get_args(get_args(hint)[0] if get_origin(hint) is Annotated else hint))
     several = get_origin(inner) is tuple
     if several:
         inner, inner_extras = _unwrapped(get_args(inner)[0])
         extras = [*inner_extras, *extras]
     texts = [extra for extra in extras if isinstance(extra, str)]
-    kind = click.Choice(get_args(inner)) if get_origin(inner) is Literal else inner
+    kind = click.Choice(get_args(inner)) if get_origin(inner) is Literal else FILES.get(inner, inner)
+    kind = FileOrShare() if share else kind
     settings: dict[str, Any] = {
         "type": next((extra for extra in extras if isinstance(extra, click.ParamType)), kind),
         "metavar": next((text for text in texts if not text.startswith("--")), None),
@@ -166,25 +169,47 @@ def _argument(name: str, hint: Any, default: Any) -> click.Argument:
     return click.Argument([name], nargs=-1 if several else 1, **settings)
 
 
-# -- what verbs share --------------------------------------------------------------------------------------------------
-def origin(seed: int, files: Iterable[Path | None]) -> Origin:
-    """The command line as it was typed and its input files, for a page that the running command makes."""
-    from doe.report.page import Origin
+class PriorOrFile(click.Command):
+    """A command that reads `--prior FILE` as `--prior-from FILE`, since the flag --prior leaves a word too many."""
 
-    typed = click.get_current_context().meta.get(WORDS, ())
-    return Origin(shlex.join(("armcal", *typed)), seed, [path for path in files if path is not None])
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As in click; if that fails, parse again with --prior-from in the place of --prior."""
+        words = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            places = [k for k, word in enumerate(words) if word.partition("=")[0] == "--prior"]
+            if len(places) != 1:
+                raise
+            words[places[0]] = words[places[0]].replace("--prior", "--prior-from", 1)
+            ctx.params.clear()
+            try:
+                return super().parse_args(ctx, words)
+            except click.UsageError:
+                raise error from None
+
+
+# -- what verbs share --------------------------------------------------------------------------------------------------
+def _page(document: Document, read: Iterable[Path]) -> str:
+    """A page that the running command makes, with the command line as it was typed and the files that were read."""
+    from doe.report.page import Origin, page
+
+    context = click.get_current_context()
+    typed = shlex.join(("armcal", *context.meta.get(WORDS, ())))
+    return page(document, Origin(typed, context.params["seed"], [*read]))
+
+
+def _constraints(model: Any) -> Any:
+    """What keeps the postures of a model's arm, as its file says it."""
+    from doe.problem.constraints import constraints_of
+
+    return constraints_of(model)
 
 
 def stated(option: str) -> bool:
     """Whether an option stands on the command line of the running verb."""
     source = click.get_current_context().get_parameter_source(option)
     return source is click.core.ParameterSource.COMMANDLINE
-
-
-def warn_beside_json(sentences: Iterable[str]) -> None:
-    """Warnings about a result, which its tables contain: with --json on standard error besides the key `warnings`."""
-    for sentence in sentences if click.get_current_context().params["as_json"] else ():
-        warnings.warn(sentence, UserWarning, stacklevel=2)
 
 
 def with_collisions(answer: Answer, arm: Arm) -> Answer:
@@ -195,34 +220,6 @@ def with_collisions(answer: Answer, arm: Arm) -> Answer:
         answer.data["collisions_checked"] = False
         answer.shown.append(COLLISIONS)
     return answer
-
-
-def read_measurements(path: Path, arm: Arm) -> Measurements:
-    """The measurements of an arm; warns where the units look wrong. Raises `InputError` where they certainly are."""
-    from identification.files.measurement import load_measurements
-    from identification.inspection.data_checks import certainly_wrong_units, data_warnings
-
-    measurements = load_measurements(path, arm)
-    if wrong := certainly_wrong_units(measurements, arm):
-        raise InputError(f"{path}: {wrong}")
-    for sentence in data_warnings(measurements, arm):
-        warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
-    return measurements
-
-
-def read_sessions(paths: tuple[Path, ...], arm: Arm) -> Measurements:
-    """The measurements of an arm from one file or several, each of which is a session of its file's name."""
-    if len(paths) == 1:
-        return read_measurements(paths[0], arm)
-    from identification.sessions import pooled_sessions
-
-    real = [os.path.realpath(path) for path in paths]
-    for path, target in zip(paths, real, strict=True):
-        if real.count(target) > 1:
-            raise InputError(f"{path}: is given {real.count(target)} times, allowed: each session once")
-    stems = [path.stem for path in paths]
-    names = [stem if stems.count(stem) == 1 else str(path) for path, stem in zip(paths, stems, strict=True)]
-    return pooled_sessions({name: read_measurements(path, arm) for name, path in zip(names, paths, strict=True)})
 
 
 # -- errors ------------------------------------------------------------------------------------------------------------
@@ -251,13 +248,11 @@ def check_outputs(context: click.Context) -> None:
         if kind is not FOLDER:
             check_writable(path, context.params["force"])
     for path in (path for _, kind, path in outputs if kind.picture):
-        from doe.report.page import check_picture
-
         check_picture(path)
     provide_temporary_folder(*(path if kind is FOLDER else path.parent for _, kind, path in outputs), SHARED_MEMORY)
 
 
-def _guarded(function: Callable[..., Answer], common: CommonOptions, options: dict[str, Any]) -> Answer:
+def _guarded(function: Callable[..., Answer], options: dict[str, Any]) -> Answer:
     try:
         with stoppable():
             if sys.stdout is None:
@@ -267,7 +262,7 @@ def _guarded(function: Callable[..., Answer], common: CommonOptions, options: di
             except FileNotFoundError:
                 raise JobError("the working directory is no longer there; change into another one") from None
             check_outputs(click.get_current_context())
-            return function(common, **options)
+            return function(**options)
     except ArmcalError as error:
         say(str(error))
         sys.exit(error.exit_code)

@@ -7,9 +7,11 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from doe.cli.common import Answer, CommonOptions, verb
-from doe.cli.options import Count, File, JobOptions, Seconds, WholeNumbers, Workers, interruptible, words
+from doe.cli.common import verb
+from doe.cli.options import Count, JobOptions, Seconds, WholeNumbers, Workers, interruptible, words
+from identification.document import Answer
 from identification.errors import InputError
+from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
     import polars
@@ -31,8 +33,7 @@ class OneJob(JobOptions):
 
 @verb("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs")
 def command(
-    common: CommonOptions,
-    arms: Annotated[tuple[File, ...], "ARM..."],
+    arms: Annotated[tuple[Path, ...], "ARM..."],
     *,
     runs: WholeNumbers,
     solvers: str | None = None,
@@ -41,6 +42,8 @@ def command(
     repeats: Count = 5,
     seconds: Seconds = 60.0,
     job: OneJob,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Answer:
     """Compare design solvers side by side.
 
@@ -55,10 +58,10 @@ def command(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs.row_table import RowTable
+    from doe.jobs.rows import RowTable
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
-    from doe.solvers.solvability import check_runs
+    from doe.solvers.solving import check_runs
     from doe.studies.comparison import Comparison, compare, compared_problem, summary
     from identification.files.arm import load_arm
 
@@ -75,7 +78,7 @@ def command(
         interruptible(table_file),
         RowTable.open(table_file, resume=job.resume, force=job.force) as table,
     ):
-        rows = compare(comparison, table, where, seed=common.seed, progress=common.report)
+        rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown = comparison_parts(rows)
     if job.out is not None and table_file != job.out:
         write_results(job.out, rows)
@@ -86,14 +89,14 @@ def command(
 def rows_file(out: Path | None) -> Path | None:
     """The Parquet file of the rows: `out` itself if it names one, else a file in the folder `out`, which is created."""
 
-    from doe.jobs.row_table import made
+    from doe.jobs.rows import made
 
     return out if out is None or out.suffix == ".parquet" else made(out) / "rows.parquet"
 
 
 def write_results(out: Path, rows: polars.DataFrame) -> None:
     """Summary and pictures beside the rows."""
-    from doe.jobs.row_table import parquet
+    from doe.jobs.rows import parquet
     from doe.report.page import svg
     from doe.report.studies import profile_figure, time_figure
     from doe.studies.comparison import summary

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import chain, count
 from pathlib import Path
 
-from doe.cli.common import Answer, CommonOptions, origin, verb, with_collisions
+from doe.cli.common import verb, with_collisions
 from doe.cli.options import Folder
 from doe.cli.stopping import stopped_by
+from identification.document import Answer, Document, picture_bytes
 from identification.errors import InputError, JobError
-from identification.files.io import write_whole
+from identification.files.io import write_together
+from identification.progress import Progress, silent
 
 
 @verb("armcal demo --spatial --out my-demo")
-def command(common: CommonOptions, *, spatial: bool = False, out: Folder | None = None, force: bool = False) -> Answer:
+def command(
+    *,
+    spatial: bool = False,
+    out: Folder | None = None,
+    force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
+    page: Callable[[Document, Sequence[Path]], str],
+) -> Answer:
     """Run the whole loop on a simulated arm.
 
     The paper's 4-link arm, or one of six axes: from a plan to the missing effect, commands for the real arm, in space a
@@ -27,17 +38,17 @@ def command(common: CommonOptions, *, spatial: bool = False, out: Folder | None 
     from doe.demo.scenarios import planar
     from doe.demo.scenarios import spatial as six_axes
     from doe.report.demo import demo_document, overview_figure
-    from doe.report.figures import save
-    from doe.report.page import page
 
     directory = next_free(Path("armcal-demo")) if out is None else out
     make_directory(directory, force)
     try:
-        demo = run_demo(directory, six_axes() if spatial else planar(), common.seed, common.report, force)
+        demo = run_demo(directory, six_axes() if spatial else planar(), seed, progress, force)
         document = demo_document(demo)
-        text = page(document, origin(common.seed, [directory / name for name in demo.files]))
-        write_whole(directory / "report.html", text, force=True)
-        save(overview_figure(demo), directory / "overview.png", force=True)
+        text = page(document, [directory / name for name in demo.files])
+        picture = directory / "overview.png"
+        write_together(
+            {directory / "report.html": text, picture: picture_bytes(overview_figure(demo), picture)}, force=True
+        )
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
     look = f"Look at {directory / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, stated, verb, with_collisions
-from doe.cli.options import Count, File, OutFile, Picture, Seconds, plan_drawing, written
+from doe.cli.common import stated, verb, with_collisions
+from doe.cli.options import Count, Seconds, plan_drawing, written
 from doe.cli.problems import CriterionOptions, PostureOptions, design_problem
+from identification.document import Answer
 from identification.errors import InputError
+from identification.progress import Progress, silent
+from identification.workflow import Picture, Written
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -48,15 +52,16 @@ class SearchOptions:
 
 @verb("armcal design arm.toml --runs 20 --out plan.csv")
 def command(
-    common: CommonOptions,
-    arm: File,
+    arm: Path,
     *,
     search: SearchOptions,
     criterion: CriterionOptions,
     postures: PostureOptions,
     picture: Picture | None = None,
-    out: OutFile | None = None,
+    out: Written | None = None,
     force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Answer:
     """Choose the postures to measure, with a certificate.
 
@@ -66,10 +71,10 @@ def command(
     out : Write the plan (CSV).
     force : Overwrite an existing file.
     """
-    from doe.plan.file import plan_text
+    from doe.plan.accuracy import tip_beside_random
     from doe.plan.order import check_order
-    from doe.plan.tip_error import tip_beside_random
-    from doe.problem.robust import with_choices
+    from doe.plan.plan import plan_text
+    from doe.problem.uncertain import with_choices
     from doe.report.design import design_document, missing_lines
     from identification.documents.identification import identify_command
     from identification.files.arm import load_arm
@@ -82,16 +87,16 @@ def command(
     check_order(search.order)
     if criterion.robust and search.discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
-    problem = design_problem(loaded, criterion, postures, common.seed)
+    problem = design_problem(loaded, criterion, postures, seed)
     if criterion.robust and search.solver in (None, "fedorov"):
         problem = with_choices(problem)
-    design, data, extra = _searched(common, problem, loaded, search)
+    design, data, extra = _searched(problem, loaded, search, seed, progress)
     extra += missing_lines(design) if not search.discriminating else []
-    expected = tip_beside_random(design.problem, design.plan.postures, common.seed)
+    expected = tip_beside_random(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
     if search.order is not None:
-        design = _ordered(design, search.order, common.seed, data, extra)
+        design = _ordered(design, search.order, seed, data, extra)
     text = plan_text(design.plan, loaded.joint_types)
     extra += written({out: text, picture: lambda: plan_drawing(loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
@@ -101,20 +106,18 @@ def command(
 
 
 def _searched(
-    common: CommonOptions, problem: DesignProblem, arm: Arm, search: SearchOptions
+    problem: DesignProblem, arm: Arm, search: SearchOptions, seed: int, progress: Progress
 ) -> tuple[Design, dict[str, Any], list[Any]]:
     """The design, with the JSON keys and tables that a discriminating design adds."""
     from doe.solvers import solve
 
-    effort = search.effort | {"seed": common.seed}
+    effort = search.effort | {"seed": seed}
     if not search.discriminating:
-        return solve(problem, search.runs, progress=common.report, **effort), {}, []
+        return solve(problem, search.runs, progress=progress, **effort), {}, []
     from doe.discrimination.design import discrimination_design
     from doe.report.design import discriminating_parts
 
-    discriminating = discrimination_design(
-        problem, arm, search.runs, loss=search.loss, progress=common.report, **effort
-    )
+    discriminating = discrimination_design(problem, arm, search.runs, loss=search.loss, progress=progress, **effort)
     return discriminating.design, discriminating.to_json(), discriminating_parts(discriminating)
 
 

@@ -6,9 +6,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from doe.cli.common import Answer, CommonOptions, read_sessions, verb, with_collisions
-from doe.cli.options import Count, File, OutFile, Seconds, written
+from doe.cli.common import verb, with_collisions
+from doe.cli.options import Count, Seconds, written
+from identification.document import Answer
 from identification.errors import InputError
+from identification.progress import Progress, silent
+from identification.workflow import Written, load_sessions
 
 if TYPE_CHECKING:
     from identification.arm import Arm
@@ -17,15 +20,16 @@ if TYPE_CHECKING:
 
 @verb("armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5 --out next.csv")
 def command(
-    common: CommonOptions,
-    arm: File,
-    data: tuple[File, ...],
+    arm: Path,
+    data: tuple[Path, ...],
     *,
     runs: Count,
     payloads: str | None = None,
     seconds: Seconds = 30.0,
-    out: OutFile | None = None,
+    out: Written | None = None,
     force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Answer:
     """Next postures for an ambiguous diagnosis.
 
@@ -48,9 +52,9 @@ def command(
     masses = None if payloads is None else payload_list(payloads)
     if masses is not None and loaded.gravity is None:
         raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
-    measurements = read_sessions(data, loaded)
+    measurements = load_sessions(data, loaded)
     check_postures(loaded, measurements, data[-1])
-    diagnosis = diagnose(loaded, measurements, seed=common.seed, progress=common.report)
+    diagnosis = diagnose(loaded, measurements, seed=seed, progress=progress)
     if diagnosis.verdict != "ambiguous":
         sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"
         return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
@@ -58,10 +62,10 @@ def command(
 
     def late() -> bool:
         left = end - perf_counter()
-        common.report(5, None, f"choosing the next postures, at most {max(left, 0.0):.0f} s left")
+        progress(5, None, f"choosing the next postures, at most {max(left, 0.0):.0f} s left")
         return left < 0.0
 
-    next_postures = discriminate(loaded, diagnosis, measurements, runs, common.seed, masses, stop=late)
+    next_postures = discriminate(loaded, diagnosis, measurements, runs, seed, masses, stop=late)
     lines = [
         f"{line}; measure them and append the rows to {data[-1]}"
         for line in written({out: csv_text(next_postures.columns)}, force, "next postures")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import verb
+from identification.document import Answer
 from identification.errors import InputError, nearest
 
 FORMATS = "formats"
@@ -14,7 +15,7 @@ OTHER_TOPICS = dict.fromkeys(
 
 
 @verb("armcal help formats")
-def command(common: CommonOptions, topic: str = FORMATS) -> Answer:
+def command(topic: str = FORMATS) -> Answer:
     """The help of a verb, or the file formats.
 
     Show the help of the verb TOPIC, or with `formats` all file formats and JSON keys.

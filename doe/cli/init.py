@@ -7,15 +7,15 @@ from typing import Annotated
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import verb
 from doe.cli.options import FilePath, Folder
+from identification.document import Answer
 from identification.errors import InputError, nearest
 from identification.files.io import PathLike, write_together
 
 
 @verb("armcal init --urdf robot.urdf --out calibration")
 def command(
-    common: CommonOptions,
     *,
     links: Annotated[str, "N|LENGTHS"] | None = None,
     robot: Annotated[Path, FilePath(), "--urdf"] | None = None,

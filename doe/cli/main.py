@@ -10,12 +10,13 @@ from typing import Any
 
 import click
 
-from doe.cli.common import WORDS, no_output
+from doe.cli.common import WORDS, PriorOrFile, no_output, verb
 from doe.cli.options import one_thread_each
 from identification.errors import in_one_line, nearest, suggestion
 from identification.spelling import close_names
+from identification.workflow import VERBS as IDENTIFICATION
 
-VERBS = (  # in the order of the work; each has a module of its own
+VERBS = (  # in the order of the work; each has a module here or is a function of identification
     *("demo", "init", "design", "score", "advise", "compare", "relax", "study", "simulate", "check", "identify"),
     *("diagnose", "discriminate", "validate", "compensate", "report", "effects", "help"),
 )
@@ -127,4 +128,9 @@ def main() -> None:
 
 
 for name in VERBS:
-    main.add_command(import_module(f"doe.cli.{name}").command)
+    if name in IDENTIFICATION:
+        function, example = IDENTIFICATION[name]
+        kind = PriorOrFile if name == "identify" else click.Command
+        main.add_command(verb(example, kind, name)(function))
+    else:
+        main.add_command(import_module(f"doe.cli.{name}").command)

@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from doe.cli.stopping import stopped_by
-from identification.errors import InputError, JobError
+from identification.document import picture_bytes
+from identification.errors import JobError
 from identification.files.io import PathLike, write_together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from doe.jobs.workers import Workers as Pool
+    from doe.jobs.running import Workers as Pool
     from identification.arm import Arm
     from identification.arrays import Array
 
@@ -76,15 +77,11 @@ class WholeNumbersType(click.ParamType):
 
 
 FOLDER = FilePath("dir", written=True)
-File = Annotated[Path, FilePath()]
-OutFile = Annotated[Path, FilePath(written=True)]
-Picture = Annotated[Path, FilePath(written=True, picture=True)]
 Folder = Annotated[Path, FOLDER]
 Seconds = Annotated[float, SecondsRange(min=0, min_open=True)]
 Workers = Annotated[int, click.IntRange(1, 4096)]  # each is a process of about 100 MB
 Count = Annotated[int, click.IntRange(min=1)]
 WholeNumbers = Annotated[list[int], WholeNumbersType()]
-Names = Annotated[str, "NAMES"]
 
 
 # -- files -------------------------------------------------------------------------------------------------------------
@@ -99,8 +96,6 @@ def written(contents: Mapping[Path | None, Content], force: bool, what: str = ""
         if isinstance(content, str | bytes):
             files[path] = content
         else:
-            from doe.report.figures import picture_bytes
-
             files[path] = picture_bytes(content(), path)
     write_together(files, force=force)
     return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
@@ -111,31 +106,6 @@ def plan_drawing(arm: Arm, postures: Array) -> Figure:
     from doe.report.figures import plan_figure  # deferred: matplotlib takes longer to load than a small design
 
     return plan_figure(arm, postures)
-
-
-# -- the library of effects --------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class LibraryEffects:
-    """Whether the model of a fit includes effects of the library, with priors of their typical sizes, and which.
-
-    prior : Fit the library's effects too, each held by a prior of its typical size, or not.
-    missing : Only these effects, for --library-prior: backlash,gear_ratio
-    """
-
-    prior: Annotated[bool | None, "--prior/--no-prior", "--library-prior/--no-library-prior"] = None  # None: not asked
-    missing: Names | None = None
-
-    @property
-    def held(self) -> bool:
-        """As `prior`. Raises `InputError` for --missing alone."""
-        if self.missing is not None and not self.prior:
-            raise InputError("--missing: found without --prior, allowed: with --prior")
-        return bool(self.prior)
-
-    @property
-    def names(self) -> list[str] | None:
-        """Names of the effects; None: all that this arm and these rows can show."""
-        return None if self.missing is None else words(self.missing)
 
 
 def words(text: str) -> list[str]:
@@ -163,7 +133,7 @@ class JobOptions:
 
     def where(self) -> Pool:
         """The workers asked for. Raises `InputError` if the cluster does not answer."""
-        from doe.jobs.workers import chosen_workers
+        from doe.jobs.running import chosen_workers
 
         return chosen_workers(self.workers, self.cluster)
 
@@ -173,7 +143,7 @@ def one_thread_each() -> None:
 
     The matrices are small: more threads made it five times slower (measured), and the tasks use all cores already.
     """
-    from doe.jobs.isolated import SINGLE_THREAD
+    from doe.jobs.running import SINGLE_THREAD
 
     for name, number in SINGLE_THREAD.items():
         os.environ.setdefault(name, number)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from doe.cli.options import File, Names, words
+from doe.cli.options import words
 from identification.errors import InputError, nearest
+from identification.workflow import Names
 
 if TYPE_CHECKING:
     from doe.criteria import Criterion
@@ -28,7 +30,7 @@ class CriterionOptions:
     """
 
     criterion: str | None = None
-    test_poses: File | None = None
+    test_poses: Path | None = None
     subset: str | None = None
     robust: bool = False
     missing: Names | None = None
@@ -66,8 +68,8 @@ class PostureOptions:
     draws : Arms drawn for --uncertain.
     """
 
-    keep: File | None = None
-    candidates: File | None = None
+    keep: Path | None = None
+    candidates: Path | None = None
     repeats: bool = False
     minimum_distance_deg: float | None = None
     uncertain: str | None = None
@@ -81,13 +83,11 @@ def design_problem(
     import numpy as np
 
     from doe.criteria import NAMES
-    from doe.plan.file import load_plan
-    from doe.problem.bayesian import ensemble_problem, prior_draws
+    from doe.plan.plan import load_plan
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
-    from doe.problem.robust import missing_effects, robust_problem
-    from identification.files.csv import read_table
-    from identification.files.measurement_columns import read_postures
+    from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem
+    from identification.files.plan import read_plan
     from identification.model import Model
 
     name, missing = wanted.name, wanted.effects
@@ -96,7 +96,7 @@ def design_problem(
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
     postures, model, restrictions = postures or PostureOptions(), Model(arm), dict[str, Any]()
     if postures.keep is not None:  # measurements, or a plan carried out
-        restrictions["kept"] = read_postures(read_table(postures.keep), arm.joint_types)
+        restrictions["kept"] = read_plan(postures.keep, arm.joint_types, carried_out=True).postures
     if postures.candidates is not None:
         choices = restrictions["choices"] = load_plan(postures.candidates, arm.joint_types).postures
         try:
@@ -121,8 +121,8 @@ def design_problem(
 
 def _criterion(wanted: CriterionOptions, problem: DesignProblem) -> Criterion:
     from doe.criteria import criterion
-    from doe.plan.file import load_plan
-    from doe.problem.robust import tip_jacobians
+    from doe.plan.plan import load_plan
+    from doe.problem.uncertain import tip_jacobians
 
     poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, problem.model.joint_types).postures
     names = problem.model.parameters.names

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb, with_collisions
-from doe.cli.options import Count, File, OutFile, Seconds, written
+from doe.cli.common import verb, with_collisions
+from doe.cli.options import Count, Seconds, written
 from doe.cli.problems import CriterionOptions, PostureOptions, design_problem
+from identification.document import Answer
 from identification.errors import InputError
+from identification.progress import Progress, silent
+from identification.workflow import Written
 
 if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
@@ -34,7 +38,7 @@ class RelaxationOptions:
     """
 
     grid: Annotated[int, click.IntRange(min=2)] | None = None
-    candidates: File | None = None
+    candidates: Path | None = None
     solver: str | None = None
     check: Annotated[bool, "--check/--no-check"] = True
     runs: Count | None = None
@@ -42,7 +46,7 @@ class RelaxationOptions:
 
     def limits(self, solver: str) -> tuple[Callable[[], bool], float]:
         """What ends the weights, at half the time where they are checked, and the end of it all."""
-        from doe.bounds.relaxation import LARGEST
+        from doe.bounds.column_generation import LARGEST
 
         if self.seconds is not None and solver in LARGEST:
             reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
@@ -54,13 +58,14 @@ class RelaxationOptions:
 
 @verb("armcal relax arm.toml --grid 9 --solver clarabel")
 def command(
-    common: CommonOptions,
-    arm: File,
+    arm: Path,
     *,
     chosen: RelaxationOptions,
     criterion: CriterionOptions,
-    out: OutFile | None = None,
+    out: Written | None = None,
     force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Answer:
     """Optimal weights over candidate postures.
 
@@ -69,10 +74,10 @@ def command(
     out : Write the plan with weights (CSV).
     force : Overwrite an existing file.
     """
-    from doe.bounds.relaxation import relax
+    from doe.bounds.column_generation import relax
     from doe.cross_check import cross_check
-    from doe.plan.file import plan_text
-    from doe.problem.robust import with_choices
+    from doe.plan.plan import plan_text
+    from doe.problem.uncertain import with_choices
     from doe.report.design import cross_check_table, relax_document
     from identification.files.arm import load_arm
 
@@ -82,17 +87,17 @@ def command(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )
     problem = with_choices(problem) if criterion.robust and chosen.grid is None else problem
-    common.report(0, 2, "weights")
+    progress(0, 2, "weights")
     solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
     new = chosen.runs or (problem.parameters if problem.deviations else None)
     stop, end = chosen.limits(solver)
     relaxation = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
     data, shown = relaxation.to_json(), list[Any]([relax_document(relaxation)])
     if chosen.check:
-        common.report(1, 2, "cross-check")
+        progress(1, 2, "cross-check")
         runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
         checked = with_choices(problem) if criterion.robust else problem
-        compared = cross_check(checked, relaxation, runs, seed=common.seed, seconds=end - perf_counter())
+        compared = cross_check(checked, relaxation, runs, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared.rows()
         shown.append(cross_check_table(compared))
     text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
@@ -112,7 +117,7 @@ def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, 
 
 def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array:
     """Levels of a grid, or (N, n) postures [rad]."""
-    from doe.plan.file import load_plan
+    from doe.plan.plan import load_plan
 
     if chosen.candidates is not None:
         return load_plan(chosen.candidates, problem.model.joint_types).postures

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from doe.cli.common import Answer, CommonOptions, origin, verb
-from doe.cli.options import File, OutFile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from doe.cli.common import verb
+from identification.document import Answer, Document
+from identification.workflow import Written
 
 
 @verb("armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html")
-def command(common: CommonOptions, files: tuple[File, ...], *, out: OutFile, force: bool = False) -> Answer:
+def command(
+    files: tuple[Path, ...],
+    *,
+    out: Written,
+    force: bool = False,
+    page: Callable[[Document, Sequence[Path]], str],
+) -> Answer:
     """One page of a campaign's files.
 
     Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate), and what design,
@@ -19,11 +29,11 @@ def command(common: CommonOptions, files: tuple[File, ...], *, out: OutFile, for
     force : Overwrite an existing file.
     """
     from doe.report.campaign import Campaign
-    from doe.report.page import hashes, page
+    from doe.report.page import hashes
     from identification.files.io import write_whole
 
     campaign = Campaign.of(files)
-    write_whole(out, page(campaign.document(), origin(common.seed, files)), force=force)
+    write_whole(out, page(campaign.document(), files), force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
         for name, size, digest in hashes(files)

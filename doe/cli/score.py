@@ -7,10 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from doe.cli.common import Answer, CommonOptions, verb, with_collisions
-from doe.cli.options import Content, File, Names, Picture, Seconds, plan_drawing, written
+from doe.cli.common import verb, with_collisions
+from doe.cli.options import Content, Seconds, plan_drawing, written
 from doe.cli.problems import CriterionOptions, design_problem
+from identification.document import Answer
 from identification.errors import InputError
+from identification.workflow import Names, Picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,9 +28,8 @@ ROBUST = "score --robust judges it so, this is of a fit by the model of the arm 
 
 @verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 def command(
-    common: CommonOptions,
-    arm: File,
-    plan: File,
+    arm: Path,
+    plan: Path,
     *,
     aliases: Picture | None = None,
     seconds: Seconds = 20.0,
@@ -48,11 +49,10 @@ def command(
     picture : Draw the postures (.png, .svg, .pdf).
     force : Overwrite an existing file.
     """
-    from doe.plan.expected_accuracy import error_at_poses
-    from doe.plan.file import load_plan
-    from doe.plan.observability import criterion_values, observability
+    from doe.plan.accuracy import criterion_values, error_at_poses, observability
+    from doe.plan.plan import load_plan
     from doe.problem.problem import DesignProblem
-    from doe.problem.robust import average_error
+    from doe.problem.uncertain import average_error
     from doe.report.design import criteria_lines, design_document
     from identification.files.arm import load_arm
     from identification.model import Model
@@ -70,7 +70,7 @@ def command(
     lines = [meant] if loaded_plan.fit and not criterion.robust else []
     data = design.to_json() | {
         "workspace_error_mm": error,
-        "observability": indices.to_json(),
+        "observability": indices,
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
@@ -88,7 +88,7 @@ def _alias_drawing(sees: Detectability) -> Figure:
 def _scored(arm: Arm, plan: Plan, path: Path, criterion: CriterionOptions, seconds: float) -> Design:
     """The plan as a `Design`. Raises `InputError` for too few runs; warns of runs that the arm cannot reach."""
     from doe.design import score_plan
-    from doe.problem.robust import with_choices
+    from doe.problem.uncertain import with_choices
 
     problem = design_problem(arm, criterion)
     if criterion.robust or problem.choices is not None:

@@ -8,12 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import verb
 from doe.cli.options import Count, JobOptions, interruptible
+from identification.document import Answer
 from identification.errors import InputError, JobError, nearest
+from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
-    from doe.jobs.workers import Workers
+    from doe.jobs.running import Workers
     from doe.studies.blind.score import BlindStudy
     from doe.studies.paper.study import PaperStudy
 
@@ -54,12 +56,13 @@ where study.toml has, for instance (names of files are beside it):
 
 @verb(EXAMPLE)
 def command(
-    common: CommonOptions,
     study: Annotated[str, "STUDY.toml|NAME"],
     *,
     replications: Count | None = None,
     cells: Annotated[tuple[str, ...], "--cell", "NAME"] = (),
     job: JobOptions,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Answer:
     """Run a simulation study, or one that comes with armcal.
 
@@ -79,7 +82,7 @@ def command(
     folder = job.out or Path(study).with_suffix(".results")
     where = job.where()
     with interruptible(folder):
-        options = {"seed": common.seed, "resume": job.resume, "force": job.force, "progress": common.report}
+        options = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             return BUILT_IN[study](replications, folder, where, options, **({"cells": cells} if cells else {}))
         return _from_file(Path(study), replications, folder, where, options)

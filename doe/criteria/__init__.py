@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from doe.criteria.criterion import Criterion
-from doe.criteria.e import E, PowerMean
-from doe.criteria.inverse_trace import A, I
 from doe.criteria.log_determinants import D, Ds, DStar
+from doe.criteria.variances import A, E, I, PowerMean
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from doe.design import Design
-from doe.plan.file import plan_text
-from doe.plan.plan import Plan
+from doe.plan.plan import Plan, plan_text
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve

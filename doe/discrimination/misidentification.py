@@ -18,17 +18,19 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, groupby
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from doe.problem.model import DesignModel
-from identification.arm import Arm
+from doe.criteria.criterion import log_determinants
 from identification.arrays import Array
 from identification.for_design import ArmModel
-from identification.information import log_determinants
+
+if TYPE_CHECKING:
+    from doe.problem.model import DesignModel
+    from identification.arm import Arm
 
 # reasons: doe/README.md, "Misidentification"
 LAMBDA = 8.0  # length on random postures at which plans differ

@@ -18,23 +18,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtr
 
 from doe.plan.plan import Plan
 from doe.problem.postures import random_postures
-from doe.problem.problem import NEEDS_SIGMA, DesignProblem, Stop, never
-from identification.arm import Arm
+from doe.problem.problem import DesignProblem, Stop, never
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.files.measurement_columns import posture_columns
-from identification.for_design import refuse_contacts
-from identification.gap.result import Diagnosis
+from identification.for_design import NEEDS_SIGMA, refuse_contacts
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status
+
+if TYPE_CHECKING:
+    from identification.arm import Arm
+    from identification.gap.result import Diagnosis
 
 # reasons: doe/README.md, "T-optimality"
 POOL = 1500  # random postures to choose from

@@ -1,18 +1,29 @@
-"""A plan: the postures to measure, in the order of measurement, or an approximate design with weights."""
+"""A plan: the postures to measure, in the order of measurement, or an approximate design with weights; its file; and
+from weights to whole numbers of runs by efficient apportionment, which loses least in the worst case.
+
+F. Pukelsheim, S. Rieder, "Efficient rounding of approximate designs", Biometrika 79 (1992): start from
+ceil((m - k/2) w_i) runs on each of the k support postures; while there are too few, add one where n_i / w_i is
+smallest, while too many, take one where (n_i - 1) / w_i is largest. No rounding has a better guaranteed efficiency.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
+from os import PathLike
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array, ByValue, readonly
 from identification.data_frames import frame_of_columns
-from identification.document import html_lines, html_table
-from identification.kinematics.counting import counting_in, in_columns
-from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
+from identification.errors import InputError
+from identification.files.measurement_columns import posture_columns
+from identification.files.plan import plan_file_text, read_plan
+
+SUM = 1e-6  # by which weights may miss one
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +42,6 @@ class Plan(ByValue):
     fit: str = ""
 
     def __post_init__(self) -> None:
-        if set(self.joint_types) == {REVOLUTE} and counting_in(self.joint_types) is None:
-            object.__setattr__(self, "joint_types", ())
         object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
         if self.weights is not None:
             object.__setattr__(self, "weights", readonly(self.weights))
@@ -46,35 +55,78 @@ class Plan(ByValue):
         return int(self.postures.shape[1])
 
     @property
+    def shares(self) -> Array:
+        """(m,) weight of every posture; 1/m for an exact plan."""
+        return np.full(len(self), 1.0 / len(self)) if self.weights is None else self.weights
+
+    @property
     def units(self) -> tuple[str, ...]:
         """(n) units in which joints are shown: deg, or mm."""
-        return tuple(FILE_UNITS[unit][0] for unit in self._units)
+        return tuple(name.partition("_")[2] for name in posture_columns(self.postures, self.joint_types or None))
 
     @property
     def displayed(self) -> Array:
         """(m, n) postures in `units`, as the controller counts."""
-        return readonly(in_columns(self.postures, self.joint_types) * [FILE_UNITS[unit][1] for unit in self._units])
+        return readonly(np.column_stack([*posture_columns(self.postures, self.joint_types or None).values()]))
 
     def to_frame(self, kind: str = "polars") -> Any:
         """A row for each posture, as in a plan file; polars or pandas."""
-        columns = {f"q{j}_{unit}": q for j, (unit, q) in enumerate(zip(self.units, self.displayed.T, strict=True), 1)}
-        weight = {} if self.weights is None else {"weight": self.weights}
-        return frame_of_columns({"run": range(1, len(self) + 1), **columns, **weight}, kind)
+        columns = {"run": range(1, len(self) + 1)} | posture_columns(self.postures, self.joint_types or None)
+        return frame_of_columns(columns if self.weights is None else columns | {"weight": self.weights}, kind)
+
+    def to_html(self, caption: object) -> str:
+        """A caption and the postures, for notebooks."""
+        return f"<pre>{escape(str(caption))}</pre>\n{self._repr_html_()}"
 
     def _repr_html_(self) -> str:
-        return str(self.to_frame()._repr_html_())
+        from polars import Config
 
-    def to_html(self, caption: object, heading: str, labels: Iterable[str]) -> str:
-        """A caption and a table of the postures for notebooks, each row beginning with its label."""
-        head = (f"q{j} [{unit}]" for j, unit in enumerate(self.units, start=1))
-        rows = ([label, *(f"{q:.2f}" for q in row)] for label, row in zip(labels, self.displayed, strict=True))
-        return html_lines(str(caption).splitlines()) + html_table([heading, *head], rows)
+        with Config(tbl_rows=-1, tbl_cols=-1, tbl_hide_column_data_types=True):
+            return str(self.to_frame()._repr_html_())
 
-    @property
-    def _units(self) -> list[str]:
-        return [JOINT_UNITS[joint_type] for joint_type in self.joint_types or (REVOLUTE,) * self.links]
 
-    @property
-    def shares(self) -> Array:
-        """(m,) weight of every posture; 1/m for an exact plan."""
-        return np.full(len(self), 1.0 / len(self)) if self.weights is None else self.weights
+# -- files: CSV in degrees ---------------------------------------------------------------------------------------------
+def load_plan(path: str | PathLike[str], joints: int | Sequence[str] | None = None) -> Plan:
+    """The plan of a CSV file `run,q1_deg,...,qn_deg[,weight]`, rows in the order of measurement, `# fit: ...` above.
+
+    joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
+
+    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
+    once about columns that are not used.
+    """
+    file = read_plan(path, joints)
+    return Plan(file.postures, file.weights, fit=file.fit)
+
+
+def plan_text(plan: Plan, joint_types: int | Sequence[str] | None = None) -> str:
+    """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad)."""
+    return plan_file_text(plan.postures, plan.weights, plan.fit, joint_types)
+
+
+# -- from weights to whole numbers of runs -----------------------------------------------------------------------------
+
+
+def apportion(weights: Array, runs: int) -> NDArray[np.int64]:
+    """(k,) whole numbers that sum to `runs`, near runs * weights; at least one each where runs >= k.
+
+    weights : (k,) positive, summing to one. With fewer runs than postures only the heaviest `runs` get one.
+    """
+    shares = np.asarray(weights, dtype=float)
+    if not np.all(shares > 0.0) or abs(shares.sum() - 1.0) > SUM:
+        raise InputError(f"weights: sum {shares.sum():g}, smallest {shares.min():g}, allowed: positive, sum one")
+    if runs <= len(shares):
+        heaviest = np.argsort(-shares, kind="stable")[:runs]
+        return np.isin(np.arange(len(shares)), heaviest).astype(np.int64)
+    numbers = np.ceil((runs - len(shares) / 2.0) * shares).astype(np.int64)
+    while numbers.sum() < runs:
+        numbers[np.argmin(numbers / shares)] += 1
+    while numbers.sum() > runs:
+        numbers[np.argmax((numbers - 1) / shares)] -= 1
+    return numbers
+
+
+def rounded_plan(plan: Plan, runs: int) -> Array:
+    """(runs, n) postures of an approximate design, each as often as its weight asks for."""
+    carried = plan.shares > 0.0
+    numbers = apportion(plan.shares[carried] / plan.shares[carried].sum(), runs)
+    return np.repeat(plan.postures[carried], numbers, axis=0)

@@ -30,15 +30,11 @@ from doe.problem.constraints import Constraint, constraints_of
 from doe.problem.model import DesignModel, check_model, offers
 from identification.arrays import Array, readonly
 from identification.errors import InputError
-from identification.for_design import for_design
+from identification.for_design import NEEDS_SIGMA, for_design
 from identification.information import information_matrix
 from identification.kinematics.parameters import EFFECT, PRISMATIC, ParameterSet
 from identification.vectorize import PART, vectorize
 
-NEEDS_SIGMA = (  # the end of a sentence
-    "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
-    "or what the standard deviation of one coordinate is [mm]"
-)
 ONE_DEGREE = float(np.radians(1.0))
 MANY = 16  # parameters above which gradients pay: exchanges and second derivatives of plans cost the cube of them
 Stop = Callable[[], bool]  # is asked now and then in a search, which ends where it says True

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from doe.plan.file import load_plan
 from doe.plan.plan import Plan
 from doe.report.design import design_verdict, plan_actions, plan_section
 from identification.arm import Arm
@@ -35,13 +34,14 @@ from identification.files.csv import read_table
 from identification.files.io import read_text
 from identification.files.measurement import load_measurements
 from identification.files.measurement_columns import UNITS
+from identification.files.plan import read_plan
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances
 from identification.model import Model
 from identification.validate import Validation, validate
+from identification.validate.origin import data_hashes, diagnosed, outside
 from identification.validate.reuse import same_drawing
-from identification.validate.row_groups import data_hashes, diagnosed, outside
 from identification.workflow import dh_table
 
 # a command -> keys that its JSON object alone has
@@ -71,7 +71,7 @@ class Campaign:
 
     kinds: dict[str, str] = field(default_factory=dict)
     arms: dict[str, Arm] = field(default_factory=dict)
-    plans: dict[str, tuple[Plan, CsvTable]] = field(default_factory=dict)
+    plans: dict[str, tuple[Plan, Mapping[str, Sequence[str]]]] = field(default_factory=dict)
     measurements: dict[str, Measurements] = field(default_factory=dict)
     commands: dict[str, CsvTable] = field(default_factory=dict)
     results: dict[str, dict[str, Mapping[str, Any]]] = field(default_factory=lambda: {command: {} for command in KEYS})
@@ -121,7 +121,8 @@ class Campaign:
         if instrument.contact or any(column in table for column in columns):  # plans of contacts no command writes
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
-        self.plans[name] = load_plan(path, arm.joint_types), table
+        file = read_plan(path, arm.joint_types)
+        self.plans[name] = Plan(file.postures, file.weights, fit=file.fit), file.cells
         return "plan"
 
     @property
@@ -249,7 +250,7 @@ class Campaign:
         sections += [self.test_section(rows) for rows in self.tests]
         arm = next(iter(self.arms.values()), None)
         if arm is not None:
-            sections += [plan_section(arm, plan, table, name) for name, (plan, table) in self.plans.items()]
+            sections += [plan_section(arm, plan, cells, name) for name, (plan, cells) in self.plans.items()]
             sections += [commands_section(name, table, arm) for name, table in self.commands.items()]
         sections += [part for data in self.results["validate"].values() for part in validation_sections(data)]
         return sections + folded

@@ -2,40 +2,36 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from doe.advise import Advice
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.bound import bound_in_words, postures_in_words
-from doe.cross_check import CrossCheck
+from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
-from doe.discrimination.design import MOST_SEEN, DiscriminationDesign
-from doe.discrimination.misidentification import LAMBDA
-from doe.discrimination.t_optimal import NextPostures
-from doe.plan.expected_accuracy import ExpectedDeviations, over_draws
-from doe.plan.plan import Plan
-from doe.plan.replicate_spacing import distance_to_keep
+from doe.plan.accuracy import ExpectedDeviations
+from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
-from identification.arm import Arm
 from identification.arrays import Array
 from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
-from identification.documents.diagnosis import untested
 from identification.documents.identification import identify_command
 from identification.estimation.corrected_values import NARROWED
-from identification.files.csv import Table as CsvTable
-from identification.files.measurement_columns import posture_columns
-from identification.gap.detectability import Detectability
-from identification.gap.result import Diagnosis
 from identification.kinematics.parameters import EFFECT
-from identification.measurements import Measurements
 from identification.model import Model
+
+if TYPE_CHECKING:
+    from doe.advise import Advice
+    from doe.cross_check import CrossCheck
+    from doe.discrimination.design import DiscriminationDesign
+    from doe.discrimination.t_optimal import NextPostures
+    from doe.plan.plan import Plan
+    from identification.arm import Arm
+    from identification.gap.detectability import Detectability
+    from identification.gap.result import Diagnosis
+    from identification.measurements import Measurements
 
 Data = Mapping[str, Any]  # what a command says with --json
 
@@ -142,10 +138,10 @@ def accuracy(design: Design) -> list[Sheet | str]:
         return ["No expected standard deviations: the arm file has no sigma_mm."]
     if mean is None:
         return ["No expected standard deviations: not every parameter is estimable from the plan."]
-    each = design.deviations_per_draw
-    over = "" if each is None else ", mean over the draws of the arm and worst of them"
+    worst_draw = design.worst_deviations
+    over = "" if worst_draw is None else ", mean over the draws of the arm and worst of them"
     columns = deviation_columns(mean)
-    worst = {} if each is None else deviation_columns(over_draws(each, np.max))
+    worst = {} if worst_draw is None else deviation_columns(worst_draw)
     missing = missing_parameters(problem)
     weak = [
         p.name
@@ -226,27 +222,28 @@ STEPS = (
     "the plan was chosen by another criterion or with missing effects in mind (--robust)."
 )
 MOST_RUNS, MOST_NUMBERS = 200, 150_000  # that a person steps through; of the Jacobians, some 12 characters each
-DECIMAL = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
 
 
 def plan_section(
-    arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = "plan.csv", lead: str = ""
+    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan.csv", lead: str = ""
 ) -> Section:
     """A part of a page in which the plan is stepped through, reordered and cut; a long one or one of weights is drawn.
 
-    table : the file of the plan, whose columns the edited plan keeps
+    cells : columns of the file of the plan, which the edited plan keeps
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
     lead = lead if arm.chain.planar else f"{lead} {COLLISIONS}".strip()
-    title = f"The plan {name}" if table is not None else "The plan"
-    if (steps := plan_steps(arm, plan, table, Path(name).stem)) is not None:
+    title = f"The plan {name}" if cells is not None else "The plan"
+    if (steps := plan_steps(arm, plan, cells, Path(name).stem)) is not None:
         return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
     sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
 
 
-def plan_steps(arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = "plan") -> dict[str, Any] | None:
+def plan_steps(
+    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan"
+) -> dict[str, Any] | None:
     """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
     Jacobians to 12 digits. None for a plan that is too long for it, or one of weights.
 
@@ -259,16 +256,9 @@ def plan_steps(arm: Arm, plan: Plan, table: CsvTable | None = None, name: str = 
     if plan.weights is not None or len(plan) > MOST_RUNS or numbers > MOST_NUMBERS:
         return None
     jacobians = problem.scaled_jacobians(plan.postures).reshape(len(plan), -1)
-    if table is None:  # else its cells, with decimal points as the file separates columns by commas
-        angles = posture_columns(plan.postures, plan.joint_types or None)
-        cells = {name: [repr(float(angle)) for angle in column] for name, column in angles.items()}
-    else:
-        texts = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
-        pointed = table.decimal_commas
-        cells = {
-            name: [text.replace(",", ".") if pointed and DECIMAL.fullmatch(text) else text for text in column]
-            for name, column in texts.items()
-        }
+    if cells is None:
+        columns = zip(plan.units, plan.displayed.T, strict=True)
+        cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}
     return {
         "file": f"{name}-edited.csv",
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
@@ -410,6 +400,8 @@ def cross_check_table(compared: CrossCheck) -> Sheet:
 # -- missing effects ---------------------------------------------------------------------------------------------------
 def preflight_parts(sees: Detectability) -> list[Sheet | str]:
     """Visible fraction, smallest size and look-alikes of every effect."""
+    from identification.documents.diagnosis import untested
+
     rows = []
     for name, visible in zip(sees.names, sees.norm_fractions, strict=True):
         alike = [f"{other} ({likeness:.2f})" for one, other, likeness in sees.pairs() if one == name]
@@ -423,6 +415,9 @@ def preflight_parts(sees: Detectability) -> list[Sheet | str]:
 
 def discriminating_parts(result: DiscriminationDesign) -> list[Sheet | str]:
     """The efficiency that the plan gives up, and what it can detect in return."""
+    from doe.discrimination.design import MOST_SEEN
+    from doe.discrimination.misidentification import LAMBDA
+
     parts: list[Sheet | str] = [
         f"D-efficiency relative to the best plan found: {result.relative_efficiency:.4f}",
         f"probability that a missing effect gets a wrong name: at most {result.wrong:.3f} "

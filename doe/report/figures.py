@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +12,8 @@ from matplotlib.ticker import MaxNLocator
 
 from doe.advise import Advice
 from doe.problem.problem import DesignProblem
-from doe.report.page import check_picture
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.files.io import write_whole
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox, circle_across
@@ -26,19 +22,6 @@ BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
 MANY = 500  # more stick figures only cover each other; more points are drawn smaller, as pixels in vector formats
 SIDES = ((22.0, -60.0), (22.0, 30.0))  # [deg] elevation and azimuth of the two views of a spatial arm
 RING = np.linspace(0.0, 2.0 * np.pi, 49)
-
-
-def save(figure: Figure, path: Path, force: bool = False) -> None:
-    """Write a figure whole or not at all; the ending says the format (.png, .svg, .pdf). Raises `InputError`."""
-    write_whole(path, picture_bytes(figure, path), force=force)
-
-
-def picture_bytes(figure: Figure, path: Path) -> bytes:
-    """The content of a picture file. Raises `InputError` for an ending that is no format."""
-    check_picture(path)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix.lower().removeprefix("."), dpi=150)
-    return buffer.getvalue()
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
@@ -91,10 +74,9 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
     for line, color in zip(Model(arm).points(postures), run_colors(len(postures)), strict=True):
         axes.plot(*line.T, color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1:].T, "o", color=color, ms=3)
-    dimension = arm.dimension
-    axes.plot(*np.zeros((dimension, 1)), "ks", ms=6)
-    axes.set(aspect="equal" if dimension == 2 else "auto")
-    axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in "xyz"[:dimension]})
+    axes.plot(*np.zeros((arm.dimension, 1)), "ks", ms=6)
+    axes.set(aspect="equal" if arm.chain.planar else "auto")
+    axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in arm.chain.axes})
 
 
 def draw_constraints(axes: Any, arm: Arm) -> None:

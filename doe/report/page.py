@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from identification.document import Document, PlanSteps, Section, Sheet, html
-from identification.errors import InputError
 from identification.files.io import read_bytes, read_toml
 
 if TYPE_CHECKING:
@@ -127,9 +126,3 @@ def svg(figure: Figure) -> str:
     text = buffer.getvalue()
     element = text[text.index("<svg") :]
     return re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", re.sub(r'width="[^"]*pt"', 'width="100%"', element, count=1))
-
-
-def check_picture(path: Path) -> None:
-    """Raises `InputError` for the name of a picture file whose ending is no format."""
-    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")

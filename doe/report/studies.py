@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from doe.report.figures import AFTER, BEFORE, save
+from doe.report.figures import AFTER, BEFORE
 from doe.report.page import svg
 from doe.studies.blind.score import ALL, KEEPS, BlindStudy
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
@@ -21,7 +21,7 @@ from doe.studies.monte_carlo.specification import CELL
 from doe.studies.monte_carlo.study import StudyResult
 from doe.studies.paper.study import PaperStudy
 from identification.arrays import Array
-from identification.document import Part, Sheet
+from identification.document import Part, Sheet, picture_bytes
 from identification.files.io import write_whole
 
 Setting = tuple[str, int]  # solver and starts
@@ -342,10 +342,10 @@ def with_error(row: dict[str, Any] | None) -> str:
 
 def blind_pictures(folder: Path, result: BlindStudy) -> None:
     """confusion.png and reliability.png in the folder, replaced if they are there."""
-    if len(result.confusion):
-        save(confusion_figure(result.confusion), folder / "confusion.png", force=True)
-    if len(result.reliability):
-        save(reliability_figure(result.reliability), folder / "reliability.png", force=True)
+    for name, rows in (("confusion.png", result.confusion), ("reliability.png", result.reliability)):
+        if len(rows):
+            figure = confusion_figure(rows) if name == "confusion.png" else reliability_figure(rows)
+            write_whole(folder / name, picture_bytes(figure, folder / name), force=True)
 
 
 def reliability_figure(rows: pl.DataFrame) -> Figure:

@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 
 from doe.criteria.criterion import smooth
-from doe.plan.replicate_spacing import free_values
+from doe.plan.spacing import free_values
 from doe.problem.postures import random_postures
 from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives
 from doe.solvers.solver import Budget, Offer

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.bounds.planar_theorem import applies, chain_joints
-from doe.plan.replicate_spacing import free_values, neighbor_counts, replicates_allowed, too_near
+from doe.plan.spacing import free_values, neighbor_counts, replicates_allowed, too_near
 from doe.problem.problem import DesignProblem, Stop, never
 from doe.solvers.exchange import Exchange
 from doe.solvers.solver import Budget, Offer

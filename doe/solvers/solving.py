@@ -1,40 +1,113 @@
-"""`solve`, the only entry point to the exact solvers, and the search loop that all of them share.
+"""The solvers by name: ours, and those of installed packages; and random plans, common practice to compare with.
+
+`solve`, the only entry point to the exact solvers, and the search loop that all of them share.
 
 A solver offers plans and no numbers. The loop clips them to the joint limits, keeps postures apart, recomputes the
 criterion from the stored problem, keeps the best, and ends when the bound is reached, the budget is used up or the user
 presses Ctrl-C.
+
+Is a problem solvable at all? Refusals before a search, and the reason after one that found nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import islice
 from time import perf_counter
+from types import MappingProxyType
 
 import numpy as np
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
-from doe.bounds.bound import Bound
-from doe.bounds.equivalence import REACHED
+from doe.bounds.certificate import REACHED, Bound
 from doe.bounds.planar_theorem import applies
 from doe.design import Design
+from doe.plan.accuracy import plan_jacobians
 from doe.plan.ascent import PlanAscent
 from doe.plan.plan import Plan
-from doe.plan.replicate_spacing import allowed_value, separated, spread_free_joints
-from doe.problem.postures import random_postures
+from doe.plan.spacing import allowed_value, replicates_allowed, separated, spread_free_joints
+from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
-from doe.solvers.exchange import Fedorov
-from doe.solvers.planar_theory import nearly_optimal, optimal_plans
-from doe.solvers.registry import SOLVERS, solver_named
-from doe.solvers.solvability import check_solvable, judged_identifiable
+from doe.solvers.exchange import Exchange, ExchangeIpopt, Fedorov, Gradient, RelaxRound
+from doe.solvers.ipopt import Ipopt
+from doe.solvers.planar_theory import Analytic, nearly_optimal, optimal_plans
 from doe.solvers.solver import LONG_PLAN, Budget, Offer, Solver, time_limit
 from identification.arrays import Array
-from identification.errors import InputError, JobError
+from identification.errors import InputError, JobError, nearest
+from identification.information import identifiability
+from identification.installed import additions
 from identification.progress import Progress, silent
 from identification.status import Status
 from identification.threads import single_thread
 
+
+# -- solvers by name ---------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Random:
+    """Plans uniform within the joint limits, the best of `count`. One: a random plan."""
+
+    count: int = 1
+    name: str = "random"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """Number of random plans."""
+        return self.count
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """One random plan per start."""
+        while True:
+            yield Offer(random_postures(problem, runs, generator), 1)
+
+
+SOLVERS: dict[str, Solver] = {
+    "analytic": Analytic(),
+    "exchange": Exchange(),
+    "exchange_ipopt": ExchangeIpopt(),
+    "fedorov": Fedorov(),
+    "gradient": Gradient(),
+    "ipopt": Ipopt(),
+    "random": Random(),
+    "relaxation_rounding": RelaxRound(),
+    "best_of_random": Random(count=1000, name="best_of_random"),
+}
+
+
+def available_solvers() -> Mapping[str, Solver]:
+    """Name -> solver of every one known: ours, and those of installed packages (entry-point group `armcal.solvers`).
+
+    An entry point names a settings object, or a class that makes one without arguments. Raises `InputError` for one
+    that cannot be loaded.
+    """
+    return MappingProxyType({**installed_solvers(), **SOLVERS})
+
+
+@cache
+def installed_solvers() -> dict[str, Solver]:
+    """Name -> solver of the entry points, loaded once."""
+    loaded: dict[str, Solver] = {}
+    for name, where, made in additions("armcal.solvers"):
+        try:
+            solver = made() if isinstance(made, type) else made
+        except Exception as error:  # noqa: BLE001 - other people's code
+            raise InputError(f"{where}: {error}, allowed: a class that needs no arguments") from None
+        if not callable(getattr(solver, "offers", None)):
+            raise InputError(f"{where}, allowed: a solver with offers()")
+        loaded[name] = solver
+    return loaded
+
+
+def solver_named(name: str) -> Solver:
+    """The solver of a name as in `--solver`. Raises `InputError` with the nearest name for an unknown one."""
+    if name not in available_solvers():
+        raise InputError(f"solver: unknown name {name!r}, {nearest(name, available_solvers())}")
+    return available_solvers()[name]
+
+
+# -- the search --------------------------------------------------------------------------------------------------------
 HALF = 0.5  # of the time: for what comes first, the search or the bound
 AGREEMENT = 10  # independent local searches that end at the best value
 AGREES = 1e-7  # difference of criterion values that counts as none
@@ -182,3 +255,71 @@ class PlanSearch:
         if budget.may_agree and agreeing >= AGREEMENT:
             return Status.agreed
         return Status.time_limit if budget.out_of_time else None
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+NEUTRAL = "under one payload, temperature, time and approach no posture distinguishes"
+
+
+def check_solvable(
+    problem: DesignProblem, runs: int, seed: int, begin: Array | None = None, *, every_parameter: bool
+) -> None:
+    """Raises where no plan is allowed, or none can identify as many parameters, or `every_parameter`.
+
+    begin : (m, n) a plan to begin with; where it has an allowed posture, none is looked for
+    """
+    check_runs(problem, runs)
+    if every_parameter and (names := problem.without_effect):
+        raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(names)}")
+    if begin is None or not problem.feasible(begin).any():
+        random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
+
+
+def check_runs(problem: DesignProblem, runs: int) -> None:
+    """Raises `InputError` for fewer equations than unknowns, and for an invalid number of runs.
+
+    No more postures fit into the joint limits at the minimum distance than boxes of half the distance's side around
+    them: one axis holds width / distance + 1.
+    """
+    if isinstance(runs, bool) or not isinstance(runs, int | np.integer):
+        raise InputError(f"runs: {runs!r:.40}, allowed: a whole number")
+    if runs < problem.fewest_runs:
+        raise InputError(
+            f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"
+        )
+    if (alike := replicates_allowed(problem)) < runs:
+        width = problem.comparable(problem.upper - problem.lower)[list(problem.searched_joints)]
+        most = alike * float(np.prod(np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0))
+        if runs + len(problem.kept) > most:
+            postures = f"{runs + len(problem.kept)} postures {problem.spacing} apart"
+            raise InputError(f"runs: {postures}, allowed: at most {most:.0f} in the limits")
+
+
+def judged_identifiable(design: Design, *, throw: bool) -> Design:
+    """The design, with status `not_identifiable` where the plan does not identify all parameters.
+
+    throw : raise `JobError` with the reason instead, and where the plan is not allowed
+    """
+    problem, identified = design.problem, bool(np.isfinite(design.value))
+    if throw and not identified:
+        raise JobError(_not_identifiable(design))
+    if throw and not np.isfinite(allowed_value(problem, design.plan.postures)):
+        apart = f"postures {problem.spacing} apart"
+        raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
+    return design if identified else replace(design, status=Status.not_identifiable)
+
+
+def _not_identifiable(design: Design) -> str:
+    problem, p = design.problem, design.problem.parameters
+    message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
+    if problem.choices is None:
+        many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
+    else:
+        many = listed_candidates(problem, problem.choices).postures
+    jacobians, names = plan_jacobians(problem, many), problem.model.parameters.names
+    aliases = identifiability(jacobians, names, np.ones(p)).combinations
+    if not aliases:
+        return message
+    if problem.choices is not None:
+        return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
+    return f"{message}; {NEUTRAL}: {'; '.join(aliases)}"

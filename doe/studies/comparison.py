@@ -17,10 +17,8 @@ import numpy as np
 import polars as pl
 
 from doe.criteria import criterion
-from doe.jobs.isolated import call
-from doe.jobs.row_table import Key, Row, RowTable, short_hash, with_columns
-from doe.jobs.tasks import run_tasks
-from doe.jobs.workers import Workers
+from doe.jobs.rows import Key, Row, RowTable, short_hash, with_columns
+from doe.jobs.running import Workers, call, run_tasks
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
 from identification.arm import Arm

@@ -39,7 +39,7 @@ from identification.model import Model
 from identification.model.positions import in_own_frame
 from identification.servo import servo_shift
 from identification.sessions import BASE
-from identification.validate.row_groups import check_calibrated, extrapolated, familiar_range, identified, outside
+from identification.validate.origin import check_calibrated, extrapolated, familiar_range, identified, outside
 
 MISSED_BY_CHANCE = 1e-3  # share of right targets that lie beyond the tolerance
 TURNED = 1e-8  # [rad] a pose is reached if the model comes this close

@@ -63,9 +63,8 @@ def headline(result: Diagnosis) -> str:
         verdict = f"ambiguous: {count} explanations fit about equally well{options}; measure more postures"
     elif described(result):
         curves = f"error curves of {of_joints([curve.joint for curve in result.curves])}"
-        beside = f" + {title}" if result.effects else ""
-        fits = f"no effect in the library fits; {curves}{beside} describe the errors"
-        verdict = f"cause unknown ({where} first): {fits}"
+        what = f"{curves} + {title}" if result.effects else f"no effect in the library fits; {curves}"
+        verdict = f"cause unknown ({where} first): {what} describe the errors"
     else:
         verdict = f"unknown: something outside the library, {where}{f', beside {title}' if result.effects else ''}"
     if result.offered is not None and not result.offered.better:

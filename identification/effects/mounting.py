@@ -13,11 +13,6 @@ from identification.kinematics.parameters import Parameter
 MAX_SESSIONS = 99
 
 
-def rotation_names(dimension: int) -> tuple[str, ...]:
-    """Names of the parameters of a rotation: `w` in the plane, `wx`, `wy`, `wz` in space."""
-    return ("w",) if dimension == 2 else ("wx", "wy", "wz")
-
-
 @register
 class BaseOffset(Effect):
     """The base does not stand at the origin of the measurements: + (x0, y0)."""
@@ -43,7 +38,7 @@ class BaseDrift(Effect):
     once = True
 
     def define(self) -> tuple[Parameter, ...]:
-        shorts = ("vx", "vy", "vz")[: self.dimension]
+        shorts = (f"v{axis}" for axis in self.chain.axes)
         return tuple(self.parameter(short, "mm/session", scale=1.0, typical=0.05) for short in shorts)
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -60,8 +55,8 @@ class BaseRotationDrift(Effect):
     once = True
 
     def define(self) -> tuple[Parameter, ...]:
-        shorts = rotation_names(self.dimension)
-        return tuple(self.parameter(short, "rad/session", scale=self.reach, typical=5e-5) for short in shorts)
+        names = self.chain.turn_names
+        return tuple(self.parameter(short, "rad/session", scale=self.reach, typical=5e-5) for short in names)
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values * chain.time
@@ -85,8 +80,8 @@ class SessionBase(Effect):
 
     def define(self) -> tuple[Parameter, ...]:
         """Parameters of each session after the first, in order."""
-        shifts = [(short, "mm", 1.0, 1000.0) for short in "xyz"[: self.dimension]]
-        turns = [(short, "rad", self.reach, 3.0) for short in rotation_names(self.dimension)]
+        shifts = [(short, "mm", 1.0, 1000.0) for short in self.chain.axes]
+        turns = [(short, "rad", self.reach, 3.0) for short in self.chain.turn_names]
         return tuple(
             self.parameter(f"{short}{number}", unit, scale=scale, typical=typical)
             for number in range(2, int(self.chosen["sessions"]) + 1)

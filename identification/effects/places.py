@@ -17,23 +17,20 @@ from identification.effects.base import Effect
 from identification.effects.chain import Chain
 from identification.kinematics.spatial import SpatialChain
 
-OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # in the plane the last has no elements
-OF_JOINT = ("joint_angles", "extensions")  # one number for each joint
-OF_LINK = ("deflections", "slopes")  # in the plane one for each link
-OF_FRAME = ("joint_turns", "joint_shifts")  # in space three for each joint
+OF_LOAD = ("payload", "gravity_turn", "payload_shift")
 Parts = list[tuple[Effect, ca.SX]]  # effects with the values of their own parameters
 
 
 def widths(chain: SpatialChain) -> dict[str, int]:
     """Place -> its number of elements, in the order of vectors over all places."""
     n, d, turns = len(chain), chain.dimension, len(chain.turning)
-    within = dict.fromkeys(OF_LINK, n) if chain.planar else dict.fromkeys(OF_FRAME, 3 * n)
     return {
         "payload": 1,
         "gravity_turn": turns,
-        "payload_shift": 0 if chain.planar else d,
-        **dict.fromkeys(OF_JOINT, n),
-        **within,
+        "payload_shift": d,
+        "joint_angles": n,
+        "extensions": n,
+        **chain.bends,
         "tool": d,
         "base_rotation": turns,
         "base_translation": d,
@@ -108,14 +105,16 @@ def _loads(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
         "payload_shift": effect.payload_shift(chain, values),
     }
     sizes = widths(chain.geometry)
-    return ca.vertcat(*(ca.SX.zeros(sizes[place]) + at_place[place] for place in OF_LOAD if sizes[place]))
+    return ca.vertcat(*(ca.SX.zeros(sizes[place]) + at_place[place] for place in OF_LOAD))
 
 
 def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict[str, ca.SX | float]:
     """Place -> contribution of an effect between loads and instrument, in a loaded chain."""
-    within = effect.bending(chain, values) if chain.geometry.planar else effect.frame_errors(chain, values)
+    deflections, slopes = effect.bending(chain, values)
+    turns, shifts = effect.frame_errors(chain, values)
+    bends = {"deflections": deflections, "slopes": slopes, "joint_turns": turns, "joint_shifts": shifts}
     return {
-        **dict(zip(OF_LINK if chain.geometry.planar else OF_FRAME, within, strict=True)),
+        **{place: bends[place] for place in chain.geometry.bends},
         "joint_angles": effect.joint_angles(chain, values),
         "extensions": effect.extensions(chain, values, lengths),
         "tool": effect.tool(chain, values),

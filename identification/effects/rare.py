@@ -98,7 +98,7 @@ class BaseStep(_Step):
     settings = MappingProxyType({"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)})
 
     def define(self) -> tuple[Parameter, ...]:
-        return tuple(self.parameter(short, "mm", scale=1.0, typical=0.1) for short in "xyz"[: self.dimension])
+        return tuple(self.parameter(short, "mm", scale=1.0, typical=0.1) for short in self.chain.axes)
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values * (self.chosen["side"] * (clock(chain.time, chain.session) - self.chosen["at"]) > 0)
@@ -170,11 +170,11 @@ class GravityTilt(_Load):
     summary = "base leans against gravity"
 
     def define(self) -> tuple[Parameter, ...]:
-        shorts = ("angle",) if self.dimension == 2 else ("x", "y")
+        shorts = {1: ("angle",), 3: ("x", "y")}[len(self.chain.turning)]
         return tuple(self.parameter(short, "rad", scale=1.0, typical=5e-3) for short in shorts)
 
     def gravity_turn(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return values[0] if self.dimension == 2 else ca.vertcat(values, 0.0)
+        return ca.vertcat(values, ca.SX.zeros(len(self.chain.turning) - values.numel()))  # about the vertical: nothing
 
 
 @register

@@ -1,17 +1,11 @@
-"""Signs of a doubtful fit: flipped links, another frame, postures outside the limits.
-
-Whether measurements and an earlier calibration as their prior agree, and which of its parameters they contradict.
-
-The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one degree
-of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors of one
-parameter look like errors of others, and the fit is made again without it before the others are tested.
-"""
+"""What is doubtful about a fit, in sentences: flipped links, another frame, postures outside the limits, an earlier
+calibration as the prior that the measurements contradict."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,13 +48,7 @@ OTHER_FRAME = "the data are in another frame than the arm"
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 SPARE = 4  # degrees of freedom
 ROUNDING = 1e-13  # of the largest coordinate: the sums of a fit to data without noise are rounded by less
-
-
-class Doubts(NamedTuple):
-    """sentences : what is doubtful, worst first;  implausible : the fit is no result to work with."""
-
-    sentences: tuple[str, ...]
-    implausible: bool
+SHOWN = 3  # contradictions in a sentence
 
 
 def doubts(
@@ -70,26 +58,26 @@ def doubts(
     before: Array,
     residual: Array,
     measurements: Measurements,
-) -> Doubts:
-    """What is doubtful about a fit; parameters, identifiable : (p,);  before, residual : (m, d) [mm], of the arm as it
-    was and as fitted."""
+) -> tuple[tuple[str, ...], bool]:
+    """What is doubtful about a fit, worst first, and whether it is no result to work with.
+
+    parameters, identifiable : (p,);  before, residual : (m, d) [mm], of the arm as it was and as fitted
+    """
     arm = getattr(model, "arm", None)  # other models have none
-    read, implausible = Doubts((), False)
-    if arm is not None and rms_distance(before) > DRAWN * arm.reach:
-        read, implausible = misread(arm, measurements)
-    bad = [*read] if implausible else []
-    bad += [*far_off(residual, model), *([] if arm is None else flipped(model, parameters, identifiable))]
     if arm is None:
-        return Doubts(tuple(bad), bool(bad))
+        far = far_off(residual, model)
+        return tuple(far), bool(far)
+    read, implausible = misread(arm, measurements) if rms_distance(before) > DRAWN * arm.reach else ([], False)
+    bad = [*(read if implausible else []), *far_off(residual, model), *flipped(model, parameters, identifiable)]
     sentences = [
         *bad,
         *([] if implausible else (read and far_zeros(model, parameters)) or read),
         *another_frame(arm, measurements),
         *outside_limits(arm, measurements),
         *copied_rows(measurements),
+        *([] if residual.size <= parameters.size else only_rounding(residual, measurements)),
     ]
-    sentences += [] if residual.size <= parameters.size else only_rounding(residual, measurements)
-    return Doubts(tuple(sentences), bool(bad))
+    return tuple(sentences), bool(bad)
 
 
 def far_off(residual: Array, model: Model) -> list[str]:
@@ -102,13 +90,13 @@ def far_off(residual: Array, model: Model) -> list[str]:
     return [f"implausible: the fit leaves {left:.4g} mm RMS, {share}; another arm, frame, unit or order of joints?"]
 
 
-def misread(arm: Arm, measurements: Measurements) -> Doubts:
-    """Columns that look swapped, reversed or mirrored, which a fit may hide in errors of the geometry, and zeros that
-    are elsewhere, which it finds."""
+def misread(arm: Arm, measurements: Measurements) -> tuple[list[str], bool]:
+    """Columns that look swapped, reversed or mirrored, which a fit may hide in errors of the geometry (True), and zeros
+    that are elsewhere, which it finds (False)."""
     reading = read_differently(arm, measurements)
     if reading.better is None or reading.better.moved_zeros:
-        return Doubts(tuple(reading.sentences), False)
-    return Doubts(tuple(f"implausible: {sentence}; armcal check tells more" for sentence in reading.sentences), True)
+        return [*reading.sentences], False
+    return [f"implausible: {sentence}; armcal check tells more" for sentence in reading.sentences], True
 
 
 def far_zeros(model: Model, parameters: Array) -> list[str]:
@@ -185,23 +173,26 @@ def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
     Any rotation of the frame is the offset of joint 1, so that only the position of the base can be missing.
     """
     spare = measurements.positions.size - 2 * (arm.links + 1)
-    if measurements.dimension != 2 or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
+    if not arm.chain.planar or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
         return []
-    without, with_base = (_left(arm, measurements, offset) for offset in (False, True))
-    if not without > FALL**2 * with_base:
+    left = []
+    for offset in (False, True):  # sum of squares [mm^2] that the closed form leaves, with or without a base offset
+        form = PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True)
+        solve = form.solver(measurements.postures, np.ones(len(measurements)), RANK_TOLERANCE)
+        left.append(float(solve(measurements.positions[None])[1][0]))
+    if not worth_freeing(left[0], left[1], 2, spare, FALL**2):
         return []
-    if fdtrc(2, spare, (without - with_base) / 2.0 / max(with_base / spare, np.finfo(float).tiny)) > LEVEL:
-        return []
-    before, after = (np.sqrt(squares / len(measurements)) for squares in (without, with_base))
+    before, after = (np.sqrt(squares / len(measurements)) for squares in left)
     fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
     return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']
 
 
-def _left(arm: Arm, measurements: Measurements, offset: bool) -> float:
-    """Sum of squares [mm^2] that the closed form leaves, with or without a base offset."""
-    form = PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True)
-    solve = form.solver(measurements.postures, np.ones(len(measurements)), RANK_TOLERANCE)
-    return float(solve(measurements.positions[None])[1][0])
+def worth_freeing(held: float, free: float, freed: int, spare: float, factor: float) -> bool:
+    """Whether sums of squares fall, by more than a factor and significantly (F test), where so many further parameters
+    are estimated, too;  spare : degrees of freedom that are then left"""
+    if freed <= 0 or spare < SPARE or not held > factor * free:
+        return False
+    return bool(fdtrc(freed, spare, (held - free) / freed / max(free / spare, np.finfo(float).tiny)) <= LEVEL)
 
 
 def limited(arm: Arm) -> NDArray[np.bool_]:
@@ -253,10 +244,7 @@ def copied_rows(measurements: Measurements) -> list[str]:
     number = "1 row is an exact copy" if rows.size == 1 else f"{rows.size} rows are exact copies"
     no = "it is no measurement of its own" if rows.size == 1 else "they are no measurements of their own"
     seen = f"{number} of another (of {len(measurements)} rows): the first row {copy} of row {original}"
-    return [f"{seen}: {no}, which identify does not count"]
-
-
-SHOWN = 3  # parameters in a sentence
+    return [f"{seen}: {no}, which identify and diagnose do not count"]
 
 
 @dataclass(frozen=True)

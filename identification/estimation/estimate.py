@@ -263,7 +263,7 @@ def identification(
     used = np.flatnonzero(problem.weights > 0.0)
     first = used[np.unique(data.repeat_numbers[used], return_index=True)[1]]
     chain = model.arm.chain if hasattr(model, "arm") else None
-    of_both = chain is not None and not {BASE, TOOL} & chain.known
+    of_both = chain is not None and not chain.planar and not {BASE, TOOL} & chain.known
     status = Status.not_identifiable if identifiability.combinations else solution.status[0]
     return Identification(
         model=model,

@@ -13,10 +13,11 @@ from functools import cached_property, partial
 from itertools import pairwise, product
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import block_diag
 
 from identification.arrays import Array
-from identification.effects.places import OF_FRAME, widths
+from identification.effects.places import widths
 from identification.gap.columns import Basis, Where, times
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
@@ -179,7 +180,7 @@ def _wobble(w: Where, j: int) -> Array:
     plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T
     turns = np.stack([f(k * w.postures[:, j]) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)], axis=1)
     parts = []
-    for kind in OF_FRAME:
+    for kind in chain.bends:
         first = ends[kind] - 3 * n + 3 * j
         part = levers[:, :, first : first + 3] @ plane
         parts.append(part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300))
@@ -232,12 +233,12 @@ def linearized(
     at: Fit,
     rows: Rows,
     wrong: Sequence[int] = (),
-    outside: frozenset[str] | None = None,
+    outside: bool = True,
 ) -> Linearized:
     """All blocks at a fitted model `at`, which may have effects of the library in it, for rows with any noise model.
 
     wrong : rows that may be outlying
-    outside : labels of blocks outside the library, None: all
+    outside : whether blocks outside the library are among them
     """
     model, (y, jacobian, base) = at.model, library.as_base(at, rows)
     # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
@@ -250,7 +251,7 @@ def linearized(
         for h, c in zip(library.members, neutral, strict=True)
     ]
     where = Where(model, at.values, rows.postures, rows.conditions)
-    further = [one for one in outside_blocks(rows, where) if outside is None or one.label in outside]
+    further = list(outside_blocks(rows, where)) if outside else []
     columns = [*of_library, *(one.columns(where) for one in further if one.columns is not None)]
     blocks: list[Block] = [*library.members, *further]
     for k in wrong:
@@ -259,40 +260,45 @@ def linearized(
         columns.append(shift)
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
     starts = np.concatenate([[0], np.cumsum([c.shape[2] for c in columns])])
+    parts = [slice(low, high) for low, high in pairwise(starts)]
     white, target = rows.whiten(np.concatenate(columns, axis=2)), rows.whiten(y)
     u, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
-    inside, before = u.T @ white, np.einsum("np,np->p", white, white)
-    white -= u @ inside
+    inside, gram = u.T @ white, white.T @ white
+    squares = np.diag(gram).copy()
+    gram -= inside.T @ inside
     left = target - u @ (u.T @ target)
-    parts = [slice(low, high) for low, high in pairwise(starts)]
-    squares = [float(np.sum(before[p])) for p in parts]
-    every = [_root(white[:, p].T @ white[:, p], s, b) for p, s, b in zip(parts, squares, blocks, strict=True)]
+    right = left @ white
+    every = [_root(gram[p, p], float(np.sum(squares[p])), b) for p, b in zip(parts, blocks, strict=True)]
     shown = [k for k, root in enumerate(every) if root.shape[1]]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]
-    z = [white[:, parts[k]] @ every[k] for k in shown]
-    turned = [inside[:, parts[k]] @ every[k] for k in shown]
+    turn = sparse.block_diag([root.T for root in every], format="csr")  # (P, p)
+    gram = turn @ np.ascontiguousarray((turn @ gram).T)
+    right, inside = turn @ right, np.ascontiguousarray((turn @ np.ascontiguousarray(inside.T)).T)
+    ends = np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])])
     many = [k for k, b in enumerate(blocks) if _common(b, library)]
-    if len(many) > 1 and (outside is None or REST in outside):
+    if len(many) > 1 and outside:
         # the rest of the library as one block: each of its effects, and each error curve, with the same expected square
-        together = np.concatenate([z[k] for k in many], axis=1) / np.sqrt(len(many))
-        values, vectors = np.linalg.eigh(together.T @ together)
+        own = np.concatenate([np.arange(*ends[k : k + 2]) for k in many])
+        values, vectors = np.linalg.eigh(gram[np.ix_(own, own)] / len(many))
         vectors = vectors[:, values * SIZES[REST_SIZES - 1] ** 2 > FAINT] / np.sqrt(len(many))
-        z.append(np.concatenate([z[k] for k in many], axis=1) @ vectors)
-        turned.append(np.concatenate([turned[k] for k in many], axis=1) @ vectors)
+        across = gram[:, own] @ vectors
+        gram = np.block([[gram, across], [across.T, vectors.T @ across[own]]])
+        right, inside = np.append(right, right[own] @ vectors), np.hstack([inside, inside[:, own] @ vectors])
+        ends = np.append(ends, len(right))
         roots.append(np.asarray(block_diag(*(roots[k] for k in many))) @ vectors)
         columns.append(np.concatenate([columns[k] for k in many], axis=2))
         blocks.append(Block(REST, REST, 1.0, parts=tuple(blocks[k] for k in many)))
-    products = Products.of(
-        np.concatenate([np.zeros((len(left), 0)), *z], axis=1),
-        left,
+    products = Products(
+        gram,
+        right,
+        float(left @ left),
         len(target) - u.shape[1],
-        np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])]),
+        ends,
         np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
         np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64),
     )
-    moved = np.concatenate([np.zeros((u.shape[1], 0)), *turned], axis=1)
-    response, place = -back @ moved, at.values[base] + back @ (u.T @ target)
-    return Linearized(tuple(blocks), products, tuple(roots), response, place, back @ back.T, tuple(columns))
+    place = at.values[base] + back @ (u.T @ target)
+    return Linearized(tuple(blocks), products, tuple(roots), -back @ inside, place, back @ back.T, tuple(columns))
 
 
 def _common(block: Block, library: HypothesisSet) -> bool:

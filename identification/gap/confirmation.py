@@ -27,13 +27,12 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.average import PredictingModel
 from identification.gap.detectability import LEVEL, POWER
-from identification.gap.evidence import Products
 from identification.gap.fit import Fit
 from identification.gap.noise import NoiseFloor
 from identification.gap.posterior import Posterior
 from identification.gap.set_up import SESSION, held_out_conditions, placed_residuals, transfer_of
 from identification.gap.verdict import MOST
-from identification.information import column_space_of
+from identification.information import RANK_TOLERANCE, column_space_of
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 
 # reasons: identification/README.md, "Constants"
@@ -488,49 +487,59 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
     number = found.best.noise
     problem, rows, model = found.problems[number], found.noises[number].rows.pick(kept), found.at.model
     y, jacobian, base = found.library.as_base(found.at, rows)
-    own = jacobian[:, :, base] / model.scales[base]
     sets = [one for one in found.explanations if one.noise == number][:MOST]
     blocks = sorted({b for one in sets for b in one.weighed.blocks if not problem.blocks[b].row})
     part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
-    columns = [table[kept] @ root for table, root in zip(part.columns, part.roots, strict=True)]
-    x = np.concatenate([np.zeros((*y.shape, 0)), *columns], axis=2)
     pairs = [
         [(local[b], size) for b, size in zip(one.weighed.blocks, one.weighed.sizes, strict=True) if b in local]
         for one in sets
     ]
     # the prior of a set is what its odds have beyond its likelihood with all rows
     whole = [problem.products.state([*zip(one.weighed.blocks, one.weighed.sizes, strict=True)]) for one in sets]
-    priors = [np.log(o.probability) - problem.products.ratio(state) for o, state in zip(sets, whole, strict=True)]
-    # of each part a table with the same products as its rows, and no more rows than columns
-    white = rows.whiten(np.concatenate([own, x, y[:, :, None]], axis=2)).reshape(*y.shape, -1)
-    tables = [np.linalg.qr(white[folds == k].reshape(-1, white.shape[2]), mode="r") for k in range(folds.max() + 1)]
+    priors = [np.log(o.probability) - state.ratio for o, state in zip(sets, whole, strict=True)]
+    # the base's columns, orthonormal when white, and the others and y beside them: in mm, and white
+    m, d = y.shape
+    basis, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])
+    own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, basis.shape[1]
+    columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
+    table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)
+    white = rows.whiten(table.reshape(m, d, -1))
+    inside = basis.T @ white[:, rank:]
+    white[:, rank:] -= basis @ inside
+    table[:, rank:] -= own @ inside
+    every, count, points = white.T @ white, table.shape[1] - rank - 1, np.zeros((m, d), dtype=bool)
+    points[:, POINT] = True
     # expected square of the noise of a row, for unit sigma
-    spread = np.eye(y.shape[1])[None] if rows.spread is None else rows.spread
+    spread = np.eye(d)[None] if rows.spread is None else rows.spread
     noise = float(np.sum(np.square(spread[:, POINT]))) / len(spread) * (1.0 + rows.shared)
-    before, after, expected = np.empty_like(y), np.empty_like(y), 0.0
-    for fold in range(len(tables)):
-        test = folds == fold
-        others = np.concatenate([np.zeros((0, white.shape[2])), *tables[:fold], *tables[fold + 1 :]])
-        basis, back = column_space_of(others[:, : len(base)], np.ones(len(base)))
-        inside = basis.T @ others[:, len(base) :]
-        rest = others[:, len(base) :] - basis @ inside
-        freedom = max(np.count_nonzero(~test) * y.shape[1] - basis.shape[1], 1)
-        signs, limits = part.products.signs, part.products.limits
-        products = Products.of(rest[:, :-1], rest[:, -1], freedom, part.products.starts, signs, limits)
+    before, after, expected = np.empty(m * d), np.empty(m * d), 0.0
+    for fold in range(folds.max() + 1):
+        test = np.repeat(folds == fold, d)
+        others = every - white[test].T @ white[test]
+        values, vectors = np.linalg.eigh(others[:rank, :rank])
+        seen = values > RANK_TOLERANCE
+        turn = vectors[:, seen] / np.sqrt(values[seen])
+        inside = turn.T @ others[:rank, rank:]
+        rest = others[rank:, rank:] - inside.T @ inside
+        freedom = max(np.count_nonzero(~test) - turn.shape[1], 1)
+        products = replace(
+            part.products, gram=rest[:-1, :-1], right=rest[:-1, -1], squares=float(rest[-1, -1]), freedom=freedom
+        )
         states = [products.state(own_pairs) for own_pairs in pairs]
-        shares = softmax([prior + products.ratio(state) for prior, state in zip(priors, states, strict=True)])
-        means, covariance, variance = np.zeros((len(sets), x.shape[2])), np.zeros((x.shape[2], x.shape[2])), 0.0
+        shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
+        means, covariance, variance = np.zeros((len(sets), count)), np.zeros((count, count)), 0.0
         for share, mean, state in zip(shares, means, states, strict=True):
             mean[state.places] = state.mean
             covariance[np.ix_(state.places, state.places)] += share * state.covariance * state.squares / freedom
             variance += share * state.squares / freedom
         mean = shares @ means
         covariance += (means - mean).T @ (shares[:, None] * (means - mean))
-        turned = own[test] @ back
-        moved = x[test] - turned @ inside[:, :-1]
-        before[test] = y[test] - turned @ inside[:, -1]
-        after[test] = before[test] - moved @ mean
-        moved, turned = moved[:, POINT], turned[:, POINT]
-        expected += float(np.sum((moved @ covariance) * moved))
-        expected += variance * (float(np.sum(np.square(turned))) + noise * np.count_nonzero(test))
-    return before[:, POINT], after[:, POINT], expected / len(y)
+        turned = table[test, :rank] @ turn
+        moved = table[test, rank:] - turned @ inside
+        before[test] = moved[:, -1]
+        after[test] = before[test] - moved[:, :-1] @ mean
+        at = points.ravel()[test]
+        expected += float(np.sum((moved[at, :-1].T @ moved[at, :-1]) * covariance))
+        expected += variance * (float(np.sum(np.square(turned[at]))) + noise * np.count_nonzero(test) / d)
+    before, after = before.reshape(m, d), after.reshape(m, d)
+    return before[:, POINT], after[:, POINT], expected / m

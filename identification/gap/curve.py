@@ -46,7 +46,8 @@ class Wave(NamedTuple):
 class Curve:
     """The error of a joint, real less commanded angle, over the range of the measured angles.
 
-    joint : from 1;  table : the function;  std : (a,) standard deviations of its values at `angles` [rad]
+    joint : from 1;  table : the function;  std : (a,) standard deviations of its values at `angles` [rad], beside the
+        geometry that is written with it
     """
 
     joint: int

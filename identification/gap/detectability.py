@@ -123,7 +123,7 @@ def detectability(arm: Arm, postures: Array, conditions: Conditions | None = Non
     library = hypotheses(arm, frozenset({"temperature"} & {*given}), rows)
     exact = fit(library.base, rows, {})
     require_spare(exact.freedom, len(rows))
-    return assess(library, Beside(linearized(library, exact, rows, outside=frozenset())), rows, arm.sigma or 1.0)
+    return assess(library, Beside(linearized(library, exact, rows, outside=False)), rows, arm.sigma or 1.0)
 
 
 def require_spare(freedom: int, rows: int) -> None:
@@ -151,14 +151,14 @@ class Beside:
 
     def gram(self, own: Index) -> Array:
         """(k, k) products of these columns."""
-        gram, left = self.products.gram, self.left
-        return np.asarray(gram[np.ix_(own, own)] - gram[np.ix_(own, left.places)] @ left.shares[:, own])
+        across = self.left.rows[:, own]
+        return np.asarray(self.products.gram[np.ix_(own, own)] - across.T @ self.left.covariance @ across)
 
     def f_test(self, blocks: Sequence[int]) -> tuple[float, float]:
         """F statistic of a few blocks against the base model, and its p-value."""
         own = self.products.places(blocks)
         count, spare = max(len(own), 1), max(self.freedom - len(own), 1)
-        scores = self.left.scores[own]
+        scores = self.left.without().scores[own]
         # of unit size; a row that is left out may have a column alone
         gain = float(scores @ np.linalg.solve(self.gram(own) + 1e-12 * np.eye(len(own)), scores))
         f = gain / count / (max(self.left.squares - gain, 1e-300) / spare)

@@ -240,14 +240,12 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
 
 
 def untested_joints(model: Model, rows: Rows) -> frozenset[int]:
-    """Joints (from 1) of a spatial arm at which no joint effect is tested.
+    """Joints (from 1) at which no joint effect is tested.
 
     These are prismatic joints, since joint effects describe rotary encoders and gears, and joints with an RMS lever
     below `UNSEEN` times the reach: a reflector on the last axis does not move with that joint, and a fraction of a
     micrometre would correspond to degrees.
     """
-    if rows.dimension == 2:
-        return frozenset()
     levers = model.joint_levers(rows.postures, None, rows.conditions)
     sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
     sliding = np.array([kind == PRISMATIC for kind in model.joint_types])
@@ -306,9 +304,9 @@ def _gains(rows: Rows, basis: Array, y: Array, lever: Array, q: Array, orders: A
     angles = q[:, None] * orders
     waves = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
     x = rows.whiten(lever[:, :, None] * waves[:, None, :])
-    x -= basis @ (basis.T @ x)
+    inside, scores = (basis.T @ x).reshape(basis.shape[1], -1, 2), (y @ x).reshape(-1, 2)  # y is off the basis
     x = x.reshape(len(x), -1, 2)
-    gram, scores = np.einsum("nki,nkj->kij", x, x), np.einsum("nki,n->ki", x, y)
+    gram = np.einsum("nki,nkj->kij", x, x) - np.einsum("nki,nkj->kij", inside, inside)
     gram += 1e-9 * np.einsum("kii->k", gram)[:, None, None] * np.eye(2) + 1e-300 * np.eye(2)
     return np.asarray(
         np.einsum("ki,ki->k", scores, np.linalg.solve(gram, scores[:, :, None])[:, :, 0]) / max(y @ y, 1e-300)

@@ -206,8 +206,8 @@ def _in_session(
     blocks, width = np.hstack([here, both - here, both, SAME * here]), root.shape[1]
     starts, signs, limits = np.array([0, 1, 2, 4]) * width, np.zeros(3, dtype=bool), np.full(3, len(SIZES))
     products = Products.of(blocks, apart(target), freedom, starts, signs, limits)
-    in_here, in_others, in_both = products.added(products.nothing)  # each (sizes,)
-    second = [products.added(products.state([(1, size)]))[0] for size in range(len(SIZES))]
+    in_here, in_others, in_both = products.added(products.nothing.without())  # each (sizes,)
+    second = [products.added(products.state([(1, size)]).without())[0] for size in range(len(SIZES))]
     double = in_others[:, None] + np.array(second)
     tables = in_both, double, in_others, in_here
     same, own, absent, _ = softmax([logsumexp(table) - np.log(table.size) for table in tables]).tolist()

@@ -179,7 +179,7 @@ def trials(posterior: Posterior, beside: Beside) -> tuple[Trial, ...]:
     for one in posterior.explanations:
         for key in {h.key for h in one.effects}:
             shares[key] += one.probability  # that the effect is missing
-    ratios = logsumexp(posterior.whole.products.added(beside.left), axis=1) - np.log(limits)
+    ratios = logsumexp(posterior.whole.products.added(beside.left.without()), axis=1) - np.log(limits)
     total = sum(block.weight for block in blocks if not block.row)
     best: dict[str, Trial] = {}
     for k, block in enumerate(blocks):

@@ -61,7 +61,7 @@ class Sag:
         """The recommendation."""
         figures = f"{self.rms_before:.3g} to {self.rms_after:.3g} mm RMS (largest {self.max_before:.3g} to"
         figures += f" {self.max_after:.3g} mm) in postures not fitted, p = {self.p_value:.1g}"
-        up = "y" if self.dimension == 2 else "z"
+        up = "xyz"[self.dimension - 1]
         masses = (
             "the masses are those of the URDF file"
             if self.from_urdf

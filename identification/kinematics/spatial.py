@@ -136,6 +136,18 @@ class SpatialChain(ByValue):
         return (2,) if self.planar else (0, 1, 2)
 
     @property
+    def bends(self) -> dict[str, int]:
+        """How effects bend it: place (identification/effects/places.py) -> its number of elements. In the plane each
+        link's end to its left; in space each joint's frame after it moved, by three turns and three shifts."""
+        n = len(self)
+        return {"deflections": n, "slopes": n} if self.planar else {"joint_turns": 3 * n, "joint_shifts": 3 * n}
+
+    @property
+    def turn_names(self) -> tuple[str, ...]:
+        """Names of the parts of a rotation: `w` in the plane, `wx`, `wy`, `wz` in space."""
+        return ("w",) if self.planar else tuple(f"w{axis}" for axis in self.axes)
+
+    @property
     def redundant(self) -> bool:
         """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
         return not (self.planar or self.fixed)

@@ -173,9 +173,10 @@ class Model:
         chain = self.arm.chain
         several = max(len(chain.tools), len(chain.instrument.targets)) > 1  # reflectors, or targets
         oriented = chain.angle_scale is not None
-        extra = ("marker",) * several + ("orientation",) * oriented + ("errors",) * curved
-        parts = (self.effects, self.all_parameters, self.parameters, self.fixed, self.remembers)
-        return shared(Expressions(self.arm, *parts, extra, self.best_known))
+        extra = {"past": self.remembers, "marker": several, "orientation": oriented, "errors": curved}
+        has = tuple(name for name, there_is in extra.items() if there_is)
+        parts = (self.effects, self.all_parameters, self.parameters, self.fixed, has, self.best_known)
+        return shared(Expressions(self.arm, *parts))
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

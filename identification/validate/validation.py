@@ -1,15 +1,16 @@
 """Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands.
 
-Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with.
-
-Judge a model before it is offered for use: does it predict what it has not seen better than the geometry alone?
+Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with. Where
+the arm stands is found by the closed form on its calibrated geometry, composed into the chain, and then, with the
+effects of the arm, by least squares. So a model is judged, too, before it is offered for use: does it predict what it
+has not seen better than the geometry alone?
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,23 +27,23 @@ from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.gap.confirmation import LEVEL, Offered, gained_squares
 from identification.information import spectrum
+from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
+from identification.kinematics.frames import own_axes_angles
+from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, of_effects
+from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.sessions import placing, with_sessions, without_sessions
-from identification.validate.reuse import fresh_points, placed_values, refit_model, refit_parameters
-from identification.validate.row_groups import (
-    check_calibrated,
-    data_hashes,
-    extrapolation,
-    identified,
-    row_groups,
-    seen_in_words,
-)
+from identification.model.placed import one_unnamed, placed_model, with_markers
+from identification.sessions import BASE as PLANAR_BASE
+from identification.sessions import placing, start_at_bases, with_base_offset, with_sessions, without_sessions
+from identification.validate.origin import check_calibrated, comes_from, extrapolated, identified, outside
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis
 
 REFITS = (*DRAWN,)
+QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
+FEWEST = 3 * QUARTERS  # rows from which groups are formed
 END = 0.5  # time at the end of a session, -0.5 to 0.5
 
 
@@ -66,8 +67,7 @@ class Figures:
         return {f"{name}_mm": value for name, value in vars(self).items()}
 
 
-@dataclass(frozen=True)
-class RowBlock:
+class RowBlock(NamedTuple):
     """Some of the rows: a session, a quarter of the time, a quadrant of the workspace, or the postures inside or
     outside the range of angles that the model was identified on.
 
@@ -128,14 +128,20 @@ class Validation:
     @property
     def blocks(self) -> tuple[RowBlock, ...]:
         """The rows by session, time, workspace, and range of the identification."""
-        return tuple(self._block(*group) for group in row_groups(self.arm, self.measurements))
-
-    def _block(self, kind: str, name: str, rows: NDArray[np.int64]) -> RowBlock:
-        figures = (Figures.of(distances(r[rows])) for r in (self.residuals, self.nominal_residuals))
-        return RowBlock(kind, name, len(rows), *figures)
+        blocks = []
+        for kind, name, rows in row_groups(self.arm, self.measurements):
+            figures = (Figures.of(distances(r[rows])) for r in (self.residuals, self.nominal_residuals))
+            blocks.append(RowBlock(kind, name, len(rows), *figures))
+        return tuple(blocks)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `validate` (identification/files/README.md, "JSON keys")."""
+        parameters = {p.name: p for p in refit_parameters(self.arm, self.measurements)}
+        refitted = [
+            {"session": session, "name": name, "unit": (p := parameters[name]).file_unit, "value": value * p.to_file}
+            for session, values in zip(self.measurements.sessions or (None,), self.refitted, strict=True)
+            for name, value in values.items()
+        ]
         return {
             "rows": len(self.residuals),
             "refit": self.refit,
@@ -143,24 +149,9 @@ class Validation:
             **{f"{name}_nominal_mm": value for name, value in vars(self.nominal).items()},
             **dict(zip(("rms_deg", "rms_nominal_deg"), self.rms_angles, strict=False)),
             "blocks": [block.to_json() for block in self.blocks],
-            "refitted": self._refitted_parameters(),
+            "refitted": refitted,
             "notes": list(self.notes),
         }
-
-    def _refitted_parameters(self) -> list[dict[str, Any]]:
-        """One entry for each session and parameter, in file units."""
-        parameters = {p.name: p for p in refit_parameters(self.arm, self.measurements)}
-        sessions = self.measurements.sessions or (None,)
-        return [
-            {
-                "session": session,
-                "name": name,
-                "unit": parameters[name].file_unit,
-                "value": v * parameters[name].to_file,
-            }
-            for session, values in zip(sessions, self.refitted, strict=True)
-            for name, v in values.items()
-        ]
 
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
@@ -192,21 +183,11 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
         raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
     check_calibrated(arm)
     check_validation(Model(arm), measurements)
-    residuals, refitted, free = np.empty_like(measurements.positions), [], 0
-    for rows in measurements.session_rows:
-        session, conditions = measurements.rows(rows), conditions_of(arm, measurements, refit).rows(rows)
-        values, residuals[rows], determined = _refitted(arm, session, conditions, refit)
-        refitted.append(values)
-        free += len(values) - determined
-    nominal = _drawing_refitted(arm, measurements, refit)
+    conditions = conditions_of(arm, measurements, refit)
+    refitted, residuals, left_open = _refitted(arm, measurements, conditions, refit)
+    nominal = _refitted(replace(arm, effects=(), calibration=None), measurements, conditions, refit)[1]
     validation = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
-    angles = validation.rms_angles
-    notes = _hardly_better(validation)
-    notes += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
-    left = (distances(each) for each in (residuals, nominal))
-    notes += [seen] if (seen := seen_in_words(arm, measurements.postures, *left)) else []
-    notes += [] if arm.chain.planar or refit == "none" else fresh_points(arm.chain, measurements)
-    return replace(validation, notes=(*notes, *_notes(arm, measurements, free, refit)))
+    return replace(validation, notes=tuple(_notes(validation, left_open)))
 
 
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
@@ -214,22 +195,13 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
     drawing = replace(arm, effects=(), calibration=None)
     if arm.chain.planar or len(measurements.sessions) < 2:
-        return _drawing_refitted(arm, measurements, "base")
+        return _refitted(drawing, measurements, conditions_of(arm, measurements, "base"), "base")[1]
     check_validation(Model(drawing), measurements)
     drawing = replace(drawing, chain=replace(arm.chain, known=frozenset()))
     model = Model(with_sessions(drawing, measurements))
     free = {model.names[k] for k in placing(model.parameters)}
     held = {name: value for name, value in model.best_known.items() if name not in free}
     return estimate(replace(model, known=held), measurements).residuals_after
-
-
-def _drawing_refitted(arm: Arm, measurements: Measurements, refit: str) -> Array:
-    """(m, d) residuals [mm] of an arm as it is drawn, `refit` as for `validate`."""
-    drawing, residuals = replace(arm, effects=(), calibration=None), np.empty_like(measurements.positions)
-    for rows in measurements.session_rows:
-        conditions = conditions_of(arm, measurements, refit).rows(rows)
-        residuals[rows] = _refitted(drawing, measurements.rows(rows), conditions, refit)[1]
-    return residuals
 
 
 def check_validation(model: Model, measurements: Measurements) -> None:
@@ -247,23 +219,26 @@ def check_validation(model: Model, measurements: Measurements) -> None:
 # -- refitting where the arm stands ------------------------------------------------------------------------------------
 def _refitted(
     arm: Arm, measurements: Measurements, conditions: Conditions, refit: str
-) -> tuple[dict[str, float], Array, int]:
-    """Values of the refitted parameters, (m, d) residuals, and how many combinations the data determine."""
-    model, start = refit_model(arm, measurements, conditions, refit)
-    if refit == "none":
-        return {}, measurements.positions - model.position(measurements.postures, None, conditions), 0
-    names = model.names
-    if measurements.positions.size < len(names):
-        allowed = f"allowed: at least {-(-len(names) // measurements.dimension)} rows in each session"
-        file = measurements.provenance.get("file", "measurements")
-        raise InputError(f"{file}: too few for {len(names)} refitted parameters, {len(measurements)} in all, {allowed}")
-    weights = np.ones(len(measurements)) if measurements.sigma is None else measurements.sigma**-2.0
-    problem = Problem(model, measurements.postures, conditions, measurements.positions[None], weights)
-    values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
-    residuals, jacobian = problem.residuals(values)[0], problem.jacobian(values)
-    refitted = model.parameters.mapping(values)
-    refitted = placed_values(model.arm.chain, refitted)
-    return refitted, residuals, spectrum(jacobian, model.scales).rank
+) -> tuple[list[dict[str, float]], Array, int]:
+    """Values of the refitted parameters by session, (m, d) residuals [mm], and how many combinations the data leave
+    open."""
+    refitted, residuals, left_open = [], np.empty_like(measurements.positions), 0
+    for rows in measurements.session_rows:
+        session, there = measurements.rows(rows), conditions.rows(rows)
+        model, start = refit_model(arm, session, there, refit)
+        weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
+        problem = Problem(model, session.postures, there, session.positions[None], weights)
+        values = start
+        if refit != "none":
+            if session.positions.size < (p := len(start)):
+                file = measurements.provenance.get("file", "measurements")
+                allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
+                raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
+            values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
+            left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
+        residuals[rows] = problem.residuals(values)[0]
+        refitted.append(placed_values(model.arm.chain, model.parameters.mapping(values)))
+    return refitted, residuals, left_open
 
 
 def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Conditions:
@@ -280,22 +255,30 @@ def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Condition
     return replace(conditions, temperature=measurements.temperature - float(mean))
 
 
-def _hardly_better(validation: Validation) -> list[str]:
-    """Where the squares saved are no more than groups of rows, by time or by region of posture, scatter by."""
+def _notes(validation: Validation, left_open: int) -> Iterator[str]:
+    """What to know before these figures are believed;  left_open : combinations that were to be refitted"""
+    arm, measurements, refit = validation.arm, validation.measurements, validation.refit
     after, before = (distances(residuals) for residuals in (validation.residuals, validation.nominal_residuals))
-    gained = gained_squares(before, after, validation.measurements)
-    if gained.value <= 0.0 or gained.p_above() <= LEVEL / 2.0:
-        return []
-    share = 100.0 * validation.model.rms / validation.nominal.rms
-    of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
-    return [f"the model leaves {of_drawing}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"]
-
-
-def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) -> Iterator[str]:
-    """What to know before these figures are believed."""
-    provenance = identified(arm)
-    hashes = {sha for one in (provenance, *provenance.get("held_from", {}).values()) for sha in data_hashes(one)}
-    if not hashes.isdisjoint(data_hashes(measurements.provenance)):
+    # where the squares saved are no more than groups of rows, by time or by region of posture, scatter by
+    gained = gained_squares(before, after, measurements)
+    if gained.value > 0.0 and gained.p_above() > LEVEL / 2.0:
+        share = 100.0 * validation.model.rms / validation.nominal.rms
+        of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
+        yield f"the model leaves {of_drawing}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"
+    if angles := validation.rms_angles:
+        yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
+    out = outside(arm, measurements.postures)
+    beyond = np.zeros(len(after), dtype=bool) if out is None else np.asarray(out.any(axis=1))
+    if FEWEST <= np.count_nonzero(beyond) <= len(beyond) - FEWEST:
+        familiar, elsewhere = (
+            f"{np.sqrt(np.mean(after[rows] ** 2)):.3g} mm (drawing {np.sqrt(np.mean(before[rows] ** 2)):.3g} mm)"
+            for rows in (~beyond, beyond)
+        )
+        seen = f"{100.0 * np.mean(~beyond):.2g} % of these rows lie at joint angles that the calibration has seen"
+        yield f"{seen}: RMS there {familiar}, elsewhere {elsewhere}"
+    if not arm.chain.planar and refit != "none":
+        yield from fresh_points(arm.chain, measurements)
+    if comes_from(identified(arm), measurements):
         yield FITTED
     if far := extrapolation(arm, measurements.postures):
         yield far
@@ -303,15 +286,17 @@ def _notes(arm: Arm, measurements: Measurements, undetermined: int, refit: str) 
     if once := [effect.key for effect in model.effects if effect.once and refit != "none"]:
         yield f"{', '.join(once)}: of the session of the identification only; taken as at its end, in all rows"
     for effect in model.effects:
-        for need, column in (("temperature", "temperature_C"), ("time", "order or time_s")):
-            missing = measurements.temperature is None if need == "temperature" else measurements.order is None
+        for need, column, missing, instead in (
+            ("temperature", "temperature_C", measurements.temperature is None, "the mean temperature"),
+            ("time", "order or time_s", measurements.order is None, "the order of the rows"),
+        ):
             if need in effect.needs and missing:
-                instead = "the mean temperature" if need == "temperature" else "the order of the rows"
                 yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
-    if undetermined:
+    if left_open:
         yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
 
 
+# -- judged before it is offered ---------------------------------------------------------------------------------------
 def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:
     """The diagnosis with what its extended model is worth beside the geometry (`Diagnosis.offered`).
 
@@ -349,3 +334,158 @@ def prior_judged(
     model = left_out_residuals(fit, measurements)
     alone = None if model is None else left_out_residuals(geometry(), measurements)
     return None if model is None or alone is None else Offered.of("cross-validation", alone, model, measurements)
+
+
+# -- set up anew -------------------------------------------------------------------------------------------------------
+def as_calibrated(arm: Arm) -> Arm:
+    """The arm with its calibrated geometry as the nominal one; values of effects stay, and effects whose curve has a
+    geometry have it as errors of the corrected chain."""
+    values = {} if arm.calibration is None else arm.calibration.values
+    bare: dict[str, Any] = {"values": of_effects(values), "base": None, "tools": {}, "tool_axes": {}}
+    kept = None if arm.calibration is None else replace(arm.calibration, **bare)
+    chain, effects = corrected(arm.chain, values), []
+    for spec in arm.effects:
+        if spec.curve is not None and spec.curve.geometry:
+            of_curve = dict(spec.curve.geometry)
+            of_curve |= {name: float(x) for name, x in arm.chain.along_base(of_curve, values).items()}
+            without = {name: values.get(name, 0.0) - of_curve.get(name, 0.0) for name in {*values, *of_curve}}
+            errors = errors_between(chain, corrected(arm.chain, without))
+            geometry = {name: -error for name, error in errors.items()} | of_effects(of_curve)
+            spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
+        effects.append(spec)
+    return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
+
+
+def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
+    """Those that a refit may estimate, among others."""
+    if arm.chain.planar:
+        return Model(with_base_offset(arm)).all_parameters
+    chain = with_markers(one_unnamed(arm.chain, measurements), measurements)
+    if chain.instrument.own_targets:
+        chain = placed_model(Model(replace(arm, chain=chain)), measurements).arm.chain
+    return chain.every_parameter
+
+
+def check_names(chain: SpatialChain, measurements: Measurements) -> None:
+    """Raise `InputError` for measured points that a chain does not have, where they are not to be estimated."""
+    if chain.instrument.own_targets or len(chain.tools) == 1 == len(measurements.marker_names):
+        return  # one point is the one that is measured, whatever the data call it
+    fault = "no column marker, and the arm has several measured points" if not measurements.marker_names else ""
+    fresh = [repr(name) for name in measurements.marker_names if name not in chain.tools]
+    fault = f"unknown name {', '.join(fresh)}" if fresh else fault if len(chain.tools) > 1 else ""
+    if fault:
+        allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
+        raise InputError(f"measurements.marker: {fault}, {allowed}")
+
+
+def fresh_points(chain: SpatialChain, measurements: Measurements) -> list[str]:
+    """What is said of measured points that the calibration does not have: they are fitted to these measurements."""
+    names = () if chain.instrument.own_targets else measurements.marker_names
+    if not names and len(chain.tools) > 1:
+        several = "where they are of several, name them in the column marker"
+        return [
+            f"no column marker: the rows are taken as of one reflector, whose position was fitted to them; {several}"
+        ]
+    if len(chain.tools) == 1 == len(names) or not (fresh := [name for name in names if name not in chain.tools]):
+        return []
+    its = "its position was" if len(fresh) == 1 else "their positions were"
+    return [f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"]
+
+
+def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
+    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts."""
+    if not arm.chain.planar:
+        model = _spatial(arm, measurements, refit)
+        return model, model.values
+    values = Model(arm).best_known
+    if refit == "none":
+        return Model(arm, values), np.zeros(0)
+    offsets = [f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)] if refit == "offsets" else []
+    model = Model(with_base_offset(arm), {k: value for k, value in values.items() if k not in (*PLANAR_BASE, *offsets)})
+    start = model.parameters.vector(values)
+    computed = model.position(measurements.postures, start, conditions)
+    return model, start_at_bases(start, model, computed, measurements.positions)
+
+
+def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
+    """Starts at the closed form.
+
+    refit : `base`: base and measured points; `offsets`: those and the offsets of the joints between the first and the
+        last, which base and points stand for; `none`: nothing
+    """
+    arm = as_calibrated(arm)
+    if refit == "none":
+        check_names(arm.chain, measurements)
+        model = Model(replace(arm, chain=with_markers(arm.chain, measurements)))
+        return replace(model, known=model.best_known)
+    chain = replace(one_unnamed(arm.chain, measurements), known=frozenset())
+    model = placed_model(Model(replace(arm, chain=chain)), measurements)
+    if len(model.arm.chain.tools) == 1 == len(chain.tools):  # curves have the point by its name in the calibration
+        (old,), (new,) = chain.tools, model.arm.chain.tools
+        effects = []
+        for spec in model.arm.effects:
+            if spec.curve is not None:
+                geometry = {k.replace(f"{TOOL}[{old}]", f"{TOOL}[{new}]"): v for k, v in spec.curve.geometry.items()}
+                spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
+            effects.append(spec)
+        model = replace(model, arm=model.arm.with_effects(*effects))
+    free = {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}
+    free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links)} if refit == "offsets" else set()
+    return replace(model, known={name: value for name, value in model.best_known.items() if name not in free})
+
+
+def placed_values(chain: SpatialChain, values: Mapping[str, float]) -> dict[str, float]:
+    """Where base and measured points are, by the names of their parameters [mm, rad]; other values as they are.
+
+    values : corrections of base and points
+    """
+    base: Array = composed_base(chain, values)
+    placed = dict(zip([f"base.{axis}" for axis in "xyz"], base[:3, 3].tolist(), strict=True))
+    placed |= dict(zip([f"base.r{axis}" for axis in "xyz"], own_axes_angles(base[:3, :3]).tolist(), strict=True))
+    for name, place in composed_tools(chain, values).items():
+        placed |= {f"{TOOL}[{name}].{axis}": float(x) for axis, x in zip("xyz", np.asarray(place), strict=True)}
+    for name, axes in composed_axes(chain, values).items():
+        placed |= {f"{TOOL}[{name}].r{axis}": float(x) for axis, x in zip("xyz", own_axes_angles(axes), strict=True)}
+    return {name: placed.get(name, value) for name, value in values.items()}
+
+
+def extrapolation(arm: Arm, postures: Array) -> str | None:
+    """How many postures (m, n) of rows are outside the angles of the identification, in a clause; None: none, or not
+    known."""
+    out = outside(arm, postures)
+    clause = extrapolated(out, "rows")
+    beyond = [s.curve for s in arm.effects if s.curve and out is not None and out[:, (s.joint or 1) - 1].any()]
+    if clause is None or not beyond:
+        return clause
+    if any(curve.geometry for curve in beyond):
+        return f"{clause}; without its error curves, by the geometry that was fitted alone"
+    return f"{clause}; its error curves are zero there, and the geometry of armcal identify alone may be better"
+
+
+def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
+    """Kind, name and row numbers of every block; none of them is empty."""
+    m = len(measurements)
+    for name, rows in zip(measurements.sessions, measurements.session_rows, strict=False):
+        yield "session", name, rows
+    if m < FEWEST:
+        return
+    if not measurements.sessions:
+        for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
+            yield "time", f"quarter {k}", rows
+    # of lengths the places computed, in the frame of the base
+    measures_places = measurements.dimension > 1
+    places = (measurements.positions if measures_places else Model(arm).points(measurements.postures)[:, -1])[:, :2]
+    x, y = np.median(places, axis=0)
+    right, above = (places > [x, y]).T
+    for name, inside in (
+        (f"x > {x:.0f}, y > {y:.0f}", right & above),
+        (f"x < {x:.0f}, y > {y:.0f}", ~right & above),
+        (f"x < {x:.0f}, y < {y:.0f}", ~right & ~above),
+        (f"x > {x:.0f}, y < {y:.0f}", right & ~above),
+    ):
+        if inside.any():
+            yield "workspace", name, np.flatnonzero(inside)
+    out = outside(arm, measurements.postures)
+    if out is not None and 0 < int(out.any(axis=1).sum()) < m:
+        yield "range", "inside", np.flatnonzero(~out.any(axis=1))
+        yield "range", "outside", np.flatnonzero(out.any(axis=1))

@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from doe.bounds.column_generation import column_generation
-from doe.bounds.relaxation import relax
-from doe.jobs.isolated import call
+from doe.bounds.column_generation import column_generation, relax
+from doe.jobs.running import call
 from doe.problem.postures import PostureList
 from doe.solvers import solve
 from identification.arm import Arm

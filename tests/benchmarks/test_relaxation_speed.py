@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.column_generation import continuous_design
-from doe.bounds.relaxation import relax
+from doe.bounds.certificate import ApproximateDesign
+from doe.bounds.column_generation import continuous_design, relax
 from identification.arm import EffectSpec
 from identification.errors import JobError
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem, random_box
@@ -54,7 +53,7 @@ def test_ten_thousand_candidates_against_cvxpy(effects: tuple[EffectSpec, ...], 
 
 MEASURED = """
 import json, resource, time
-from doe.bounds.relaxation import relax
+from doe.bounds.column_generation import relax
 from tests.doe.arms import FOUR, problem
 began = time.perf_counter()
 design = relax(problem(FOUR), {levels})

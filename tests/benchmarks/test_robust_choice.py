@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from doe.bounds.bound import Bound
-from doe.plan.tip_error import tip_beside_random
+from doe.bounds.certificate import Bound
+from doe.plan.accuracy import tip_beside_random
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import robust_problem
+from doe.problem.uncertain import robust_problem
 from doe.solvers import solve
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array

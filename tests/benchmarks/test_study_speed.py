@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from doe.jobs.workers import processes, serial
+from doe.jobs.running import processes, serial
 from doe.plan.plan import Plan
 from doe.studies.monte_carlo import Fitted, Study, run_study
-from doe.studies.paper.tables import LENGTHS, paper_arm, paper_truth
+from doe.studies.paper.study import LENGTHS
+from doe.studies.paper.tables import paper_arm, paper_truth
 from identification.arm import EffectSpec
 
 pytestmark = pytest.mark.benchmark

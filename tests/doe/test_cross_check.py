@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds.relaxation import relax
+from doe.bounds.column_generation import relax
 from doe.cross_check import cross_check
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.criteria import A
 from doe.design import score, score_plan
@@ -18,7 +18,7 @@ from doe.report.design import remarks
 from doe.solvers import solve
 from identification.arm import Arm, EffectSpec
 from identification.workspace import WorkspaceBox
-from tests.doe.arms import ECCENTRICITY, FOUR, SIX, problem
+from tests.doe.arms import ECCENTRICITY, FOUR, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det
 
 KEYS = {
@@ -76,12 +76,6 @@ def test_certified_from_one_millionth() -> None:
     value = case.objective(plan)
     assert score(case, plan, Bound(value + 8 * 0.9e-6, "continuous")).certified_optimal
     assert not score(case, plan, Bound(value + 8 * 1.1e-6, "continuous")).certified_optimal
-
-
-def test_prints_well() -> None:
-    found = score_plan(problem(SIX), np.random.default_rng(0).uniform(SIX.lower, SIX.upper, (9, 6)))
-    assert "9 runs of a 6-link arm" in repr(found)
-    assert found._repr_html_().count("<tr>") == 10
 
 
 def test_a_plan_outside_the_limits_is_never_certified() -> None:

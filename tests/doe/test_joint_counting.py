@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from doe.plan.file import load_plan, load_plan_conditions, plan_text
-from doe.plan.plan import Plan
+from doe.plan.plan import Plan, load_plan, plan_text
 from doe.problem.problem import DesignProblem
-from doe.studies.monte_carlo.file import load_study
+from doe.studies.monte_carlo.specification import load_study
 from identification.arm import Arm, Calibration
 from identification.compensate import compensate
 from identification.errors import InputError
@@ -24,6 +23,7 @@ from identification.files.arm_text import dump_arm
 from identification.files.csv import read_table
 from identification.files.measurement import load_measurements, measurement_text
 from identification.files.measurement_columns import read_postures
+from identification.files.plan import read_plan
 from identification.files.target import commands_text, load_targets
 from identification.inspection.inspection import inspect
 from identification.kinematics.counting import Counting, JointKinds
@@ -138,7 +138,7 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     assert wanted is not None
     np.testing.assert_allclose(wanted, q, atol=1e-12)
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
-    found = load_plan_conditions(tmp_path / "plan.csv", arm.joint_types)["directions"]
+    found = read_plan(tmp_path / "plan.csv", arm.joint_types, conditions=True).conditions["directions"]
     np.testing.assert_array_equal(found, [[1.0, -1.0, 1.0]])
 
 

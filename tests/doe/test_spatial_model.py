@@ -13,13 +13,12 @@ import numpy as np
 import pytest
 
 from doe.advise import advise
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.column_generation import continuous_design
+from doe.bounds.certificate import ApproximateDesign
+from doe.bounds.column_generation import continuous_design, relax
 from doe.bounds.planar_theorem import closed_form_bound
-from doe.bounds.relaxation import relax
 from doe.design import score_plan
 from doe.plan.order import ordered, travel
-from doe.plan.replicate_spacing import too_near
+from doe.plan.spacing import too_near
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
 from doe.report.design import accuracy, design_document
 from doe.solvers import solve
@@ -234,7 +233,7 @@ def test_postures_in_the_units_of_their_joints() -> None:
     np.testing.assert_allclose(data["postures"], expected)
     assert data["joint_units"] == ["deg", "deg", "mm", "deg"]
     assert "postures_deg" not in data
-    assert "q3 [mm]" in design._repr_html_()
+    assert "q3_mm" in design._repr_html_()
     shown = accuracy(design)[0]
     assert isinstance(shown, Sheet)
     names = [row[0] for row in shown.rows]

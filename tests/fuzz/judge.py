@@ -159,7 +159,7 @@ def read_again(case: Case, outcome: Outcome, folder: Path) -> str | None:
 
 def readers(case: Case, name: str) -> Iterator[Callable[[Path], object]]:
     """Of a file that a verb has written, by what the verb writes under its options."""
-    from doe.plan.file import load_plan
+    from doe.plan.plan import load_plan
     from identification.files.arm import load_arm
     from identification.files.csv import read_table
     from identification.files.measurement import load_measurements

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from doe.plan.file import load_plan
-from doe.studies.monte_carlo.file import load_study
+from doe.plan.plan import load_plan
+from doe.studies.monte_carlo.specification import load_study
 from identification.errors import InputError
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm
@@ -81,7 +81,7 @@ def test_other_files(tmp_path_factory: pytest.TempPathFactory, kind: str, data: 
     refused_or_read(read, path, len(arm.kinds))
 
 
-@few(60)
+@few(30)
 @given(case=cases(QUICK))
 def test_quick_commands(tmp_path_factory: pytest.TempPathFactory, case: Case) -> None:
     """Each keeps every promise: see `judge`."""

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import workspace
+from doe.problem.uncertain import EnsembleModel, workspace
 from doe.solvers import solve
 from identification import for_design
 from identification.arm import Arm, Calibration

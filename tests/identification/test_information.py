@@ -19,7 +19,6 @@ from identification.information import (
     identifiability,
     information_matrix,
     sparse_basis,
-    spectrum,
 )
 from identification.model import Model
 
@@ -67,11 +66,6 @@ def test_aliases_together_are_named_apart() -> None:
         "length_error:4 + tool_offset.x",
         "joint_offset:4 + tool_offset.y",
     }
-
-
-def test_constant_temperature_tells_nothing_of_thermal_growth() -> None:
-    _, told = found(["thermal_growth"], postures())
-    assert told.combinations == ("thermal_growth.a",)
 
 
 def test_a_joint_that_never_moves_ties_two_links() -> None:
@@ -127,14 +121,6 @@ def test_covariance_is_the_inverse_information_and_never_huge() -> None:
     # what is told keeps its variance; the rest is shared, not inflated
     np.testing.assert_allclose(lost[:4, :4], expected[:4, :4], rtol=1e-9)
     assert np.max(lost) <= np.max(expected) * (1 + 1e-9)
-
-
-def test_spectrum_takes_any_leading_shape_and_more_columns_than_rows() -> None:
-    jacobian = np.random.default_rng(0).normal(size=(2, 2, 7))
-    wide = spectrum(jacobian, np.ones(7))
-    assert wide.rank == 4
-    assert wide.null_space.shape == (7, 3)
-    np.testing.assert_allclose((jacobian.reshape(4, 7) / wide.lengths) @ wide.null_space, 0.0, atol=1e-12)
 
 
 @given(st.integers(0, 2**32), st.integers(2, 4), st.integers(1, 3))

@@ -87,11 +87,6 @@ def test_what_no_session_can_be_is_one_line(given: dict, sentence: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_positions_in_a_plane_or_in_space() -> None:
-    assert Measurements(Q, X).dimension == 2
-    assert Measurements(Q, np.ones((20, 3))).dimension == 3
-
-
 def test_lists_are_measurements_too_and_nothing_can_be_written_to() -> None:
     measured = Measurements([[0.1, 0.2]], [[1, 2]], sigma=[0.1], directions=[[1, -1]], repeats=[3])
     assert measured.repeats.dtype == np.int64

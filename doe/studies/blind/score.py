@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from doe.jobs.row_table import frame_of
+from doe.jobs.rows import frame_of
 from doe.studies.blind.cells import TABLE
 from identification.effects import library
 

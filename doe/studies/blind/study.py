@@ -18,9 +18,8 @@ import numpy as np
 
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.t_optimal import discriminate
-from doe.jobs.row_table import KEY, Key, Row, canonical, parquet
-from doe.jobs.tasks import Job
-from doe.jobs.workers import Workers
+from doe.jobs.rows import KEY, Key, Row, canonical, parquet
+from doe.jobs.running import Job, Workers
 from doe.problem.problem import DesignProblem
 from doe.studies.blind.cells import CELLS, DataSet, data_set, to_be_planned
 from doe.studies.blind.rivals import (

@@ -23,7 +23,7 @@ import numpy as np
 import polars as pl
 
 from doe.bounds.planar_theorem import pair_means as table_1_sums
-from doe.jobs.row_table import frame_of
+from doe.jobs.rows import frame_of
 from doe.studies.monte_carlo.specification import Study, Truth
 from doe.studies.monte_carlo.study import dft_postures, run_study
 from identification.arm import Arm

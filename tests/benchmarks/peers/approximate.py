@@ -23,7 +23,7 @@ def grid(arm: Planar, levels: int) -> np.ndarray:
 def armcal(arm: Planar, levels: int) -> np.ndarray:
     """`relax` on the same grid."""
     from doe import DesignProblem
-    from doe.bounds.relaxation import relax
+    from doe.bounds.column_generation import relax
     from identification import Arm, Model
 
     q = grid(arm, levels)
@@ -81,7 +81,7 @@ def job(solve: Callable[[Planar, int], np.ndarray], *modules: str) -> Tool:
 
 
 TOOLS = {
-    "armcal": job(armcal, "doe.bounds.relaxation", "scipy.spatial"),
+    "armcal": job(armcal, "doe.bounds.column_generation", "scipy.spatial"),
     "cvxpy + Clarabel": job(cvxpy("CLARABEL"), "cvxpy", "clarabel"),
     "cvxpy + SCS": job(cvxpy("SCS"), "cvxpy", "scs"),
     "multiplicative, numpy": job(multiplicative),

@@ -7,8 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from doe.bounds.approximate_design import ApproximateDesign
-from doe.bounds.equivalence import largest_sensitivity
+from doe.bounds.certificate import ApproximateDesign, largest_sensitivity
 from doe.plan.plan import Plan
 from doe.problem.postures import grid
 from doe.problem.problem import PriorInformation

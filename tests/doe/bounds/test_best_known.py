@@ -9,9 +9,9 @@ import pytest
 
 from doe import DesignProblem, solve
 from doe.bounds.best_known import best_design, best_known_bound, bound_that_holds
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
+from doe.bounds.column_generation import relax
 from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det
-from doe.bounds.relaxation import relax
 from doe.criteria import A
 from identification.arm import Arm, EffectSpec
 from identification.model import Model

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 
 
 @pytest.mark.parametrize(

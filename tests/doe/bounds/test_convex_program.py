@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds.convex_program import SETTINGS, smallest_eigenvalue_weights, solve_program
+from doe.bounds.weights import SETTINGS, smallest_eigenvalue_weights, solve_program
 from doe.criteria import A, Criterion, D, E
 from doe.problem.problem import PriorInformation
 from identification.errors import JobError

@@ -100,10 +100,3 @@ def test_curvature_without_the_matrices_of_postures(runs: float) -> None:
     for criterion in (D(), A(), Ds((0,)), I(random_jacobians(generator, 5, 2, 4))):
         expected = criterion.curvature(information, prior.posture_information(jacobians))
         assert -minus_hessian(jacobians, weights, criterion, prior) == pytest.approx(expected, rel=1e-10)
-
-
-def test_a_posture_measured_twice_changes_nothing() -> None:
-    """Equal Jacobians make the weights ambiguous, not the information."""
-    once = interior_point_weights(QUADRATIC, D(), PriorInformation())[0]
-    twice = interior_point_weights(np.concatenate([QUADRATIC] * 2), D(), PriorInformation())[0]
-    assert twice[:21] + twice[21:] == pytest.approx(once, abs=1e-9)

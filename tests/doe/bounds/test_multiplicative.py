@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doe.bounds import certificate as equivalence
 from doe.bounds import column_generation as module
-from doe.bounds import equivalence
 from doe.bounds.column_generation import column_generation, rough_design
 from doe.criteria import A, D, E
 from doe.problem.postures import listed_candidates

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.relaxation import relax
+from doe.bounds.column_generation import relax
 from doe.design import score
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve

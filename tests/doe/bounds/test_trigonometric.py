@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds.trigonometric import trigonometric_jacobian
+from doe.bounds.branch_and_bound import trigonometric_jacobian
 from identification.arm import Calibration, EffectSpec, Gravity
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 from tests.doe.regression import regression

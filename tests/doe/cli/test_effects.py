@@ -16,12 +16,3 @@ def test_the_list_and_one_effect(folder: Folder) -> None:
     assert "0.25 to 2000" in shown.out
     everything = folder.armcal("effects").out
     assert [name for name in by_name if f"  {name}" not in everything] == []
-
-
-def test_gravity_is_a_block_of_the_arm_file(folder: Folder) -> None:
-    """What to paste, for those who ask for it and for those who ask for an effect that needs it."""
-    block = folder.armcal("effects", "gravity", "--json").data
-    assert {"joint_compliance", "link_bending"} <= set(block["needed_by"])
-    for name in ("gravity", *block["needed_by"]):
-        assert block["block"] in folder.armcal("effects", name).out
-    assert "[gravity]\n" not in folder.armcal("effects", "backlash").out

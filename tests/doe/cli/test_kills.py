@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from doe.cli.demo import next_free
-from doe.jobs.row_table import RowTable
+from doe.jobs.rows import RowTable
 from tests.doe.cli.conftest import Folder
 from tests.doe.faults import COMMANDS, ROOT, STUDY, Command, Reference, content, prepare, start, verdict
 
@@ -37,11 +37,8 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Reference:
     return Reference.of(STUDY_COMMAND, tmp_path_factory.mktemp("reference") / "study")
 
 
-@pytest.mark.parametrize(("number", "share"), [(signal.SIGKILL, 0.7), (signal.SIGINT, 0.6)])
-def test_a_killed_study_resumes_to_the_same_bits(
-    reference: Reference, tmp_path: Path, number: signal.Signals, share: float
-) -> None:
-    assert verdict(reference, tmp_path / "killed", number, share) == []
+def test_a_killed_study_resumes_to_the_same_bits(reference: Reference, tmp_path: Path) -> None:
+    assert verdict(reference, tmp_path / "killed", signal.SIGKILL, 0.7) == []
 
 
 def test_a_design_that_is_stopped_leaves_no_process_and_no_half_file(tmp_path: Path) -> None:

@@ -91,35 +91,6 @@ def test_the_loop_of_a_ball_bar(cell: Folder) -> None:
     assert said.code == 0, said.err
 
 
-def test_compensated_targets_keep_their_distances(cell: Folder) -> None:
-    """The frame of the base is that of the drawing, so that only distances between reached points are judged: by the
-    truth, a lower bound on what a tracker would see."""
-    from identification.compensate import compensate
-    from identification.files.arm import load_arm
-    from identification.model import Model
-    from identification.model.positions import in_own_frame
-
-    done(cell, "simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv")
-    done(cell, "identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
-    targets = np.random.default_rng(3).uniform([200, -500, 100], [600, 500, 500], (10, 3))
-    found = compensate(load_arm("calibrated.toml"), targets)
-    assert found.reached.all()
-    there = Model(in_own_frame(load_arm("truth.toml"))).position(found.commands)
-    apart = [np.linalg.norm(points[:, None] - points, axis=2) for points in (targets, there)]
-    assert np.abs(apart[0] - apart[1]).max() < 0.1
-    drawn = Model(in_own_frame(load_arm("arm.toml"))).position(found.nominal)
-    assert drawn.shape == targets.shape
-
-
-def test_a_hidden_effect_is_named(cell: Folder) -> None:
-    eccentric = '[[effects]]\nname = "encoder_eccentricity"\njoint = 3\na_deg = 0.03\nb_deg = -0.02\n'
-    cell.write("truth.toml", SIX + BAR + TRUTH + eccentric)
-    done(cell, "simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv")
-    found = done(cell, "diagnose", "arm.toml", "data.csv", "--report", "gap.html")
-    assert found["effects"] == ["encoder_eccentricity:3"]
-    assert found["gap"]["rms_after_mm"] < 0.012 < 0.03 < found["gap"]["rms_before_mm"]
-
-
 def test_a_bar_that_is_longer_than_its_file_says(cell: Folder) -> None:
     """`check` offers the effect, with which nothing speaks against the data, and `identify` gives the length."""
     cell.write("truth.toml", SIX + BAR + TRUTH + '[[effects]]\nname = "length_offset"\nc_mm = 0.5\n')

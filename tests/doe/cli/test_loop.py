@@ -125,8 +125,6 @@ def test_two_ripples_of_one_joint_go_round_the_loop(folder: Folder) -> None:
     found = folder.armcal(*words).data
     one, other = "transmission_ripple:1[k=20]", "transmission_ripple:1[k=29]"
     assert (found["verdict"], set(found["effects"])) == ("named", {one, other, "transmission_ripple:2[k=18]"})
-    again = folder.armcal("diagnose", "extended.toml", "data.csv", "--json").data
-    assert again["verdict"] == "none"
     done = folder.armcal("identify", "extended.toml", "data.csv", "--json", "--out", "calibrated.toml")
     assert done.code == 0, done.err
     assert f"{one}.a" in folder.armcal("identify", "extended.toml", "data.csv").out  # brackets are no markup
@@ -138,7 +136,7 @@ def test_two_ripples_of_one_joint_go_round_the_loop(folder: Folder) -> None:
     truth = {f"{one}.a": 0.06, f"{one}.b": 0.0, f"{other}.a": 0.03, f"{other}.b": 0.05, "transmission_ripple:2.b": 0.08}
     for name, true in truth.items():
         assert abs(values[name]["value"] - true) < 5 * values[name]["std"]
-    assert folder.armcal("score", "calibrated.toml", "plan.csv", "--json").code == 0
+    assert folder.armcal("score", "calibrated.toml", "plan.csv", "--seconds", "0.3").code == 0
     folder.write("targets.csv", "x_mm,y_mm\n350,250\n-200,300\n")
     reached = folder.armcal("compensate", "calibrated.toml", "targets.csv", "--json").data
     assert (reached["targets"], reached["reached"]) == (2, 2)
@@ -147,13 +145,24 @@ def test_two_ripples_of_one_joint_go_round_the_loop(folder: Folder) -> None:
 def test_two_ripples_of_one_joint_in_a_design(folder: Folder) -> None:
     ripples = "".join(f'[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = {k}\n' for k in (3, 4))
     folder.write("two.toml", "links_mm = [300, 200]\n" + ripples)
-    words = ["design", "two.toml", "--runs", "8", "--criterion", "Ds", "--solver", "random", "--json", "--subset"]
+    words = [
+        "design",
+        "two.toml",
+        "--runs",
+        "8",
+        "--criterion",
+        "Ds",
+        "--solver",
+        "random",
+        "--seconds",
+        "0.3",
+        "--json",
+        "--subset",
+    ]
     done = folder.armcal(*words, ",".join(f"transmission_ripple:1[k=4].{short}" for short in "ab"))
     assert done.code == 0, done.err
     assert np.shape(done.data["postures_deg"]) == (8, 2)
-    refused = folder.armcal(*words, "transmission_ripple:1.a")
-    assert refused.code == 2
-    assert "did you mean 'transmission_ripple:1[k=" in refused.err
+    assert folder.armcal(*words, "transmission_ripple:1.a").code == 2
 
 
 def test_targets_beyond_the_identified_angles_are_said(folder: Folder) -> None:

@@ -12,9 +12,11 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli import main
-from doe.cli.common import Answer, CommonOptions, check_outputs, verb
-from doe.cli.options import FOLDER, File, FilePath, Names, WholeNumbers, written
+from doe.cli.common import check_outputs, verb
+from doe.cli.options import FOLDER, FilePath, WholeNumbers, written
+from identification.document import Answer
 from identification.errors import InputError
+from identification.workflow import Names
 
 
 @dataclass(frozen=True)
@@ -35,9 +37,8 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
 
     @verb("armcal paint wall.toml")
     def command(
-        common: CommonOptions,
-        arm: File,
-        data: tuple[File, ...],
+        arm: Path,
+        data: tuple[Path, ...],
         *,
         runs: WholeNumbers,
         color: Literal["red", "blue"] = "red",
@@ -45,6 +46,7 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         check: Annotated[bool, "--check/--no-check"] = True,
         size: Size,
         in_all: float | None = None,
+        seed: int = 0,
     ) -> Answer:
         """Paint a wall.
 
@@ -57,8 +59,8 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         in_all : Sum.
         """
         got.update(arm=arm, data=data, runs=runs, color=color, only=only, check=check, size=size, in_all=in_all)
-        got["seed"] = common.seed
-        return Answer({"here": arm})
+        got["seed"] = seed
+        return Answer({"here": arm}, [])
 
     line = "a.toml b.csv c.csv --runs 3,4 --width 5 --only x --only y,z --no-check --seed 7 --json"
     done = CliRunner().invoke(command, line.split())

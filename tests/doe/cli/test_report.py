@@ -45,17 +45,6 @@ def test_a_page_of_everything(campaign: Folder) -> None:
     assert f">{row['corrected']:.4f}</td>" in text
 
 
-def test_a_model_that_is_no_better_than_the_drawing_is_not_recommended(campaign: Folder) -> None:
-    text = campaign.read("cal.toml")
-    worse = text.replace("length_errors_mm = [", "length_errors_mm = [30.0, -20.0, 25.0, -30.0] # [")
-    campaign.write("worse.toml", worse)
-    done = campaign.armcal("report", "arm.toml", "worse.toml", "other.csv", "--out", "page.html")
-    assert done.code == 0, done.err
-    page = campaign.read("page.html")
-    assert "Do not use worse.toml as it is: on other.csv it is no better than the drawing" in page
-    assert "armcal compensate" not in page
-
-
 def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> None:
     words = "diagnose", "arm.toml", "data.csv", "--out", "extended.toml"
     done = campaign.armcal(*words, "--report", "gap.html", "--json")

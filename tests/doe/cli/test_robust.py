@@ -135,26 +135,6 @@ def test_advise_says_what_missing_effects_cost(arm: Path) -> None:
     assert row["model_right"] < row["effects_missing_prior"] < row["effects_missing"]
 
 
-def test_identify_with_a_prior_writes_what_predicts(arm: Path, tmp_path: Path) -> None:
-    """12 rows of an arm with an eccentric encoder: geometry less sure than without, and a file that predicts better."""
-    truth, plan, data, out = (tmp_path / name for name in ("truth.toml", "plan.csv", "data.csv", "out.toml"))
-    truth.write_text(ARM + '[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.05\nb_deg = 0.03\n')
-    plan.write_text("q1_deg,q2_deg\n" + "\n".join(f"{67 * k % 330 - 165},{37 * k % 190 - 95}" for k in range(12)))
-    answer("simulate", arm, plan, "--truth", truth, "--out", data)
-    found = answer("identify", arm, data, "--prior", "--out", out)
-    plain = answer("identify", arm, data, "--sigma", "given")
-    assert [row["name"] for row in found["parameters"]] == [row["name"] for row in plain["parameters"]]
-    for with_prior, without in zip(found["parameters"], plain["parameters"], strict=True):
-        assert with_prior["std"] > without["std"]
-    assert "encoder_eccentricity:2" in found["prior"]["effects"]
-    fresh = tmp_path / "fresh.csv"
-    answer("simulate", arm, plan, "--truth", truth, "--out", fresh, "--seed", 1)
-    bare = tmp_path / "bare.toml"
-    answer("identify", arm, data, "--out", bare)
-    errors = [answer("validate", path, fresh, "--refit", "none")["rms_mm"] for path in (out, bare)]
-    assert errors[0] < errors[1]
-
-
 @pytest.mark.parametrize("words", [["design", "--runs", "5", "--robust"], ["advise", "--target-mm", "0.1"]])
 def test_without_a_scatter_it_is_said_what_to_add(arm: Path, words: list[str]) -> None:
     """In one line, and what it says to add is what the command then accepts."""

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from tests.doe.cli.conftest import Folder
-from tests.doe.six_axis import TABLE
-from tests.identification.validate.test_set_up import MOVED, cell
 
 RIPPLE = '\n[[effects]]\nname = "transmission_ripple"\njoint = 2\nk = 5\na_deg = 0.08\nb_deg = 0.05\n'
 BASES = ((0.0, 0.0), (0.4, 150.0 - 80.0j))
@@ -87,23 +85,3 @@ def test_next_postures_for_several_files(sessions: Folder) -> None:
     done = sessions.armcal("discriminate", "arm.toml", "monday.csv", "friday.csv", "--runs", "2")
     assert done.code == 0, done.err
     assert "transmission_ripple:2[k=5] is missing from the model" in " ".join(done.out.split())
-
-
-def test_a_reflector_mounted_anew_is_named(folder: Folder) -> None:
-    """In space: the drawing is placed as the fit is, so the fit is better; and what spoils it is said."""
-    rows = "".join(
-        f'[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\noffset_deg = 0.0\njoint = "revolute"\n'
-        for a, alpha, d in TABLE
-    )
-    folder.write("six.toml", f'name = "six"\nkind = "spatial"\n{rows}')
-    data = cell(2, {(1, "A"): MOVED}, seed=1)
-    folder.write("both.csv", data.to_frame().write_csv())
-    done = folder.armcal("identify", "six.toml", "both.csv", "--json")
-    assert done.code == 0, done.err
-    assert any(
-        "reflectors are mounted elsewhere" in said and "A in session day 2" in said for said in done.data["warnings"]
-    )
-    assert done.data["rms_after_mm"] < done.data["rms_drawing_mm"]
-    shown = folder.armcal("identify", "six.toml", "both.csv").out
-    assert "Give these reflectors another name in those sessions" in shown
-    assert "armcal compensate" not in shown

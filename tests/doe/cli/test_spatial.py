@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.cli.common import Answer, with_collisions
+from doe.cli.common import with_collisions
 from doe.problem.constraints import COLLISIONS
+from identification.document import Answer
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
@@ -184,17 +185,9 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     placed = spatial.armcal("identify", "calibrated.toml", "other.csv", "--only", "base,tool", "--json").data
     assert placed["rms_nominal_mm"] == pytest.approx(found["base"]["rms_nominal_mm"])
     assert placed["rms_before_mm"] == pytest.approx(placed["rms_after_mm"], rel=1e-4)  # the file has other reflectors
-    spatial.write("moved.toml", (ARM + PLACED).replace("x_mm = 2000.0", "x_mm = 2100.0"))
-    spatial.armcal("simulate", "arm.toml", "plan.csv", "--truth", "moved.toml", "--out", "tracker.csv", "--seed", "3")
-    shown = spatial.armcal("identify", "calibrated.toml", "tracker.csv", "--only", "base,tool").out
-    assert "mm (where the arm file has it) to " in " ".join(shown.split())
-    assert re.search(r"drawing +\d\.\d+ mm RMS, after fitting where the arm stands", shown)
     same = spatial.armcal("validate", "calibrated.toml", "data.csv", "--refit", "none", "--json", "--picture", "x.png")
     assert same.code == 0, same.err
     assert same.data["rms_mm"] < 0.05
-    shown = spatial.armcal("validate", "calibrated.toml", "data.csv").out
-    assert shown.startswith("On 80 rows of the model's own measurements, the model takes the RMS error from ")
-    assert "80 rows, refitted: position and rotation of the base, measured points; everything else" in shown
 
 
 def test_a_drawing_in_denavit_hartenberg_numbers_gets_them_corrected(folder: Folder) -> None:
@@ -288,9 +281,9 @@ def test_what_the_ur10_hardly_tells_stays_as_drawn(folder: Folder) -> None:
 def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Folder) -> None:
     """In JSON, and once in words; no plan in the plane does."""
     words = {
-        "design": ("--runs", "14", "--starts", "1", "--seconds", "1"),
-        "score": ("plan.csv", "--seconds", "1"),
-        "advise": ("--runs", "14:14", "--seconds", "1"),
+        "design": ("--runs", "14", "--starts", "1", "--solver", "random", "--seconds", "0.2"),
+        "score": ("plan.csv", "--seconds", "0.2"),
+        "advise": ("--runs", "14:14", "--seconds", "0.2"),
         "relax": ("--candidates", "plan.csv", "--runs", "20", "--no-check"),
     }
     for verb, rest in words.items():
@@ -302,19 +295,3 @@ def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Fo
     assert COLLISIONS in (spatial.path / "page.html").read_text()
     spatial.write("planar.toml", PLANAR)
     assert "collisions_checked" not in spatial.armcal("design", "planar.toml", "--runs", "20", "--json").data
-
-
-def test_the_prior_of_the_library_is_not_offered_where_the_geometry_predicts_better(folder: Folder) -> None:
-    """15 rows of a UR10, each predicted by fits to the others."""
-    head, *rows = (DATA / "ur10/series_A.csv").read_text().splitlines()
-    some = np.sort(np.random.default_rng(4).choice(len(rows), 15, replace=False))
-    folder.write("few.csv", "\n".join([head, *(rows[k] for k in some)]) + "\n")
-    words = ["identify", str(DATA / "ur10/ur10.toml"), "few.csv"]
-    done = folder.armcal(*words, "--library-prior", "--json")
-    offered, alone = done.data["offered"], folder.armcal(*words, "--json").data["cross_validated_mm"]
-    assert (offered["better"], offered["rows"]) == (False, 15)
-    assert offered["rms_mm"] > offered["rms_geometry_mm"] == pytest.approx(alone, rel=1e-9)
-    assert offered["rms_mm"] == pytest.approx(done.data["cross_validated_mm"], rel=1e-9)
-    said = f"no better than the geometry alone: {offered['rms_mm']:.3g} mm RMS"
-    assert said in done.err
-    assert f"against {alone:.3g} mm RMS" in done.err

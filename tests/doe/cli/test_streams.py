@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import verb
+from identification.document import Answer
 from tests.doe.cli.conftest import Folder, without_progress
 
 FULL = Path("/dev/full")
@@ -75,7 +76,7 @@ def test_closed_errors_and_a_pipe_that_ends_early(folder: Folder) -> None:
 
 def test_brackets_are_no_markup() -> None:
     @verb("armcal effects")
-    def command(session: CommonOptions) -> Answer:
+    def command() -> Answer:
         """A line."""
         return Answer({}, ["transmission_ripple:1[k=20] and [red]"])
 

@@ -11,9 +11,16 @@ import pytest
 
 from doe.design import Design
 from doe.discrimination import design
-from doe.discrimination.design import DiscriminationDesign, discrimination_design, initial_plans
+from doe.discrimination.design import (
+    DiscriminationDesign,
+    Swaps,
+    discrimination_design,
+    extended_problem,
+    has_repeats,
+    improving_swaps,
+    initial_plans,
+)
 from doe.discrimination.misidentification import effect_library
-from doe.discrimination.swaps import Swaps, extended_problem, has_repeats, improving_swaps
 from doe.problem.constraints import InsideBox
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -96,7 +103,7 @@ def test_links_that_bend_and_joints_that_twist_are_told_apart_better_than_by_ran
     cell = "one, lambda 6, 4 links"
     truth = truth_of(CELLS[cell], np.random.default_rng(1))
     arm = arm_of(CELLS[cell], truth, np.random.default_rng(0))
-    found = discrimination_design(DesignProblem.of(Model(arm)), arm, 50)
+    found = discrimination_design(DesignProblem.of(Model(arm)), arm, 50, starts=1)
     generator = np.random.default_rng(3)
     random = [likeness_of_sag(truth, generator.uniform(arm.lower, arm.upper, (50, 4))) for _ in range(20)]
     angle = np.degrees(np.arccos(likeness_of_sag(truth, found.design.plan.postures)))

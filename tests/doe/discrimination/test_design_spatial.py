@@ -8,9 +8,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from doe.discrimination.design import discrimination_design, off_the_limits, turning
+from doe.discrimination.design import CLOUD, discrimination_design, off_the_limits, pool_of, turning
 from doe.discrimination.misidentification import effect_library
-from doe.discrimination.swaps import CLOUD, pool_of
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm, Gravity
 from identification.arrays import Array

@@ -17,9 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from doe.jobs.row_table import RowTable, read_rows
-from doe.jobs.tasks import run_tasks
-from doe.jobs.workers import Cluster, Workers, chosen_workers, cluster
+from doe.jobs.rows import RowTable, read_rows
+from doe.jobs.running import Cluster, Workers, chosen_workers, cluster, run_tasks
 from identification.errors import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from doe.jobs.isolated import call
-from doe.jobs.tasks import seed_of
+from doe.jobs.running import call, seed_of
 
 
 def draw(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doe.criteria import criterion
-from doe.plan.addition import with_additions
+from doe.plan.spacing import with_additions
 from identification.arrays import Array
 from tests.doe.arms import FOUR, problem, random_box
 

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from doe.plan.file import load_plan, plan_text
-from doe.plan.plan import Plan
+from doe.plan.plan import Plan, load_plan, plan_text
 from identification.errors import InputError
 
 

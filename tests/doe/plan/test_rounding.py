@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.plan.plan import Plan
-from doe.plan.rounding import apportion, rounded_plan
+from doe.plan.plan import Plan, apportion, rounded_plan
 from identification.errors import InputError
 
 

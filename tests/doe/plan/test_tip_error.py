@@ -7,10 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.plan.tip_error import TipError, TipErrors, tip_beside_random
-from doe.problem.bayesian import EnsembleModel
+from doe.plan.accuracy import TipError, TipErrors, tip_beside_random
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import average_error, missing_effects, robust_problem, tip_jacobians, workspace
+from doe.problem.uncertain import (
+    EnsembleModel,
+    average_error,
+    missing_effects,
+    robust_problem,
+    tip_jacobians,
+    workspace,
+)
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.gap.library.library_prior import library_prior

@@ -11,16 +11,15 @@ import numpy as np
 import pytest
 
 from doe.advise import advise
-from doe.bounds.relaxation import relax
+from doe.bounds.column_generation import relax
 from doe.design import score_plan
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound
 from doe.discrimination.t_optimal import RivalPredictions, t_optimal
-from doe.plan.tip_error import TipErrors
-from doe.problem.bayesian import ensemble_problem, prior_draws
+from doe.plan.accuracy import TipErrors
 from doe.problem.model import REQUIRED
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import robust_problem
+from doe.problem.uncertain import ensemble_problem, prior_draws, robust_problem
 from doe.solvers import solve
 from identification.arrays import Array
 from identification.errors import InputError

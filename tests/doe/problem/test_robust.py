@@ -13,10 +13,9 @@ from doe.bounds.column_generation import continuous_design, rough_design
 from doe.bounds.continuous import ContinuousSet
 from doe.criteria import A, D
 from doe.design import score
-from doe.problem.bayesian import EnsembleModel
 from doe.problem.postures import PostureList
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import average_error, missing_effects, robust_problem, with_choices, workspace
+from doe.problem.uncertain import EnsembleModel, average_error, missing_effects, robust_problem, with_choices, workspace
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array

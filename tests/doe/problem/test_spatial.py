@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
-from doe.problem.bayesian import ensemble_problem, prior_draws
+from doe.bounds.certificate import Bound
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import tip_jacobians
+from doe.problem.uncertain import ensemble_problem, prior_draws, tip_jacobians
 from doe.solvers import Gradient, solve
 from identification.arm import Arm
 from identification.errors import InputError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.problem.constraints import LINK_RADIUS, Constraint, constraints_of, distance_between, smallest
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem

@@ -9,12 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.design import score
-from doe.plan.file import load_plan
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import missing_effects, robust_problem
+from doe.problem.uncertain import missing_effects, robust_problem
 from doe.report.design import (
     accuracy,
     design_document,
@@ -28,7 +27,7 @@ from doe.report.design import (
 )
 from identification.arm import Arm, Gravity
 from identification.document import Pictures, Sheet, as_text
-from identification.files.csv import read_table
+from identification.files.plan import read_plan
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
@@ -145,8 +144,8 @@ def test_the_edited_plan_keeps_the_columns_of_its_file(tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     path.write_text('run;q1_deg;q2_deg;payload_kg;note\n7;1,5;-20;2,5;a, b\n8;30;40;0;"c"\n')
     with pytest.warns(UserWarning, match="note"):
-        plan = load_plan(path)
-    steps = plan_steps(ARM, plan, read_table(path), "mine")
+        file = read_plan(path)
+    steps = plan_steps(ARM, Plan(file.postures), file.cells, "mine")
     assert steps is not None
     assert steps["columns"] == ["q1_deg", "q2_deg", "payload_kg", "note"]
     assert steps["rows"] == [["1.5", "-20", "2.5", "a, b"], ["30", "40", "0", "c"]]

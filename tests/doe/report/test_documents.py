@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from doe.advise import advise
-from doe.bounds.relaxation import relax
+from doe.bounds.column_generation import relax
 from doe.design import score
 from doe.problem.problem import DesignProblem
 from doe.report.design import advice_document, design_document, relax_document

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from doe.design import score
-from doe.plan.file import load_plan
+from doe.plan.plan import load_plan
 from doe.problem.problem import DesignProblem
 from doe.report.page import page, page_picture, strips, svg
 from identification.document import Action, Document, PlanSteps, Section, Sheet

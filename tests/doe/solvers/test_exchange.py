@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.criteria import D
 from doe.criteria.criterion import values_after_adding
 from doe.solvers import Exchange, solve

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.problem.postures import random_postures
 from doe.solvers import Fedorov, Gradient, solve
-from doe.solvers.polished import exchanged
+from doe.solvers.exchange import exchanged
 from doe.solvers.solver import Budget
 from tests.doe.problem.test_spatial_constraints import BOX, SIGHT
 from tests.doe.six_axis import LIMITED, SIX_AXIS, difference_information, six_axis

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.solvers import Ipopt, solve
 from doe.solvers.ipopt import Climber, PlanFunction
 from doe.solvers.solver import Budget

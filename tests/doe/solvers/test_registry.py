@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from doe.solvers import Random
-from doe.solvers.registry import SOLVERS, available_solvers, installed_solvers, solver_named
+from doe.solvers.solving import SOLVERS, available_solvers, installed_solvers, solver_named
 from doe.studies.comparison import Comparison
 from identification.errors import InputError
 from tests.doe.arms import FOUR
@@ -23,7 +23,7 @@ def test_every_solver_has_the_name_it_is_asked_for_by() -> None:
 
 
 def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("baseline", "doe.solvers.registry:Random", "armcal.solvers")
+    point = EntryPoint("baseline", "doe.solvers.solving:Random", "armcal.solvers")
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.solvers" else [])
     installed_solvers.cache_clear()
     try:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.solvers import Offer, solve
 from doe.solvers.solving import AGREEMENT
 from identification.errors import JobError
@@ -59,12 +59,6 @@ def test_keeps_the_best_and_stops_at_the_bound() -> None:
     np.testing.assert_array_equal(design.plan.postures[:, 1:], problem(FOUR).clip(GOOD)[:, 1:])
 
 
-def test_stops_when_the_starts_are_used_up() -> None:
-    solver = Scripted([Offer(POOR, 2)] * 10)
-    design = solve(problem(FOUR), 8, solver, starts=5)
-    assert (solver.taken, design.starts, design.status) == (3, 6, Status.starts_finished)
-
-
 def test_stops_when_independent_starts_agree_unless_a_number_is_asked_for() -> None:
     offers = [Offer(POOR, 1, independent=True)] * 50
     assert solve(problem(FOUR), 8, Scripted(offers)).status is Status.agreed
@@ -111,10 +105,3 @@ def test_a_bound_may_be_given() -> None:
     assert design.status is Status.bound_reached
     assert design.bound is not None
     assert design.bound.source == "continuous"
-
-
-def test_progress_is_told() -> None:
-    told: list[tuple[float, float | None, str]] = []
-    solve(problem(FOUR), 8, Scripted([Offer(POOR, 1)] * 3), starts=3, progress=lambda *a: told.append(a))
-    assert [(done, total) for done, total, _ in told] == [(1, 3), (2, 3), (3, 3)]
-    assert all("best" in message for *_, message in told)

@@ -15,8 +15,8 @@ from click.testing import CliRunner
 
 from doe.cli.compare import command
 from doe.design import score
-from doe.jobs.isolated import Outcome
-from doe.jobs.row_table import RowTable, frame_of
+from doe.jobs.rows import RowTable, frame_of
+from doe.jobs.running import Outcome
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.report.studies import comparison_parts, performance_profile, profile_figure, time_figure

@@ -10,7 +10,7 @@ import numpy as np
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Calibration
 from identification.compensate import compensate
-from identification.compensate.inverse_kinematics import TOLERANCE, violations
+from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.model import Model
 from identification.workspace import KeepOutCircle, WorkspaceBox
 
@@ -90,7 +90,3 @@ def test_targets_outside_the_workspace_say_so() -> None:
     assert figures["commands_deg"][0] is None
     nothing = compensate(two, [[1000.0, 0.0]]).to_json()
     assert (nothing["max_error_mm"], nothing["reached"]) == (None, 0)
-
-
-def test_no_constraints_no_violations() -> None:
-    assert violations((), np.zeros((3, 2))).shape == (3, 0)

@@ -49,16 +49,6 @@ def test_planar_values_are_the_drawing_with_its_errors() -> None:
         assert row.high_95 == pytest.approx(listed["high_95"] + row.corrected - listed["value"])
 
 
-def test_the_zero_is_what_a_reading_lacks() -> None:
-    """An arm of which joint 1 stands 0.5 deg beyond its reading is found where it stands."""
-    model = Model(Arm([300.0]))
-    q = np.radians(np.arange(0.0, 360.0, 40.0))
-    there = 300.0 * np.column_stack([np.cos(q + np.radians(0.5)), np.sin(q + np.radians(0.5))])
-    measured = replace(data(Model(arm()), plan(9)), postures=q[:, None], positions=there)
-    row = by_name(estimate(model, measured, sigma=0.1).corrected_values)["zero of joint 1"]
-    assert row.corrected == pytest.approx(0.5)
-
-
 def test_what_is_not_estimable_has_no_value_and_what_is_held_no_interval() -> None:
     model = Model(arm(), {"length_error:1": 1.5, "length_error:2": 0.0})
     at_zero = replace(data(Model(arm()), plan(30)), postures=np.zeros((30, 4)))

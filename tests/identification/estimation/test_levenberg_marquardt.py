@@ -108,27 +108,6 @@ def test_many_at_once_are_those_one_by_one() -> None:
     assert together.status[7] is Status.solver_failed
 
 
-def test_the_global_minimum_of_two_parameters_by_brute_force() -> None:
-    """Circle through noisy points by its center, on a grid; a box cuts off the free minimum."""
-    generator = np.random.default_rng(4)
-    angle = generator.uniform(0.0, 2.0, 15)
-    points = np.column_stack([np.cos(angle), np.sin(angle)]) + [0.4, -0.3] + 0.02 * generator.standard_normal((15, 2))
-
-    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        away = points[None] - x[:, None, :]
-        distance = np.linalg.norm(away, axis=2)
-        return 1.0 - distance, -away / distance[:, :, None]
-
-    low, high = np.array([-0.5, -0.25]), np.array([0.9, 0.9])
-    found = levenberg_marquardt(problem(linearize, 2, 1, lower=low, upper=high), np.array([[0.0, 0.0]]))
-    grid = np.stack(np.meshgrid(*(np.linspace(a, b, 701) for a, b in zip(low, high, strict=True))), axis=-1)
-    cost = np.sum((1.0 - np.linalg.norm(points[:, None, None] - grid, axis=3)) ** 2, axis=0)
-    best = grid[np.unravel_index(np.argmin(cost), cost.shape)]
-    np.testing.assert_allclose(found.parameters[0], best, rtol=0, atol=0.002)  # the spacing of the grid
-    assert found.squares[0] <= cost.min()
-    assert found.active[0].tolist() == [False, True]
-
-
 def linear(matrix: np.ndarray, right: np.ndarray) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
     """(N, p) x = (K, N)."""
 
@@ -204,16 +183,6 @@ def test_damped_steps_by_either_route(shape: tuple[int, int], damping: float) ->
         assert np.all(steps[:, 1] == 0.0)
 
 
-def test_a_step_leaves_out_what_is_below_the_tolerance() -> None:
-    """Singular values 1, 1 and 1/300 with a tolerance of 1/100: the normal matrix, of condition 9e4, will not do."""
-    generator = np.random.default_rng(8)
-    left, right = (np.linalg.qr(generator.standard_normal((rows, 3)))[0] for rows in (9, 3))
-    columns, residual = left * [1.0, 1.0, 1.0 / 300.0] @ right.T, generator.standard_normal(9)
-    found, *_ = damped_steps(columns[None], residual[None], np.zeros((1, 3), dtype=bool), np.zeros(1), 1e-2)
-    expected = right[:, :2] @ (left[:, :2].T @ residual)
-    np.testing.assert_allclose(found[0], expected, rtol=0, atol=1e-12)
-
-
 def test_an_exactly_singular_problem_has_its_shortest_step() -> None:
     """Two columns that are equal, and large enough that rounding leaves a pivot of zero; another problem beside it."""
     generator = np.random.default_rng(9)
@@ -263,21 +232,6 @@ def test_a_valley_takes_as_few_steps_however_flat(steepness: float, bend: float)
     x = found.parameters[0, 0] - found.parameters[0, 1]
     # a cosine of 1e-9 with the residuals, of length sqrt(2), counts in unit columns, which are `steepness` long
     assert abs(x) <= 2.0 * GRADIENT_TOLERANCE * np.sqrt(2.0) * steepness
-
-
-def test_a_curved_valley_is_followed_to_its_end() -> None:
-    """Along y = x^2, to x = 1 / 1.09, which minimises (1 - x)^2 + 0.09 x^2; the walls are 100 times as steep."""
-
-    def linearize(values: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        x, y = values.T
-        residual = np.stack([100.0 * (y - x**2), 1.0 - x, 0.3 * x], axis=1)
-        jacobian = np.zeros((len(x), 3, 2))
-        jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1:, 0] = -200.0 * x, 100.0, [-1.0, 0.3]
-        return -residual, jacobian
-
-    found = levenberg_marquardt(problem(linearize, 2, 1), np.array([[-1.2, 1.0]]))
-    assert found.status[0] is Status.converged
-    np.testing.assert_allclose(found.parameters[0], [1.0 / 1.09, 1.0 / 1.09**2], rtol=1e-8)
 
 
 def test_a_wrong_derivative_ends_unconverged() -> None:

@@ -112,31 +112,6 @@ def test_data_without_noise_are_fitted_exactly_and_said_to_be_so() -> None:
         assert "without noise" not in said(estimate(Model(Arm(tuple(lengths), sigma=0.1)), few))
 
 
-def test_one_posture_short_of_full_rank_is_named() -> None:
-    """n - 1 different postures, each repeated, or a joint that never moves: rank 2 n - 2."""
-    generator = np.random.default_rng(6)
-    for n in (2, 3, 12):
-        lengths, q = np.full(n, 100.0), generator.uniform(-3.0, 3.0, (n + 4, n))
-        still = q.copy()
-        still[:, -1] = 0.3
-        for postures in (np.repeat(q[: n - 1], 40, axis=0), still):
-            data = measured(lengths, postures, 0.1, generator)
-            found = estimate(Model(Arm(tuple(lengths), sigma=0.1)), data)
-            assert found.status.name == "not_identifiable"
-            assert len(found.not_identifiable) == 2
-            assert found.dof == data.positions.size - (2 * n - 2)
-
-
-def test_a_short_link_before_a_long_one_is_what_is_named() -> None:
-    """Its angle is lost beside the long one's; both lengths are as well known as ever."""
-    generator = np.random.default_rng(7)
-    lengths = np.array([1e-3, 1e6])
-    data = measured(lengths, generator.uniform(-3.0, 3.0, (50, 2)), 1e-3, generator)
-    found = estimate(Model(Arm(tuple(lengths), sigma=1e-3)), data)
-    assert found.not_identifiable == ("joint_offset:2",)
-    np.testing.assert_allclose(found.std[:2], 1e-3 / np.sqrt(50), rtol=0.1)
-
-
 @given(n=st.integers(2, 6), seed=st.integers(0, 2**32))
 @FEW
 def test_commands_reach_their_targets_on_links_of_all_sizes(n: int, seed: int) -> None:

@@ -12,13 +12,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, Machining
-from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm
 from identification.files.arm_text import with_calibration
 from identification.files.urdf import read_urdf
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.denavit_hartenberg import DHRow
 from identification.kinematics.frames import pose
 from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
@@ -264,22 +263,6 @@ def test_calibration_comes_back_to_rounding(tmp_path: Path, markers: tuple[str, 
         np.testing.assert_allclose(read.tools[name], place, atol=1e-11)
 
 
-def test_base_and_tools_are_where_they_were(tmp_path: Path) -> None:
-    """Composed poses: the start and its corrections, of which neither says much alone."""
-    found = identified(load_arm(saved(tmp_path, FOUR_AXES)))
-    assert found.geometry is not None
-    base, tools = found.geometry.base, found.geometry.tools
-    assert base is not None
-    values, chain = found.model.parameters.mapping(found.parameters), found.model.arm.chain
-    assert chain is not None
-    turn = Rotation.from_euler("XYZ", [values[f"base.r{axis}"] for axis in "xyz"]).as_matrix()
-    np.testing.assert_allclose(base[:3, :3], chain.base[:3, :3] @ turn, atol=1e-12)
-    shift = np.array([values[f"base.{axis}"] for axis in "xyz"])
-    np.testing.assert_allclose(base[:3, 3], chain.base[:3, 3] + shift, atol=1e-12)
-    error = np.array([values[f"tool[1].{axis}"] for axis in "xyz"])
-    np.testing.assert_allclose(tools["1"], chain.tools["1"] + error, atol=1e-12)
-
-
 # -- bad input ---------------------------------------------------------------------------------------------------------
 BAD = [  # values that are of the right type: what to replace, by what, and what is named
     (BY_URDF, 'urdf = "six_axis.urdf"\n', "", "urdf, dh: neither is there"),
@@ -330,15 +313,6 @@ def test_bad_input_is_one_line(tmp_path: Path, text: str, old: str, new: str, na
     assert named in str(error.value)
     assert str(error.value).startswith(f"{path}: ")
     assert "\n" not in str(error.value)
-
-
-def test_committed_arm_of_the_ur10() -> None:
-    arm = load_arm(DATA / "ur10" / "ur10.toml")
-    rows = [(0.0, 90.0, 127.3), (-612.0, 0.0, 0.0), (-572.3, 0.0, 0.0)]
-    rows += [(0.0, 90.0, 163.941), (0.0, -90.0, 115.7), (0.0, 0.0, 92.2)]
-    chain = chain_of([DHRow(a, float(np.radians(alpha)), d) for a, alpha, d in rows])
-    postures: Array = np.random.default_rng(0).uniform(-3.0, 3.0, (5, 6))
-    np.testing.assert_array_equal(Model(arm).position(postures), Model(Arm(chain)).position(postures))
 
 
 def test_examples_of_the_page_load(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.plan.file import load_plan
-from doe.studies.monte_carlo.file import parse_study
+from doe.plan.plan import load_plan
+from doe.studies.monte_carlo.specification import parse_study
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.files.target import load_targets

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.plan.file import load_plan, plan_text
-from doe.plan.plan import Plan
+from doe.plan.plan import Plan, load_plan, plan_text
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.files.measurement import load_measurements, measurement_text
@@ -34,13 +33,6 @@ def test_round_trip(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.positions, data.positions)
     assert again.marker is not None
     assert again.marker.tolist() == ["top", "side"]
-
-
-def test_a_planar_arm_ignores_the_third_coordinate(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"columns are not used: 'z_mm', 'marker'"):
-        data = load_measurements(saved(tmp_path, PLAIN.replace("q2_mm", "q2_deg")), Arm([300.0, 200.0]))
-    assert data.dimension == 2
-    assert data.marker is None
 
 
 @pytest.mark.parametrize(

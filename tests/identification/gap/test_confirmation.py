@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from identification.arm import Arm
-from identification.errors import InputError
 from identification.gap.confirmation import (
     GROUPS,
     Confirmation,
     Mean,
     confirm,
-    confirmed_on,
     groupings,
     mean_of,
     predicted_from_others,
     regions,
     split,
 )
-from identification.gap.fit import Rows, fit
+from identification.gap.fit import Rows
 from identification.gap.hypotheses import hypotheses
 from identification.gap.posterior import posterior
 from identification.measurements import Measurements
-from identification.model import Model
 
 SIGMA = 0.1  # per coordinate
 RNG = np.random.default_rng(1)
@@ -57,13 +53,6 @@ def test_group_means_are_compared_by_students_t() -> None:
         alternative="greater",
     )
     assert difference.p_above() == pytest.approx(welch.pvalue, rel=1e-12)
-
-
-def test_one_group_tells_nothing() -> None:
-    alone = mean_of(np.ones(3), (np.zeros(3, dtype=np.int64),))
-    assert alone.p_above() == 1.0
-    assert not alone.detects(1e9)
-    assert (Mean(1.0, 0.1, 5.0) - alone).p_above() == 1.0
 
 
 @pytest.mark.parametrize(
@@ -158,15 +147,6 @@ def test_errors_shared_by_a_stretch_of_time_do_not_refute() -> None:
     assert naive >= 40
 
 
-def test_says_what_was_tested_and_what_failed() -> None:
-    rng = np.random.default_rng(6)
-    wrong = held_out(rng, 200, 2.0, present=0.0)
-    assert str(wrong).startswith("does not hold for other postures, the gap does not shrink and the gap exceeds")
-    assert wrong.to_json()["shrinks"] is False
-    assert str(held_out(rng, 200, 2.0)).startswith("holds for other postures: ")
-    assert str(held_out(rng, 1, 2.0)).startswith("too few rows to say whether it holds for other postures")
-
-
 def test_a_gap_that_shrinks_while_the_prediction_stays_open_is_said_so() -> None:
     """Twice the predicted square is left, in stretches of time that differ so much that it may be chance."""
     left = np.sqrt(np.repeat([0.2, 0.2, 6.0, 0.2, 0.3, 0.2, 8.0, 0.9], 20))
@@ -189,30 +169,6 @@ def test_postures_are_held_out_with_their_repeats() -> None:
     assert np.array_equal(again.postures, held.postures)
     assert len(split(DATA, 1e-9, np.random.default_rng(0))[1]) == 2  # at least one posture
     assert len(split(DATA, 0.9999, np.random.default_rng(0))[0]) == 2
-
-
-@pytest.mark.parametrize("share", [0.0, 1.0, -0.2, float("nan")])
-def test_a_share_is_between_none_and_all(share: float) -> None:
-    with pytest.raises(InputError, match="allowed: a share of the rows between 0 and 1"):
-        split(DATA, share, np.random.default_rng(0))
-
-
-def test_rows_of_one_posture_cannot_be_split() -> None:
-    with pytest.raises(InputError, match="of one posture"):
-        split(DATA.rows(NUMBER == 3), 0.5, np.random.default_rng(0))
-
-
-def test_a_file_taken_for_another_session_is_called_by_its_name() -> None:
-    """Only its order numbers, which start again, tell that it is one; what follows in the order needs no name."""
-    model, order = Model(Arm([300.0, 200.0, 100.0])), np.arange(100.0)
-    data = Measurements(DATA.postures, model.position(DATA.postures) + SIGMA * RNG.normal(size=(100, 2)), order)
-    first, every = data.rows(np.arange(60)), np.ones(60, dtype=bool)
-    base = fit(model, Rows.of(first))
-    for rows, where in (np.arange(40), "fresh.csv"), (np.arange(60, 100), "a later time"):
-        given = replace(data.rows(rows), provenance=MappingProxyType({"file": "fresh.csv"}))
-        assert confirmed_on(given, base, base, first, every, named=False).where == where
-    unnamed = confirmed_on(data.rows(np.arange(40)), base, base, first, every, named=False)
-    assert (unnamed.where, unnamed.to_json()["file"]) == ("another session", None)
 
 
 def simulated(seed: int, sigma: np.ndarray, given: bool = False, ripple: float = 0.0) -> Measurements:

@@ -174,11 +174,6 @@ def test_json_has_the_documented_keys_and_no_nan() -> None:
     assert "backlash:2" in str(diagnosed("backlash")).splitlines()[0]
 
 
-def test_same_seed_same_diagnosis() -> None:
-    again = diagnose(ARM, measured("backlash"))
-    assert again.to_json() == diagnosed("backlash").to_json()
-
-
 def eccentric(m: int, seed: int) -> tuple[Measurements, float]:
     """A session of m rows of an arm whose encoder 2 is off centre by 5e-4 rad, and the RMS [mm] of its noise."""
     rng = np.random.default_rng(seed)
@@ -239,6 +234,32 @@ def test_held_out_gap_shrinks_to_the_noise() -> None:
     # 8 parameters from 120 numbers add 8/120 of the noise's square, give or take twice that: 3 to 10 % of its RMS
     assert noise * 0.97 < gap.held_out_after < noise * 1.10
     assert gap.held_out_before > 1.5 * noise
+
+
+def test_exact_copies_of_rows_are_no_measurements() -> None:
+    """The same rows twice, in one session or as a second one, are what they are once, and outliers keep their rows."""
+    once = measured("encoder_eccentricity")
+    wrong = replace(once, positions=once.positions + 5.0 * (np.arange(60) == 50)[:, None])
+    twice = [*range(60), *range(60)]
+    expected = diagnose(ARM, wrong)
+    assert expected.outlier_rows == (51,)
+    sessions = replace(wrong.rows(twice), session=np.repeat(["A", "B"], 60))
+    for copied in (wrong.rows(twice), sessions, wrong.rows([0, *range(60)])):
+        found = diagnose(ARM, copied)
+        assert (found.verdict, found.effects) == (expected.verdict, expected.effects)
+        assert found.probabilities.best == expected.probabilities.best
+        assert found.gap.rms_after == pytest.approx(expected.gap.rms_after, rel=1e-6)
+        assert found.outlier_rows == ((52,) if len(copied) == 61 else (51,))
+        assert any("exact cop" in warning for warning in found.warnings)
+
+
+def test_progress_goes_on_from_step_to_step() -> None:
+    shares: list[float] = []
+    diagnose(ARM, measured("encoder_eccentricity"), progress=lambda done, total, message: shares.append(done))
+    assert shares[0] == 0.0
+    assert shares[-1] == 1.0
+    assert all(np.diff(shares) > 0.0)
+    assert sum(0.0 < share < 0.7 for share in shares) >= 3  # the long step
 
 
 def test_order_of_rows_does_not_matter_when_conditions_are_given() -> None:
@@ -413,42 +434,6 @@ def test_a_fifth_of_the_rows_are_outliers() -> None:
     found = diagnose(ARM, replace(data, positions=positions))
     assert found.outlier_rows == tuple(wrong + 1)
     assert found.effects == ("backlash:2",)
-
-
-def test_a_scatter_above_sigma_stands_in_the_verdict() -> None:
-    assert "sigma_mm" not in diagnosed(None).sentence
-    rough = measured(None).positions + np.random.default_rng(8).normal(size=(60, 2))  # 1 mm, the arm file says 0.05
-    found = diagnose(ARM, replace(measured(None), positions=rough))
-    assert found.misfit is not None
-    assert found.misfit.ratio == pytest.approx(20.0, rel=0.2)
-    assert found.sentence.endswith(f"; scatter {found.misfit.ratio:.3g} x sigma_mm, not explained")
-    assert found.to_json()["misfit"]["p_value"] < 1e-10
-
-
-def test_before_is_what_identify_leaves() -> None:
-    """Also where outliers are left out, and where the noise is taken for that of one joint."""
-    data = measured(None)
-    model = Model(ARM)
-    shaken = data.positions + (
-        model.jacobian(data.postures)[:, :, 4] * (0.002 * np.random.default_rng(6).normal(size=60))[:, None]
-    )
-    shaken[7] += 4.0
-    found = diagnose(ARM, replace(data, positions=shaken))
-    assert found.outlier_rows == (8,)
-    assert found.scatter[0].name.startswith("joint_noise")
-    others = np.arange(60) != 7
-    left = identify(model, replace(data, positions=shaken), weights=others.astype(float)).residuals_after[others]
-    assert found.gap.rms_before == pytest.approx(np.sqrt(np.mean(np.sum(left**2, axis=1))), rel=1e-9)
-
-
-def test_a_hold_out_without_the_effect_refutes_it() -> None:
-    found = diagnose(ARM, measured("backlash"), measured(None, seed=3, m=200))
-    assert found.verdict == "named"
-    assert found.confirmed is False
-    assert found.sentence.startswith("not confirmed: named: backlash:2")
-    assert found.to_json()["confirmation"]["shrinks"] is False
-    # the rows of the two have the same numbers: they are of two sessions
-    assert found.to_json()["confirmation"]["transfer"] == "another session"
 
 
 def test_on_a_grid_the_ripples_that_an_effect_imitates_are_told() -> None:

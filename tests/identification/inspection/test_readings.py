@@ -13,7 +13,7 @@ from hypothesis import assume, given
 
 from identification import load_arm, load_measurements
 from identification.arm import Arm
-from identification.inspection.readings import Reading, Readings, parallel_joints, read_differently
+from identification.inspection.readings import Reading, parallel_joints, read_differently
 from identification.kinematics.counting import Counting
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -164,13 +164,6 @@ def test_swapped_coordinates_are_told_from_a_reversed_axis_in_the_plane(planar: 
         assert better.words == (said,)
 
 
-def test_a_base_at_any_angle_leaves_both_open(planar: Measurements) -> None:
-    z = planar.positions @ np.array([1.0, 1.0j]) * np.exp(0.8j)
-    better = read_differently(PLANAR, replace(planar, positions=np.column_stack([z.imag, z.real]))).better
-    assert better is not None
-    assert better.words == ("x_mm and y_mm are swapped, or an axis of the positions points the other way",)
-
-
 def test_nothing_is_said_of_arms_with_errors_as_they_are_built() -> None:
     generator = np.random.default_rng(11)
     for n in (2, 3, 4, 6):
@@ -213,7 +206,6 @@ def test_a_wrist_whose_axes_meet_has_two_explanations(tmp_path: Path) -> None:
 
 
 # -- a reading in words, and what it makes of columns ------------------------------------------------------------------
-PLAIN = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), rms=300.0)
 SWAPPED = Reading((1, 0, 2), (1, 1, -1), (0, 3, 0), mirrored=True, turn=0.1, rms=0.9)
 REVERSED = Reading((0, 1, 2), (-1, 1, 1), (0, 0, 0), rms=0.91)
 
@@ -258,21 +250,6 @@ def test_what_no_arm_file_says() -> None:
     assert found.toml == "[joints]\nsign = [-1, 1, 1]"
     every = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), sums=((1, 0, 0), (0, 1, 0), (1, 1, 1)))
     assert every.counting(None) is None
-
-
-def test_one_two_or_no_explanations() -> None:
-    assert Readings(PLAIN, None).sentences == []
-    assert Readings(PLAIN, None).to_json() is None
-    way = "joint 1 turns the other way"
-    both = Readings(PLAIN, REVERSED, (SWAPPED,))
-    assert both.sentences[0].startswith(
-        f"it looks as if {way}, or, equally well, columns of joints 1 and 2 are swapped"
-    )
-    assert both.to_json() == {
-        "changes": (way,), "arm_file": None, "rms_mm": 0.91, "explains": True, "equally_good": [SWAPPED.words]
-    }  # fmt: skip
-    (said,) = Readings(PLAIN, REVERSED, explained=False).sentences
-    assert said.endswith(f"Closest: {way}, which leaves 0.91 mm instead of 300")
 
 
 # -- runs of parallel axes, counted by hand ----------------------------------------------------------------------------

@@ -1,13 +1,9 @@
 """Parameters and sets of them: order, names, kinds, vectors and mappings."""
 
-import pickle
-
 import numpy as np
 import pytest
 
-from identification.errors import InputError
 from identification.kinematics.parameters import (
-    EFFECT,
     JOINT_OFFSET,
     LENGTH_ERROR,
     Parameter,
@@ -28,28 +24,12 @@ SET = ParameterSet.of(
 )
 
 
-def test_a_sequence_in_the_given_order() -> None:
-    assert len(SET) == 4
-    assert SET.names == ("length_error:1", "joint_offset:1", "backlash:2.b", "length_error:2")
-    assert tuple(p.name for p in SET) == SET.names
-    assert SET[2].short == "b"
-    assert SET.units == ("mm", "rad", "rad", "mm")
-    assert [p.joint for p in SET] == [1, 1, 2, 2]
-
-
 def test_arrays_follow_the_order_and_are_read_only() -> None:
     np.testing.assert_array_equal(SET.scales, [1.0, 300.0, 200.0, 1.0])
     np.testing.assert_array_equal(SET.lower, [-np.inf, -np.inf, -0.1, -np.inf])
     np.testing.assert_array_equal(SET.upper, [np.inf, np.inf, 0.2, np.inf])
     for array in (SET.scales, SET.lower, SET.upper):
         assert not array.flags.writeable
-
-
-def test_kinds_and_where_they_stand() -> None:
-    assert SET.kinds == (LENGTH_ERROR, JOINT_OFFSET, EFFECT, LENGTH_ERROR)
-    assert SET.indices(LENGTH_ERROR).tolist() == [0, 3]
-    assert SET.indices(EFFECT).tolist() == [2]
-    assert ParameterSet.of([]).indices(EFFECT).tolist() == []
 
 
 def test_vector_and_mapping_are_inverse() -> None:
@@ -65,19 +45,6 @@ def test_vector_and_mapping_are_inverse() -> None:
     }
     with pytest.raises(ValueError, match="shorter"):
         SET.mapping(vector[:3])
-
-
-def test_index_names_the_nearest() -> None:
-    assert SET.index("backlash:2.b") == 2
-    with pytest.raises(InputError, match="unknown name 'joint_ofset:1', did you mean 'joint_offset:1'"):
-        SET.index("joint_ofset:1")
-
-
-def test_immutable_and_pickles() -> None:
-    with pytest.raises(AttributeError):
-        SET.items = ()  # type: ignore[misc]
-    assert SET.names  # cached before it is pickled
-    assert pickle.loads(pickle.dumps(SET)) == SET
 
 
 def test_parameters_of_a_chain() -> None:

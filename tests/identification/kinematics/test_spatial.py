@@ -194,18 +194,24 @@ def test_a_million_poses_need_no_axis_to_be_x_y_or_z(chain: SpatialChain) -> Non
 
 
 def test_pinocchio_agrees() -> None:
+    """Positions, and derivatives by the six errors of each joint's frame: its kinematic regressor."""
     pinocchio = pytest.importorskip("pinocchio", reason="pinocchio is not installed: pip install 'armcal[oracle]'")
-    found = read_urdf(URDF).chain("world", "tool0")
-    model = pinocchio.buildModelFromUrdf(str(URDF))
+    chain = read_urdf(URDF).chain("world", "tool0")
+    model, names = pinocchio.buildModelFromUrdf(str(URDF)), chain.every_parameter.names
     data, frame = model.createData(), model.getFrameId("tool0")
-    for q in postures(found, 20):
-        placed = [value for joint, angle in zip(found.joints, q, strict=True) for value in _pinocchio(joint, angle)]
+    scale = np.repeat([1.0, 1000.0], 3)  # [mm/mm] of [m/m], [mm/rad] of [m/rad]
+    for q in postures(chain, 20):
+        placed = [value for joint, angle in zip(chain.joints, q, strict=True) for value in _pinocchio(joint, angle)]
         pinocchio.framesForwardKinematics(model, data, np.array(placed))
-        np.testing.assert_allclose(
-            position_and_jacobian(found, q, np.zeros(len(found.every_parameter)))[0],
-            1000.0 * data.oMf[frame].translation,
-            atol=1e-9,
-        )
+        position, jacobian = position_and_jacobian(chain, q, np.zeros(len(names)))
+        np.testing.assert_allclose(position, 1000.0 * data.oMf[frame].translation, atol=1e-9)
+        axes = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        regressor = pinocchio.computeFrameKinematicRegressor(model, data, frame, axes)[:3]
+        for j, joint in enumerate(chain.joints, start=1):
+            first = 6 * (model.getJointId(joint.name) - 1)
+            errors = [f"{kind}_{axis}:{j}" for kind in ("translation", "rotation") for axis in "xyz"]
+            columns = jacobian[:, [names.index(name) for name in errors]]
+            np.testing.assert_allclose(columns, regressor[:, first : first + 6] * scale, atol=1e-9)
 
 
 def _pinocchio(joint: Joint, position: float) -> list[float]:

@@ -11,7 +11,7 @@ import pytest
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.prior import Earlier, Prior
+from identification.estimation.prior import Prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
@@ -84,27 +84,6 @@ def test_what_is_held_conditions_the_prior() -> None:
     both = np.concatenate([columns(first.postures), columns(second.postures)])
     expected = np.linalg.lstsq(both[:, 1:], np.r_[one, other] - 0.7 * both[:, 0], rcond=None)[0]
     np.testing.assert_allclose(found.parameters, expected, rtol=0, atol=1e-8)
-
-
-def test_marginal_and_conditional_distributions() -> None:
-    """Against the inverse of the precision matrix."""
-    root = np.random.default_rng(6).standard_normal((4, 4))
-    covariance, mean = root @ root.T, np.array([1.0, -2.0, 0.5, 3.0])
-    found = Earlier(("a", "b", "c", "d"), mean, covariance)
-    some = found.about({"d", "b"})
-    assert some.names == ("b", "d")
-    np.testing.assert_array_equal(some.covariance, covariance[np.ix_([1, 3], [1, 3])])
-    given = found.conditioned_on({"a": 2.0, "c": 0.0})
-    precision = np.linalg.inv(covariance)
-    free, held = np.ix_([1, 3], [1, 3]), np.ix_([1, 3], [0, 2])
-    np.testing.assert_allclose(given.covariance, np.linalg.inv(precision[free]))
-    expected = mean[[1, 3]] - np.linalg.solve(precision[free], precision[held] @ [1.0, -0.5])
-    np.testing.assert_allclose(given.values, expected)
-    forth, back = found.root
-    np.testing.assert_allclose(forth @ forth.T, covariance)
-    np.testing.assert_allclose(back @ forth, np.eye(4), atol=1e-12)
-    with pytest.raises(InputError, match="prior: a has variance 0, allowed"):
-        Earlier(("a",), np.zeros(1), np.zeros((1, 1)))
 
 
 def in_space(shift: float = 0.0, base: float = 0.0) -> tuple[Measurements, Arm]:

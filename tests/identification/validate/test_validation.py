@@ -23,7 +23,8 @@ from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.validate import Figures, validate
-from identification.validate.row_groups import extrapolation, mostly_outside, outside
+from identification.validate.origin import mostly_outside, outside
+from identification.validate.validation import extrapolation
 
 UR10 = Path(__file__).parents[2] / "data" / "ur10_planar"
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])

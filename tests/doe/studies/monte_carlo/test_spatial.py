@@ -11,7 +11,7 @@ import pytest
 
 from doe.plan.plan import Plan
 from doe.studies.monte_carlo import Fitted, Study, Truth, load_study, run_study
-from doe.studies.monte_carlo.replications import in_api_units, in_file_units, true_values
+from doe.studies.monte_carlo.study import in_api_units, in_file_units, true_values
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
 from identification.files.arm_text import dump_arm

@@ -14,12 +14,11 @@ from click.testing import CliRunner
 from scipy.optimize import least_squares
 
 from doe.cli.study import command
-from doe.jobs.row_table import frame_of
-from doe.jobs.workers import processes
+from doe.jobs.rows import frame_of
+from doe.jobs.running import processes
 from doe.plan.plan import Plan
 from doe.report.studies import cell_table
 from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled_rows, run_study
-from doe.studies.monte_carlo.replications import Cell
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import BatchFit, estimate_each
@@ -117,7 +116,7 @@ def test_optimal_plan_has_the_deviations_of_equation_25() -> None:
 def test_random_plans_are_new_for_each_replication() -> None:
     study = Study([ARM], ["random"], [6], sigma=[0.2], truths=[PAPER], replications=30, block=30)
     result = run_study(study, seed=3)
-    from doe.jobs.tasks import seed_of
+    from doe.jobs.running import seed_of
 
     key = json.loads(result.blocks["key"][0])
     generator = np.random.default_rng(seed_of(key, 3))
@@ -184,7 +183,7 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append(postures)
         return estimate_each(model, postures, measured, conditions)
 
-    monkeypatch.setattr("doe.studies.monte_carlo.replications.estimate_each", spy)
+    monkeypatch.setattr("doe.studies.monte_carlo.study.estimate_each", spy)
     found = run_study(Study([boxed], ["random", "dft"], [8], truths=[PAPER], replications=300)).cells
     heights = positions(np.concatenate(seen), LENGTHS, np.zeros(4))[..., 1]
     assert heights.shape == (300, 8)
@@ -316,11 +315,6 @@ def test_bad_file_is_one_line(folder: Path, old: str, new: str, found: str) -> N
     assert "\n" not in str(caught.value)
 
 
-def test_noise_is_needed() -> None:
-    with pytest.raises(InputError, match="sigma_mm: is missing"):
-        Study([replace(ARM, sigma=None)], ["dft"], [4])
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -343,7 +337,7 @@ def test_parts_of_a_block_are_one_stream(monkeypatch: pytest.MonkeyPatch) -> Non
     """Long plans go through memory in parts: the same draws, and sums that do not tell."""
     study = Study([ARM], ["dft"], [6], truths=[PAPER], replications=50)
     whole = run_study(study).cells
-    monkeypatch.setattr("doe.studies.monte_carlo.replications.MOST_ROWS", 6 * 7)
+    monkeypatch.setattr("doe.studies.monte_carlo.study.MOST_ROWS", 6 * 7)
     parts = run_study(study).cells
     numbers = ["mean_error", "std", "expected_std", "coverage", "rms_mm"]
     np.testing.assert_allclose(parts.select(numbers).to_numpy(), whole.select(numbers).to_numpy(), rtol=1e-9)
@@ -354,13 +348,6 @@ def test_names_are_unique() -> None:
         Study([ARM, ARM], ["dft"], [4])
     with pytest.raises(InputError, match="truths: name 'arm' is given twice"):
         Study([ARM], ["dft"], [4], truths=[Truth(), Truth()])
-
-
-def test_cell_travels() -> None:
-    import pickle
-
-    cell = Cell("links_mm = [1.0]", "links_mm = [1.0]", None, 3, 0.1)
-    assert pickle.loads(pickle.dumps(cell)) == cell
 
 
 # -- the verb --
@@ -376,26 +363,6 @@ def test_verb(folder: Path) -> None:
     shown = CliRunner().invoke(command, [*options, "--resume"])
     assert shown.exit_code == 0
     assert "joint_offset:2" in shown.output
-
-
-def test_verb_without_any_cell_that_can_be_done(folder: Path) -> None:
-    text = GOOD.replace(', "plan.csv"', "")
-    (folder / "study.toml").write_text(text.replace("[5]", "[1]"))
-    done = CliRunner().invoke(command, [str(folder / "study.toml"), "--workers", "1"])
-    assert done.exit_code == 2  # the file is wrong
-    assert "runs: found 1, allowed: at least 2 for 4 parameters" in done.output
-    (folder / "study.toml").write_text(text)
-    with open(folder / "arm.toml", "a") as stream:
-        stream.write("[joint_limits_deg]\nlower = [-90, -90]\nupper = [90, 90]\n")
-    done = CliRunner().invoke(command, [str(folder / "study.toml"), "--workers", "1"])
-    assert done.exit_code == 1
-    assert "no cell could be done: plan dft: joint 1 would leave its limits" in done.output
-
-
-def test_unknown_study_has_the_nearest_name() -> None:
-    done = CliRunner().invoke(command, ["papr"])
-    assert done.exit_code == 2
-    assert "did you mean 'paper'" in done.output
 
 
 def test_a_cell_without_a_fit_has_no_figures() -> None:

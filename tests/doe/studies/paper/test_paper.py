@@ -14,10 +14,10 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli.study import command
-from doe.jobs.workers import processes, serial
+from doe.jobs.running import processes, serial
 from doe.report.studies import figure_1_picture, figure_2_picture
 from doe.studies.paper import study as paper_run
-from doe.studies.paper.errata import Shown, errata
+from doe.studies.paper.study import Shown, errata
 from doe.studies.paper.tables import (
     agreement,
     consistent,
@@ -207,7 +207,7 @@ def plain_tables() -> tuple[pl.DataFrame, ...]:
 
 
 def test_parts_make_the_same_tables_on_any_workers() -> None:
-    """One process stands for any number: rows depend on keys alone (tests/doe/jobs/test_tasks.py)."""
+    """One process stands for any number: rows depend on keys alone (tests/doe/jobs/test_running.py)."""
     found = paper_run.paper_study(folder=None, workers=processes(1), resume=False, **ARGUMENTS).tables
     assert tuple(found) == tuple(paper_run.PIECES)
     for frame, other in zip(found.values(), plain_tables(), strict=True):

@@ -25,6 +25,7 @@ from identification.files.io import PathLike, provide_temporary_folder, sync_fol
 if TYPE_CHECKING:
     import polars
 
+
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
 Row = dict[str, Any]
 SYNC = 1.0  # [s] of finished rows that a power failure may cost; the death of the process costs none

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.plan import replicate_spacing
-from doe.plan.replicate_spacing import distance_to_keep, neighbor_counts, separated, spread_free_joints, too_near
+from doe.plan import spacing as replicate_spacing
+from doe.plan.spacing import distance_to_keep, neighbor_counts, separated, spread_free_joints, too_near
 from doe.solvers import solve
 from identification.arm import Arm
 from tests.doe.arms import FOUR, OFFSET, problem

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds import equivalence
-from doe.bounds.equivalence import (
+from doe.bounds import certificate as equivalence
+from doe.bounds.certificate import (
     CandidateJacobians,
     Certificate,
     certify,

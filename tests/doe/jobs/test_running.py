@@ -17,9 +17,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.jobs.row_table import RowTable, parquet, read_rows
-from doe.jobs.tasks import Function, Job, run_tasks
-from doe.jobs.workers import Workers, processes, serial
+from doe.jobs.rows import RowTable, parquet, read_rows
+from doe.jobs.running import Function, Job, Workers, processes, run_tasks, serial
 from identification.errors import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -96,8 +95,8 @@ def test_a_task_that_kills_its_worker_each_time_is_a_row() -> None:
 def test_killed_study_leaves_no_process_behind_and_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "rows.parquet"
     code = (
-        "import os, signal, work\nfrom doe.jobs.tasks import Job, run_tasks\nfrom doe.jobs.workers import processes\n"
-        "from doe.jobs.row_table import RowTable\n"
+        "import os, signal, work\nfrom doe.jobs.running import Job, run_tasks\nfrom doe.jobs.running import processes\n"
+        "from doe.jobs.rows import RowTable\n"
         "def kill(done, total, message):\n    if done == 6: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"with RowTable.open({str(path)!r}) as table:\n"
         "    run_tasks(work.slow_draw, [{'task': k} for k in range(30)], table, processes(2), progress=kill)\n"

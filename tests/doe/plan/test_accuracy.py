@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 import pytest
 
-from doe.bounds.bound import Bound
+from doe.bounds.certificate import Bound
 from doe.design import score
-from doe.plan.expected_accuracy import error_at_poses, expected_deviations
-from doe.problem.robust import average_error
+from doe.plan.accuracy import error_at_poses, expected_deviations
+from doe.problem.uncertain import average_error
 from identification.arm import Arm
 from identification.model import Model
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from doe.jobs import row_table
-from doe.jobs.row_table import RowTable, canonical, frame_of, journal_of, read_rows
+from doe.jobs import rows as row_table
+from doe.jobs.rows import RowTable, canonical, frame_of, journal_of, read_rows
 from identification.errors import InputError, JobError
 
 KEYS = [{"task": k} for k in range(5)]
@@ -48,7 +48,7 @@ def test_existing_table_is_refused_resumed_or_replaced(tmp_path: Path) -> None:
 def test_rows_of_a_killed_process_are_there(tmp_path: Path) -> None:
     path = tmp_path / "rows.parquet"
     code = (
-        "import os, signal, sys\nfrom doe.jobs.row_table import RowTable\n"
+        "import os, signal, sys\nfrom doe.jobs.rows import RowTable\n"
         f"with RowTable.open({str(path)!r}) as table:\n"
         "    for k in range(3): table.add({'task': k}, [{'value': k / 3.0}])\n"
         '    table._journal.write(b\'["{}", [{"val\'); table._journal.flush()\n'  # torn in mid-line

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.criteria.bayesian import Average, SoftWorst, Worst
+from doe.criteria.log_determinants import Average, SoftWorst, Worst
 from doe.design import score
-from doe.problem.bayesian import ensemble_problem, prior_draws
 from doe.problem.problem import DesignProblem
+from doe.problem.uncertain import ensemble_problem, prior_draws
 from doe.report.design import accuracy
 from doe.solvers import solve
 from identification.arm import Arm, Calibration, EffectSpec, Machining

@@ -1,8 +1,8 @@
-"""Rows of a validation in groups: by session, time and workspace, and inside or outside the angles identified on."""
+"""What a calibration says of the data that it comes from: its files, and the angles that it was identified on."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,9 @@ from identification.kinematics.turns import turned_into
 from identification.measurements import Measurements
 from identification.model import Model
 
-QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
+HELD_FROM = "held_from"  # key of a calibration's provenance
 READ = np.radians(1e-6)  # what the digits of a file take from an angle
 ROOM = 0.02  # of a joint's range at either end, left for the corrections of a posture
-FEWEST = 3 * QUARTERS  # rows from which groups are formed
 
 
 def identified(arm: Arm) -> Mapping[str, Any]:
@@ -34,43 +33,16 @@ def check_calibrated(arm: Arm, file: str | None = None) -> None:
         raise InputError(f"{lacks}, allowed: an arm file written by `armcal identify --out`")
 
 
-def extrapolation(arm: Arm, postures: Array) -> str | None:
-    """How many postures (m, n) of rows are outside the angles of the identification, in a clause; None: none, or not
-    known."""
-    out = outside(arm, postures)
-    clause = extrapolated(out, "rows")
-    beyond = [s.curve for s in arm.effects if s.curve and out is not None and out[:, (s.joint or 1) - 1].any()]
-    if clause is None or not beyond:
-        return clause
-    if any(curve.geometry for curve in beyond):
-        return f"{clause}; without its error curves, by the geometry that was fitted alone"
-    return f"{clause}; its error curves are zero there, and the geometry of armcal identify alone may be better"
-
-
 def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
-    """The same of `outside`."""
+    """How many rows are outside the angles of the identification, in a clause; None: none, or not known.
+
+    out : (m, n) of `outside`;  what : the rows are
+    """
     if out is None or not out.any():
         return None
     joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))
     count = f"{int(out.any(axis=1).sum())} of {len(out)} {what} are outside the angles that the model was identified on"
     return f"{count} ({joints}): there it extrapolates"
-
-
-def seen_in_words(arm: Arm, postures: Array, model: Array, drawing: Array) -> str | None:
-    """What model and drawing leave of rows at angles of the identification, and of the others, in a sentence; None
-    where either are few, or the angles are not known.
-
-    postures : (m, n);  model, drawing : (m,) distances [mm]
-    """
-    out = outside(arm, postures)
-    if out is None or not FEWEST <= np.count_nonzero(beyond := out.any(axis=1)) <= len(out) - FEWEST:
-        return None
-    familiar, elsewhere = (
-        f"{np.sqrt(np.mean(model[rows] ** 2)):.3g} mm (drawing {np.sqrt(np.mean(drawing[rows] ** 2)):.3g} mm)"
-        for rows in (~beyond, beyond)
-    )
-    share = f"{100.0 * np.mean(~beyond):.2g} % of these rows lie at joint angles that the calibration has seen"
-    return f"{share}: RMS there {familiar}, elsewhere {elsewhere}"
 
 
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
@@ -107,6 +79,13 @@ def data_hashes(provenance: Mapping[str, Any]) -> list[str]:
     return [hashes] if isinstance(hashes, str) else list(hashes)
 
 
+def comes_from(provenance: Mapping[str, Any], measurements: Measurements) -> bool:
+    """Whether a calibration of this provenance was fitted to these files, or what it holds was."""
+    origins = (provenance, *provenance.get(HELD_FROM, {}).values())
+    hashes = {sha for one in origins for sha in data_hashes(one)}
+    return not hashes.isdisjoint(data_hashes(measurements.provenance))
+
+
 def identified_range(arm: Arm) -> Array | None:
     """(2, n) least and largest angles of the identification [rad, mm], None where they are not known."""
     return range_of(identified(arm), arm.joint_types)
@@ -122,32 +101,3 @@ def familiar_range(arm: Arm) -> tuple[Array, Array]:
     moved = ends + turned_into(middle[None], arm.lower, arm.upper, arm.joint_types)[0] - middle
     lower, upper = np.clip(moved, arm.lower, arm.upper)
     return lower, upper
-
-
-def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
-    """Kind, name and row numbers of every block; none of them is empty."""
-    m = len(measurements)
-    for name, rows in zip(measurements.sessions, measurements.session_rows, strict=False):
-        yield "session", name, rows
-    if m < FEWEST:
-        return
-    if not measurements.sessions:
-        for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
-            yield "time", f"quarter {k}", rows
-    # of lengths the places computed, in the frame of the base
-    measures_places = measurements.dimension > 1
-    places = (measurements.positions if measures_places else Model(arm).points(measurements.postures)[:, -1])[:, :2]
-    x, y = np.median(places, axis=0)
-    right, above = (places > [x, y]).T
-    for name, inside in (
-        (f"x > {x:.0f}, y > {y:.0f}", right & above),
-        (f"x < {x:.0f}, y > {y:.0f}", ~right & above),
-        (f"x < {x:.0f}, y < {y:.0f}", ~right & ~above),
-        (f"x > {x:.0f}, y < {y:.0f}", right & ~above),
-    ):
-        if inside.any():
-            yield "workspace", name, np.flatnonzero(inside)
-    out = outside(arm, measurements.postures)
-    if out is not None and 0 < int(out.any(axis=1).sum()) < m:
-        yield "range", "inside", np.flatnonzero(~out.any(axis=1))
-        yield "range", "outside", np.flatnonzero(out.any(axis=1))

@@ -1,0 +1,360 @@
+"""What accuracy a plan promises before anything is measured: standard deviations from the covariance.
+
+Every criterion of a plan, and the observability indices O1 to O5 of the robot calibration literature.
+
+Y. Sun, J. M. Hollerbach, "Observability index selection for robot calibration", ICRA 2008: from the singular values
+s_1 >= ... >= s_p of the identification Jacobian of all m runs, here scaled (lengths in mm, angles times link length).
+O1 is D-, O3 is E-, O5 is close to A-optimality (of deviations, not variances). Only O1's order of plans is invariant to
+units. Larger is better for each; 0 where the plan does not identify all parameters.
+
+Predicted tip error of a plan: with a correct model, and with effects of typical size missing from it.
+
+The plan is measured with noise sigma. The tip is then computed at test poses, where nothing was measured; its error
+is counted against the arm's true position, as root mean square over poses and over arms that the prior may give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from doe.criteria import A, Criterion, D, Ds, DStar, E, I
+from doe.criteria.criterion import inverses
+from doe.problem.model import offers
+from doe.problem.postures import listed_candidates, random_postures
+from doe.problem.problem import DesignProblem
+from doe.problem.uncertain import (
+    EnsembleModel,
+    average_error,
+    missing_effects,
+    robust_problem,
+    tip_jacobians,
+    workspace,
+)
+from identification.arrays import Array, readonly
+from identification.information import information_matrix, spectrum
+from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
+
+
+@dataclass(frozen=True)
+class ExpectedDeviations:
+    """Standard deviations that a plan will give.
+
+    parameters : what they belong to;  values : (p,) of every parameter [mm, rad, or its own unit]
+    orientation : (n,) of the orientation offsets dtheta_j = dq_1 + ... + dq_j of a planar chain [rad]: the paper's
+        sigma_q (eq. 25); zero where a joint offset is known, and for other chains
+    """
+
+    parameters: ParameterSet
+    values: Array
+    orientation: Array
+
+    def __post_init__(self) -> None:
+        for name in ("values", "orientation"):
+            object.__setattr__(self, name, readonly(getattr(self, name), -1))
+
+    @property
+    def planar(self) -> bool:
+        """True if length errors, joint offsets and effects are all there is: the parameters of a planar chain."""
+        return {LENGTH_ERROR, JOINT_OFFSET, EFFECT}.issuperset(self.parameters.kinds)
+
+    @property
+    def length(self) -> Array:
+        """(n,) of the length errors [mm], zero where one is known and not estimated."""
+        return self._by_joint(LENGTH_ERROR)
+
+    @property
+    def joint_offset(self) -> Array:
+        """(n,) of the joint offsets dq_j [rad], larger than those of the orientations for j >= 2
+        (identification/README.md, "Covariance and intervals")."""
+        return self._by_joint(JOINT_OFFSET)
+
+    @property
+    def largest_length(self) -> float:
+        """Largest of a length of the arm's geometry [mm]; zero where none is estimated."""
+        return self._largest("mm")
+
+    @property
+    def largest_angle(self) -> float:
+        """Largest of an angle of the arm's geometry [rad]: of a joint offset, of a planar chain."""
+        return self._largest("rad")
+
+    def _largest(self, unit: str) -> float:
+        chosen = [p.unit == unit and p.kind != EFFECT for p in self.parameters]
+        return float(np.max(self.values[chosen], initial=0.0))
+
+    def _by_joint(self, kind: str) -> Array:
+        by_joint = np.zeros(self.orientation.size)
+        for k in self.parameters.indices(kind).tolist():
+            by_joint[(self.parameters[k].joint or 0) - 1] = self.values[k]
+        return readonly(by_joint)
+
+
+def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | None:
+    """Expected error of the tip [mm], as RMS over the test poses, that a value of criterion I stands for.
+
+    runs : of the plan, those measured already apart;  None for another criterion, without sigma, and where not
+    everything is estimable. Of several measured points it is that of one of them.
+    """
+    criterion, sigma = problem.criterion, problem.model.sigma
+    if not isinstance(criterion, I) or sigma is None or not np.isfinite(value):
+        return None
+    return float(np.sqrt(max(-value, 0.0) / criterion.points / (runs + problem.prior.runs) * sigma**2 + problem.beyond))
+
+
+def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Array:
+    """(m + k + r, d, p) scaled Jacobians of m runs, of the k measured already, and of what else is known beforehand.
+
+    The last r are rows that have its information, as a measurement of those parameters would.
+    """
+    jacobians = problem.scaled_jacobians(postures)
+    if weights is not None:
+        jacobians = jacobians * np.sqrt(len(jacobians) * weights)[:, None, None]
+    informed = np.flatnonzero(problem.precisions)
+    d, p = problem.model.dimension, problem.parameters
+    rows = np.zeros((-(-len(informed) // d) * d, p))
+    rows[range(len(informed)), informed] = np.sqrt(problem.precisions[informed])
+    return np.concatenate([jacobians, problem.scaled_jacobians(problem.kept), rows.reshape(-1, d, p)])
+
+
+def expected_deviations(
+    problem: DesignProblem,
+    postures: Array,
+    sigma: float | None,
+    weights: Array | None = None,
+    judge: Callable[..., Array] = np.mean,
+) -> ExpectedDeviations | None:
+    """What the plan will give with `sigma` [mm] per coordinate; None without sigma or if the plan is not enough.
+
+    weights : (m,) of an approximate design, for m runs shared out by them; None: one run per posture
+    judge : of several arms, each judged by its own block of the Jacobian, the mean, or the worst (`np.max`) of each
+        deviation
+    """
+    if sigma is None:
+        return None
+    several = problem.model if isinstance(problem.model, EnsembleModel) else None
+    one = problem.model if several is None else several.model
+    stacked, d, parameters = plan_jacobians(problem, postures, weights), one.dimension, one.parameters
+    p, offsets = len(parameters), parameters.indices(JOINT_OFFSET).tolist()
+    sums, values, orientations = np.tri(len(offsets)), [], []  # dtheta_j = dq_1 + ... + dq_j
+    for k in range(1 if several is None else len(several.draws)):
+        decomposed = spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p))
+        if decomposed.rank < p:
+            return None
+        per_scale = sigma / parameters.scales
+        matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
+        orientation = np.zeros(problem.joints)
+        turned = sums @ matrix[np.ix_(offsets, offsets)] @ sums.T
+        orientation[[(parameters[j].joint or 0) - 1 for j in offsets]] = np.sqrt(np.diag(turned))
+        values.append(np.sqrt(np.diag(matrix)))
+        orientations.append(orientation)
+    return ExpectedDeviations(parameters, judge(values, axis=0), judge(orientations, axis=0))
+
+
+# -- observability indices ---------------------------------------------------------------------------------------------
+def observability(problem: DesignProblem, postures: Array) -> dict[str, float]:
+    """The five indices of a plan (m, n), measured postures (`kept`) included: `o1` (s_1 ... s_p)^(1/p) / sqrt(m), `o2`
+    s_p / s_1, `o3` s_p, `o4` s_p^2 / s_1, `o5` 1 / sum(1 / s_i)."""
+    jacobians = plan_jacobians(problem, postures)
+    values = np.linalg.svd(jacobians.reshape(-1, problem.parameters), compute_uv=False)
+    if spectrum(jacobians, np.ones(problem.parameters)).rank < problem.parameters:
+        return dict.fromkeys(("o1", "o2", "o3", "o4", "o5"), 0.0)
+    o1 = float(np.exp(np.mean(np.log(values))) / np.sqrt(len(postures) + len(problem.kept)))
+    largest, smallest = float(values[0]), float(values[-1])
+    o5 = float(1.0 / np.sum(1.0 / values))
+    return {"o1": o1, "o2": smallest / largest, "o3": smallest, "o4": smallest**2 / largest, "o5": o5}
+
+
+def criterion_values(problem: DesignProblem, postures: Array) -> dict[str, float | None]:
+    """Name -> value of every criterion for a plan (m, n), None where the plan does not identify enough for it.
+
+    I is the error over the `workspace`, Ds that of the parameters in mm where there are others too.
+    """
+    units = problem.model.parameters.units
+    lengths = tuple(k for k, unit in enumerate(units) if unit == "mm")
+    criteria: dict[str, Criterion] = {"D": D(), "A": A(), "E": E(), "I": average_error(problem)}
+    if 0 < len(lengths) < len(units):
+        criteria |= {"Ds": Ds(lengths), "Dstar": DStar.by_unit(units)}
+    values = {name: replace(problem, criterion=one).objective(postures) for name, one in criteria.items()}
+    return {name: value if np.isfinite(value) else None for name, value in values.items()}
+
+
+# -- error of the tip --------------------------------------------------------------------------------------------------
+SPACE = 3  # coordinates of a point
+PLANS = 50  # random plans that a plan is compared with
+POOL = 2000  # postures that they are drawn from
+BETTER = 0.5  # share of them that a plan must be better than to be worth its search
+
+
+@dataclass(frozen=True)
+class TipError:
+    """Root mean square distances [mm].
+
+    right : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its machining
+    missing : effects of typical size are missing in the model, which is fitted in the same way; infinite where none
+        are counted
+    with_prior : the same arms, fitted with the effects and their prior (`identify --library-prior`)
+    worst : as `right`, at that of the test poses where it is largest
+    """
+
+    right: float
+    missing: float
+    with_prior: float
+    worst: float = np.inf
+
+    def to_json(self) -> dict[str, float | None]:
+        """Key `tip_error_mm` (identification/files/README.md, "JSON keys"); None where a plan is not enough."""
+        errors = {"model_right": self.right, "effects_missing": self.missing, "effects_missing_prior": self.with_prior}
+        errors |= {"model_right_worst": self.worst}
+        return {name: value if np.isfinite(value) else None for name, value in errors.items()}
+
+
+@dataclass(frozen=True)
+class TipErrors:
+    """Expected tip errors of plans.
+
+    problem : of the model as it is, whose parameters may have a prior, as a spatial arm's geometry has
+    wide : `robust_problem` of it, whose added parameters come last
+    targets : (k, points, c, P) scaled Jacobian of the measured points of `wide` where the tip is needed, see
+        `tip_jacobians`
+    """
+
+    problem: DesignProblem
+    wide: DesignProblem
+    targets: Array
+
+    @classmethod
+    def of(cls, problem: DesignProblem) -> TipErrors | None:
+        """Over the `workspace`; None where there is no sigma to weigh sizes against, or no library for the model, or
+        effects may be missing in it already.
+
+        Of a diagnosed arm nothing is missing: what its data could show is in the model, and would have been shown.
+        """
+        model = problem.model
+        if model.sigma is None or not offers(model, "missing_effects") or problem.missing:
+            return None
+        poses = workspace(problem)  # once: rare postures take long to find
+        if getattr(model, "complete", False):
+            return cls(problem, problem, tip_jacobians(problem, poses))
+        wide = robust_problem(problem, missing_effects(problem), poses=poses)
+        return cls(problem, wide, tip_jacobians(wide, poses))
+
+    @cached_property
+    def _targets(self) -> Array:
+        """(k, d, P) the same, its squares a mean over the measured points, without orientations that are measured too:
+        they are no distance."""
+        k, points, _, p = self.targets.shape
+        return np.asarray(self.targets[:, :, :SPACE].reshape(k, -1, p) / np.sqrt(points))
+
+    @cached_property
+    def _weight(self) -> Array:
+        """(P, P) mean of the squares of the tip's Jacobian."""
+        return information_matrix(self._targets) / len(self._targets)
+
+    def _information(self, postures: Array) -> Array:
+        """(P, P) sum of B^T B of the plan and of what is measured already, without any prior."""
+        every = np.concatenate([postures, self.problem.kept])
+        return self.wide.weighted_information(every, np.ones(len(every)))
+
+    def with_prior(self, postures: Array) -> float:
+        """Of a plan (m, n) and the postures measured already, fitted with the effects and their prior."""
+        posterior = inverses(self._information(postures) + np.diag(self.wide.precisions))
+        if np.isinf(posterior[0, 0]):
+            return np.inf
+        return float(np.sqrt((self.wide.model.sigma or 0.0) ** 2 * np.sum(posterior * self._weight) + self.wide.beyond))
+
+    def missing(self, postures: Array) -> float:
+        """The same without the effects, which are there: the fit takes up of each what the geometry can, and the tip
+        lacks the rest; it takes the noise for that of the instrument, which each posture's own error comes on top of.
+        """
+        p, wide, information = self.problem.parameters, self.wide, self._information(postures)
+        posterior = inverses(information[:p, :p] + np.diag(self.problem.precisions))
+        if np.isinf(posterior[0, 0]):
+            return np.inf
+        sigma, noise = float(self.problem.model.sigma or 0.0) ** 2, float(wide.model.sigma or 0.0) ** 2
+        spread = sigma * posterior + (noise - sigma) * posterior @ information[:p, :p] @ posterior
+        lacking = np.concatenate([posterior @ information[:p, p:], -np.eye(wide.parameters - p)])
+        sizes = noise / wide.precisions[p:]  # squared, in scaled parameters
+        bias = float(np.sum(np.einsum("ap,ab,bp->p", lacking, self._weight, lacking, optimize=True) * sizes))
+        return float(np.sqrt(np.sum(spread * self._weight[:p, :p]) + bias + wide.beyond))
+
+    def of_plan(self, postures: Array) -> TipError:
+        """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
+        p = self.problem.parameters
+        if spectrum(plan_jacobians(self.problem, postures), np.ones(p)).rank < p:
+            return TipError(np.inf, np.inf, self.with_prior(postures))
+        posterior = inverses(self._information(postures)[:p, :p] + np.diag(self.problem.precisions))
+        targets = self._targets[..., :p]
+        right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
+        mean, largest = float(np.sqrt(right.mean())), float(np.sqrt(right.max()))
+        if self.wide.parameters == p:
+            return TipError(mean, np.inf, np.inf, largest)
+        return TipError(mean, self.missing(postures), self.with_prior(postures), largest)
+
+
+@dataclass(frozen=True)
+class ExpectedTip:
+    """What a plan promises beside random ones, where the arm may have what its model lacks: RMS distances [mm].
+
+    plan : if fitted as the plan says;  random : (`PLANS`,) of random plans of as many runs, fitted in the same way
+    fit : `library-prior`, or empty: least squares
+    """
+
+    plan: float
+    random: Array
+    fit: str
+
+    @property
+    def better_than(self) -> float:
+        """Share of the random plans that promise less."""
+        return float(np.mean(self.random > self.plan))
+
+    def to_json(self) -> dict[str, Any]:
+        """Key `expected_tip` (identification/files/README.md, "JSON keys")."""
+        figures = {"plan_mm": self.plan, "random_median_mm": float(np.median(self.random))}
+        finite = {name: value if np.isfinite(value) else None for name, value in figures.items()}
+        return finite | {"better_than": self.better_than, "random_plans": len(self.random), "fit": self.fit or None}
+
+    def __str__(self) -> str:
+        """One sentence, or two."""
+        fit = f"fitted by armcal identify --{self.fit}" if self.fit else "fitted without them"
+        where = f"Expected error of the tip if the arm has effects and error curves that its file does not name ({fit})"
+        figures = (
+            f"{self.plan:.3g} mm by this plan, {np.median(self.random):.3g} mm by the median of {PLANS} random ones"
+        )
+        share = f"better than {100.0 * self.better_than:.0f} % of them"
+        if self.better_than > BETTER:
+            return f"{where}: {figures}; {share}."
+        instead = "" if self.fit else " armcal design --robust chooses postures for that."
+        return f"{where}: {figures}. In this the plan is no better than postures chosen at random ({share}).{instead}"
+
+
+def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) -> ExpectedTip | None:
+    """What a plan (m, n) promises beside random ones; None where no sizes are known or none are counted, and for more
+    runs than `POOL`, of which random plans are all alike.
+
+    problem : that the plan was chosen for, robust or not
+    """
+    if len(postures) > POOL:
+        return None
+    if problem.missing:
+        at, everywhere = problem.criterion, replace(problem, choices=None) if problem.sampled else problem
+        targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(everywhere))
+        targets = targets if targets.ndim == 4 else targets[:, None]
+        errors: TipErrors | None = TipErrors(problem, problem, targets)
+    else:
+        errors = TipErrors.of(problem)
+    if errors is None or not errors.wide.missing:
+        return None
+    judge = errors.with_prior if problem.fit else errors.missing
+    generator, m = np.random.default_rng([seed, len(postures)]), len(postures)
+    if problem.choices is not None and not problem.sampled:
+        pool = listed_candidates(problem, problem.choices).postures
+    else:
+        pool = random_postures(problem, min(PLANS * m, POOL), generator)
+    plans = [pool[generator.choice(len(pool), m, replace=len(pool) < m)] for _ in range(PLANS)]
+    return ExpectedTip(judge(postures), np.array([judge(plan) for plan in plans]), problem.fit)

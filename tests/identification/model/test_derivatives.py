@@ -1,0 +1,101 @@
+"""Derivatives of models in space with many effects at once, by parameters and by what is added at each place, against
+central differences of the positions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from identification.arm import Arm, EffectSpec, Gravity
+from identification.conditions import Conditions
+from identification.effects.places import position_and_state, widths
+from identification.error_curve import ErrorCurve
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.orientations import turned
+from identification.kinematics.parameters import PRISMATIC
+from identification.model import Model
+
+CHAIN = chain_of(
+    [
+        DHRow(0.0, np.pi / 2, 300.0),
+        DHRow(-400.0, 0.1, 0.0),
+        DHRow(0.0, np.pi / 2, 0.0, type=PRISMATIC, limits=(100.0, 500.0)),
+        DHRow(50.0, -np.pi / 2, 80.0),
+    ]
+)
+CHAIN = replace(CHAIN, tools={"1": np.array([20.0, 30.0, 40.0]), "2": np.array([-20.0, 10.0, 60.0])})
+GRAVITY = Gravity(np.array([0.3, 0.2, -9.7]), np.array([8.0, 6.0, 4.0, 2.0]), np.full(4, 0.4), 3.0)
+SPECS = (
+    EffectSpec("joint_compliance"),
+    EffectSpec("payload_error"),  # changes what compliance does
+    EffectSpec("gravity_tilt", values={"x": 0.01}),  # half of it is known
+    EffectSpec("transmission_ripple", 2, {"k": 5.0}),
+    EffectSpec("thermal_growth"),
+    EffectSpec("base_drift"),
+    EffectSpec("base_rotation_drift"),
+    EffectSpec("bearing_compliance", 2),
+    EffectSpec("axis_runout", 4),
+    EffectSpec("tool_mass"),
+    EffectSpec("measurement_scale"),  # of the measured point, so of everything else
+    EffectSpec("payload_place"),
+)
+ROWS = 9
+WARM = Conditions(
+    temperature=np.linspace(-3.0, 3.0, ROWS), time=np.linspace(-0.5, 0.5, ROWS), marker=np.arange(ROWS) % 2.0
+)
+GENERATOR = np.random.default_rng(5)
+POSTURES = GENERATOR.uniform(-1.0, 1.0, (ROWS, 4)) + np.array([0.0, 0.0, 300.0, 0.0])
+STEP = 1e-2  # [mm] of a displacement: curvatures of some 1e-3 / mm leave 1e-7, rounding of 1e3 mm leaves 1e-11
+AGREE = {"rtol": 1e-6, "atol": 1e-6}
+
+
+def arms() -> list[Arm]:
+    """Points, poses, and curves that have a part of the geometry in them, beyond whose angles it is off."""
+    values = 1e-3 * np.sin(np.arange(9.0))
+    part = {"base.x": 0.3, "translation_x:2": 0.2, "rotation_x:3": 1e-3, "tool[2].y": -0.1, "base_drift.vx": 0.4}
+    curves = [EffectSpec("joint_error_curve", j, curve=ErrorCurve(-0.5, 0.5, values, part)) for j in (2, 4)]
+    turned_base = replace(CHAIN, base=pose((500.0, 0.0, 80.0), from_own_axes(0.3, -0.2, 2.0)))
+    return [
+        Arm(CHAIN, gravity=GRAVITY, effects=SPECS),
+        Arm(replace(CHAIN, angle_scale=300.0), gravity=GRAVITY, effects=SPECS),
+        Arm(turned_base, gravity=GRAVITY, effects=(*SPECS[:6], *curves)),
+    ]
+
+
+@pytest.mark.parametrize("arm", arms(), ids=["points", "poses", "curves"])
+def test_by_the_parameters(arm: Arm) -> None:
+    model, conditions = Model(arm), WARM
+    if arm.chain.angle_scale is not None:
+        conditions = replace(WARM, orientation=turned(GENERATOR.uniform(-1.0, 1.0, (ROWS, 3))))
+    values = np.maximum(1e-2 * GENERATOR.standard_normal(len(model.names)) / model.scales, model.parameters.lower)
+    jacobian = model.jacobian(POSTURES, values, conditions)
+    assert jacobian.shape == (ROWS, model.dimension, len(model.names))
+    for k, step in enumerate(np.diag(STEP / model.scales)):
+        ends = (model.position(POSTURES, values + sign * step, conditions) for sign in (1.0, -1.0))
+        difference = np.subtract(*ends) / (2.0 * step[k])
+        np.testing.assert_allclose(jacobian[..., k] / model.scales[k], difference / model.scales[k], **AGREE)
+
+
+@pytest.mark.parametrize("arm", arms(), ids=["points", "poses", "curves"])
+def test_by_what_is_added_at_each_place(arm: Arm) -> None:
+    """And the state, on which effects depend, is that of the expression that the levers come from."""
+    model, sizes = Model(arm), widths(arm.chain)
+    symbols, table = model.expressions, model.condition_table(POSTURES, WARM)
+    q, c, p = symbols.symbols[:3]
+    added = ca.SX.sym("added", sum(sizes.values()))
+    outputs = position_and_state(symbols.chain(q, c), symbols.effects, symbols.values(c, p), added)
+    at = ca.Function("at", [q, c, p, added], list(outputs))
+    levers, state = model.place_levers(POSTURES, model.values, WARM)
+    turning = {"gravity_turn", "joint_angles", "joint_turns", "base_rotation"}
+    units = [1e-5 if place in turning else STEP for place, size in sizes.items() for _ in range(size)]
+    for row in range(ROWS):
+        here = POSTURES[row], table[row], model.values
+        np.testing.assert_allclose(state[row], np.array(at(*here, np.zeros(len(units)))[1]).ravel(), rtol=1e-12)
+        for k, step in enumerate(np.diag(units)):
+            ends = (np.array(at(*here, sign * step)[0]).ravel() for sign in (1.0, -1.0))
+            difference = np.subtract(*ends) / (2.0 * units[k])
+            np.testing.assert_allclose(levers[row, :, k] * units[k], difference * units[k], rtol=1e-5, atol=1e-8)
