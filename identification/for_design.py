@@ -183,7 +183,7 @@ class ArmModel:
         for _ in range(BATCHES):
             anywhere = generator.uniform(lower, upper, (BATCH, len(chain)))
             targets = len(chain.instrument.targets)  # as many postures for each
-            target = np.arange(BATCH) % float(targets) if targets else None
+            target = np.arange(BATCH, dtype=float) % targets if targets else None
             q = led_to_contact(self.model, anywhere, chain.instrument.touched, units, target)
             q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
