@@ -51,8 +51,8 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
         if (part.links, part.dimension) != (first.links, first.dimension):
             counted = f"found {part.links} joints and {part.dimension} coordinates"
             raise InputError(f"{name}: {counted}, allowed: {first.links} and {first.dimension} as in the other data")
-    columns_of_all = frozenset.intersection(*(part.given for part in parts))
-    if missing := sorted(frozenset.union(*(part.given for part in parts)) - columns_of_all):
+    columns_of_all = frozenset.intersection(*(part.optional_columns for part in parts))
+    if missing := sorted(frozenset.union(*(part.optional_columns for part in parts)) - columns_of_all):
         warnings.warn(f"not in all of the data, and left out: {', '.join(missing)}", UserWarning, stacklevel=2)
     columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *columns_of_all)}
     if "repeats" in columns_of_all:

@@ -28,11 +28,11 @@ def command(
     out : Write the page.
     force : Overwrite an existing file.
     """
-    from doe.report.campaign import Campaign
+    from doe.report.campaign import PlannedCampaign
     from doe.report.page import hashes
     from identification.files.io import write_whole
 
-    campaign = Campaign.of(files)
+    campaign = PlannedCampaign.of(files)
     write_whole(out, page(campaign.document(), files), force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}

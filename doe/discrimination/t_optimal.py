@@ -38,11 +38,10 @@ if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.gap.result import Diagnosis
 
-# reasons: doe/README.md, "T-optimality"
-POOL = 1500  # random postures to choose from
-SWEEPS = 2  # exchange passes after the greedy choice
-WINDOW = 6.0  # -2 log odds, within which a rival is left: odds of 20
-NUDGE = 1e-2  # weight of the smooth part of the merit, which leads where the probability is still flat
+POOL = 1500  # effort: random postures to choose from
+SWEEPS = 2  # effort: exchange passes after the greedy choice
+WINDOW = 6.0  # convention: -2 log odds within which a rival is left, odds of 20
+NUDGE = 1e-2  # effort: weight of the smooth part of the merit, which leads where the probability is still flat
 
 
 @dataclass(frozen=True)

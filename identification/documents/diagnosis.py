@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 Data = Mapping[str, Any]  # what `armcal diagnose --json` says
 MOST = 4  # kinds of effects that a verdict spells out
-# reason: identification/README.md, "Constants"
 SHORT = 60  # characters of names that a verdict spells out; the tables have all of them
 
 

@@ -35,8 +35,9 @@ from identification.gap.verdict import MOST
 from identification.information import RANK_TOLERANCE, column_space_of
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 
-# reasons: identification/README.md, "Constants"
-GROUPS = 8  # of rows that count as independent, and parts of the rows in cross-validation
+# of rows that count as independent, and parts in cross-validation. Convention: the fewest that Ibragimov and Mueller
+# advise, since groups must be long to be independent
+GROUPS = 8
 
 Groups = NDArray[np.int64]
 

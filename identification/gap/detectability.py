@@ -18,19 +18,20 @@ from scipy.special import betaincinv, fdtrc, ncfdtr, nctdtr, stdtrit
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
-from identification.gap.blocks import RANK, Linearized, linearized
+from identification.gap.blocks import Linearized, linearized
 from identification.gap.evidence import SIZES, Index
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import HypothesisSet, hypotheses
 from identification.gap.noise import SPARE
+from identification.information import VISIBLE, product_inverse, significant
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.threads import single_thread
 
-# reasons: identification/README.md, "Constants"
-POWER, LEVEL = 0.9, 0.05  # convention
-NEAR = 0.9  # likeness: the odds of two effects stay below 20 up to lambda = 5.6
-LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test
+POWER, LEVEL = 0.9, 0.05  # convention: what is "excluded" would have been found in nine cases of ten
+# derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6
+NEAR = 0.9
+LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test, and is not linear
 
 
 class Size(NamedTuple):
@@ -179,7 +180,7 @@ def assess(library: HypothesisSet, beside: Beside, rows: Rows, sigma: float) -> 
             gram, moving = back.T @ beside.gram(own) @ back, problem.columns[number]
             lengths = np.maximum(np.linalg.norm(rows.whiten(moving), axis=0), 1e-150)
             least, fraction = np.sqrt([_least(gram), _least(gram / np.outer(lengths, lengths))]).tolist()
-            if count < freedom and least > RANK * lengths.max():
+            if count < freedom and least > VISIBLE * lengths.max():
                 needed = detectable_lambda(count, freedom - count, level * member.weight, member.one_sided)
                 moved = needed * sigma / least * float(np.linalg.norm(moving, axis=(0, 1)).max()) / np.sqrt(len(rows))
                 if moved <= LARGEST * library.base.reach:
@@ -241,7 +242,7 @@ def likenesses(gram: Array, parts: Sequence[Index]) -> Array:
         own = gram[np.ix_(part, part)]
         lengths = np.sqrt(np.maximum(np.diag(own), 1e-300))
         values, vectors = np.linalg.eigh(own / np.outer(lengths, lengths))
-        seen = values > RANK * values.max(initial=0.0)
+        seen = significant(values, VISIBLE)
         bases.append(vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None])
     widths, every = np.array([basis.shape[1] for basis in bases], dtype=np.int64), np.concatenate([ends[:0], *parts])
     owner, turn = np.repeat(np.eye(len(parts)), widths, axis=0), block_diag(*bases) if bases else np.zeros((0, 0))
@@ -315,7 +316,7 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
         own = p + 2 * number + np.arange(6)  # of the wave, and of those beside it
         own = own if order > 1.0 else np.delete(own, [2, 3])
         across = gram[np.ix_(own, rest)]
-        inner = np.linalg.pinv(gram[np.ix_(rest, rest)], hermitian=True, rcond=RANK**2)
+        inner = product_inverse(gram[np.ix_(rest, rest)])
         left = gram[np.ix_(own, own)] - across @ inner @ across.T
         parts = list(np.arange(len(own)).reshape(-1, 2))
         if likenesses(left, parts)[0, 1:].max() >= NEAR:

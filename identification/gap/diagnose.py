@@ -45,8 +45,8 @@ from identification.sessions import of_these_sessions, with_base, with_sessions,
 from identification.status import Status
 from identification.threads import single_thread
 
-IMPOSSIBLE = 1e-3  # p-value of what is left, below which the noise cannot be all: a trusted sigma, or repeats
-# reason: identification/README.md, "Constants"
+# convention: p-value of what is left, below which the noise cannot be all, by a trusted sigma or by repeats
+IMPOSSIBLE = 1e-3
 KINDS = {
     "time": "smooth in time",
     "workspace": "smooth over the workspace",

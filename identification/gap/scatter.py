@@ -20,10 +20,9 @@ from identification.arrays import Array
 from identification.gap.fit import Fit, Rows
 from identification.information import column_space
 
-# reasons: identification/README.md, "Constants"
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
-RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one
-CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next
+RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one; numerical: likelihoods are flat over a step
+CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next; numerical, as `RATIOS`
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from doe.report.first_files import dh_files, planar_files, urdf_files
 from identification import Model, load_arm, load_measurements
 from identification.arm import LENGTH_RANGE
 from identification.errors import InputError
 from identification.files.arm import arm_from_tables
 from identification.files.csv import read_table
+from identification.files.first_files import dh_files, planar_files, urdf_files
 from identification.files.urdf import read_urdf
 from tests.doe.cli.conftest import Folder
 from tests.small_arm import MASSES, urdf

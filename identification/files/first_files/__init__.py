@@ -134,7 +134,7 @@ def _files(
     usual |= {"runs": rows * max(5 * n, 20), "fresh": rows * 12, "masses": [10.0] * n, "contact": instrument.contact}
     usual |= {"guide": instrument.guide if kind else None, "measured": measured, "target": instrument.target}
     values = {**usual, "kind": kind, "columns": columns, "joints": n, "spatial": spatial, **values}
-    loader = PackageLoader("doe.report", "first_files")
+    loader = PackageLoader("identification.files", "first_files")
     environment = Environment(loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)
     environment.filters |= {"toml": _toml, "printable": printable}
     arm = f"arm_{'spatial' if spatial else 'planar'}.toml.j2"
