@@ -296,7 +296,9 @@ class DesignProblem:
     @cached_property
     def without_effect(self) -> tuple[str, ...]:
         """Names of free parameters that move the tip at no posture, as thermal growth at the mean temperature."""
-        cloud = np.random.default_rng(0).uniform(self.lower, self.upper, (16, self.joints))
+        cloud = self.choices
+        if cloud is None:
+            cloud = np.random.default_rng(0).uniform(self.lower, self.upper, (16, self.joints))
         still = ~np.any(self.scaled_jacobians(cloud), axis=(0, 1)) & (self.precisions == 0.0)
         return tuple(name for name, zero in zip(self.model.parameters.names, still, strict=True) if zero)
 
