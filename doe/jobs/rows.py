@@ -19,7 +19,7 @@ from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from identification.errors import InputError, JobError
+from identification import InputError, JobError
 from identification.files.io import provide_temporary_folder, sync_folder, write_together
 
 if TYPE_CHECKING:

@@ -33,8 +33,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from doe.jobs.rows import Key, Row, RowTable, canonical, made
-from identification.errors import InputError, JobError
-from identification.progress import Progress, silent
+from identification import InputError, JobError, Progress, silent
 
 if TYPE_CHECKING:
     import polars

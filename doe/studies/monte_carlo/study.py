@@ -27,21 +27,28 @@ from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from doe.studies.monte_carlo.specification import CELL, DFT, RANDOM, Study, points
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.errors import JobError
+from identification import (
+    JOINT_OFFSET,
+    PRISMATIC,
+    REVOLUTE,
+    Arm,
+    Array,
+    Conditions,
+    JobError,
+    Measurements,
+    Model,
+    Progress,
+    silent,
+    without_prior,
+)
 from identification.estimation import estimate_batch, estimate_each
 from identification.estimation.batch import sessions
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
 from identification.files.io import write_together
-from identification.for_design import without_prior
 from identification.information import covariance, covariances
 from identification.kinematics.counting import in_columns, in_joints
-from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, orientation_transform
-from identification.measurements import Conditions, Measurements
-from identification.model import Model
-from identification.progress import Progress, silent
+from identification.kinematics.parameters import orientation_transform
 
 PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
 

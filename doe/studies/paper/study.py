@@ -31,13 +31,8 @@ from doe.studies.paper.tables import (
     paper_arm,
     paper_truth,
 )
-from identification.arrays import Array
-from identification.errors import InputError, JobError
-from identification.estimation import estimate
+from identification import Array, InputError, JobError, Model, Progress, estimate, silent, spectrum
 from identification.files.io import check_writable, write_together
-from identification.information import spectrum
-from identification.model import Model
-from identification.progress import Progress, silent
 from identification.simulate import simulate
 
 WRONG = 0.01  # relative; rounding in the paper explains less
