@@ -8,8 +8,11 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+import identification
 
 ROOT = Path(__file__).parents[1]
 
@@ -187,10 +190,29 @@ def test_imports_go_down_only() -> None:
     wrong = []
     for path in modules():
         name = name_of(path)
+        if name == "identification":  # the table of contents, for everybody else
+            continue
         for target in imported(path.read_text(), name):
             if (other := layer(target)) is not None and other > layer(name):
                 wrong.append(f"{name} (layer {layer(name)}) imports {target} (layer {other})")
     assert not wrong
+
+
+def test_identification_itself_does_not_use_its_table_of_contents() -> None:
+    """Through it a module could reach what stands above it."""
+    names = set(identification.__all__)
+    sources = [path for path in modules() if path.relative_to(ROOT).parts[0] == "identification"]
+    nodes = [(path, node) for path in sources for node in ast.walk(parsed(path.read_text()))]
+    taken = [(path, node) for path, node in nodes if isinstance(node, ast.ImportFrom)]
+    assert not [str(path) for path, node in taken if node.module == "identification" and names & of_import(node)]
+    for name in identification.__all__:
+        value = getattr(identification, name)
+        assert not isinstance(value, ModuleType), f"{name} is a module too"
+
+
+def of_import(node: ast.ImportFrom) -> set[str]:
+    """The names that it imports."""
+    return {alias.name for alias in node.names}
 
 
 def test_layer_test_sees_an_upward_import() -> None:

@@ -35,8 +35,7 @@ from doe.criteria import Criterion, E
 from doe.criteria.criterion import Factored, log_determinants, smooth
 from doe.criteria.variances import InverseTrace
 from doe.problem.problem import PriorInformation, Stop, never
-from identification.arrays import Array
-from identification.errors import InputError, JobError
+from identification import Array, InputError, JobError
 from identification.information import CLEAR, PRODUCT_TOLERANCE, significant
 from identification.vectorize import PART
 

@@ -34,17 +34,12 @@ from doe.problem.postures import listed_candidates, random_postures
 from doe.solvers import Solver, solve
 from doe.solvers.planar_theory import optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.information import information_matrix, spectrum
-from identification.kinematics.parameters import REVOLUTE
-from identification.progress import Progress, silent
-from identification.status import Status
+from identification import REVOLUTE, Array, InputError, Progress, Status, information_matrix, silent, spectrum
 
 if TYPE_CHECKING:
     from doe.design import Design
     from doe.problem.problem import DesignProblem
-    from identification.arm import Arm
+    from identification import Arm
     from identification.gap.detectability import Detectability
 
 TURN = 2.0 * np.pi  # [rad]

@@ -25,12 +25,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from doe.criteria.criterion import log_determinants
-from identification.arrays import Array
-from identification.for_design import ArmModel
+from identification import ArmModel, Array
 
 if TYPE_CHECKING:
     from doe.problem.model import DesignModel
-    from identification.arm import Arm
+    from identification import Arm
 
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
 LAMBDA = 8.0

@@ -26,17 +26,21 @@ from scipy.special import ndtr
 from doe.plan.plan import Plan
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification.arrays import Array, readonly
-from identification.errors import InputError
+from identification import (
+    NEEDS_SIGMA,
+    Array,
+    Conditions,
+    InputError,
+    Measurements,
+    Model,
+    Status,
+    readonly,
+    refuse_contacts,
+)
 from identification.files.measurement_columns import posture_columns
-from identification.for_design import NEEDS_SIGMA, refuse_contacts
-from identification.measurements import Conditions, Measurements
-from identification.model import Model
-from identification.status import Status
 
 if TYPE_CHECKING:
-    from identification.arm import Arm
-    from identification.gap.result import Diagnosis
+    from identification import Arm, Diagnosis
 
 POOL = 1500  # effort: random postures to choose from
 SWEEPS = 2  # effort: exchange passes after the greedy choice

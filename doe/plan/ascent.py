@@ -18,8 +18,8 @@ import numpy as np
 
 from doe.criteria.criterion import smooth
 from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives, Stop, never
-from identification.arrays import Array
-from identification.information import VISIBLE, information_matrix
+from identification import Array, information_matrix
+from identification.information import VISIBLE
 
 STEPS = 400
 FIRST = 0.1  # of half the ranges, length of the first step: a longer one ends on limits

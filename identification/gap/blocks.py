@@ -99,6 +99,7 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
     low, span = rows.postures.min(axis=0), np.maximum(np.ptp(rows.postures, axis=0), 1e-9)
     corner, size = at.position.min(axis=0), np.maximum(np.ptp(at.position, axis=0), 1e-9)
     unseen = untested_joints(at.model, rows)
+    seen = d > 1 and not arm.chain.instrument.contact  # readings say where in the workspace the point is
     turning = [j for j in range(n) if np.ptp(rows.postures[:, j]) > 0.0]
     curved = {spec.joint for spec in arm.effects if spec.curve is not None}
     bases = {f"curve:{j + 1}": Basis(j, float(low[j]), float(low[j] + span[j])) for j in turning}
@@ -130,10 +131,10 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
         (timed and arm.gravity is not None, "time[load]", 0.3 * OUTSIDE, _sagging),
         (warmed, "temperature", OUTSIDE, lambda w: w.moved(warm(w))),
         (warmed, "temperature[parameters]", 0.3 * OUTSIDE, lambda w: w.varied(warm(w))),
-        (d > 1, "workspace", OUTSIDE / 4.0, partial(_smooth, corner=corner, size=size)),
-        (d > 1, "workspace[squares]", OUTSIDE / 4.0, _bent),
-        (d > 1, "workspace[axes]", OUTSIDE / 4.0, partial(_along_axes, corner=corner, size=size)),
-        (d > 1, "workspace[radius]", OUTSIDE / 4.0, _outward),
+        (seen, "workspace", OUTSIDE / 4.0, partial(_smooth, corner=corner, size=size)),
+        (seen, "workspace[squares]", OUTSIDE / 4.0, _bent),
+        (seen, "workspace[axes]", OUTSIDE / 4.0, partial(_along_axes, corner=corner, size=size)),
+        (seen, "workspace[radius]", OUTSIDE / 4.0, _outward),
     ]
     for possible, label, weight, columns in table:
         if possible:

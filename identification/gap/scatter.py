@@ -63,7 +63,8 @@ class NoiseModel:
 def noises(rows: Rows, at: Fit) -> Iterator[NoiseModel]:
     """White noise, and every other that these rows can have, at a fitted model."""
     where = (rows.postures, at.values, rows.conditions)
-    forms = variance_forms(rows, at.model.position(*where), at.model.joint_levers(*where))
+    reads = not at.model.arm.chain.instrument.contact  # else nothing says how far away the point is
+    forms = variance_forms(rows, reads * at.model.position(*where), at.model.joint_levers(*where))
     joints = sum(name.startswith("joint") for name in forms)
     yield NoiseModel("", 0.0, rows, 0.0)
     for name, form in forms.items():

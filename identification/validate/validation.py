@@ -416,12 +416,15 @@ def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
     """Those that a refit may estimate, among others."""
     if arm.chain.planar:
         return Model(with_base_offset(arm)).all_parameters
-    return with_markers(one_unnamed(arm.chain, measurements), measurements).every_parameter
+    chain = with_markers(one_unnamed(arm.chain, measurements), measurements)
+    if chain.instrument.own_targets:
+        chain = placed_model(Model(replace(arm, chain=chain)), measurements).arm.chain
+    return chain.every_parameter
 
 
 def check_names(chain: SpatialChain, measurements: Measurements) -> None:
     """Raise `InputError` for measured points that a chain does not have, where they are not to be estimated."""
-    if len(chain.tools) == 1 == len(measurements.marker_names):
+    if chain.instrument.own_targets or len(chain.tools) == 1 == len(measurements.marker_names):
         return  # one point is the one that is measured, whatever the data call it
     fault = "no column marker, and the arm has several measured points" if not measurements.marker_names else ""
     fresh = [repr(name) for name in measurements.marker_names if name not in chain.tools]
@@ -433,7 +436,7 @@ def check_names(chain: SpatialChain, measurements: Measurements) -> None:
 
 def fresh_points(chain: SpatialChain, measurements: Measurements) -> list[str]:
     """What is said of measured points that the calibration does not have: they are fitted to these measurements."""
-    names = measurements.marker_names
+    names = () if chain.instrument.own_targets else measurements.marker_names
     if not names and len(chain.tools) > 1:
         several = "where they are of several, name them in the column marker"
         return [
