@@ -182,7 +182,7 @@ class Measurements(ByValue):
         return int(self.positions.shape[1])
 
     @property
-    def given(self) -> frozenset[str]:
+    def optional_columns(self) -> frozenset[str]:
         """Names of the optional columns the data has: those of order, sigma and so on, session and marker."""
         columns = {*OPTIONAL, "session", "marker"} - {"gaps"}
         return frozenset(name for name in columns if getattr(self, name) is not None)
@@ -254,9 +254,9 @@ class Measurements(ByValue):
 
     @cached_property
     def originals(self) -> NDArray[np.int64]:
-        """(m,) number of the first row of equal angles, position, orientation, marker and session, to the last digit:
-        of a copied row another number than its own."""
-        numbers = (self.marker_numbers, self._session_numbers, self.orientations)
+        """(m,) number of the first row of equal angles, position, orientation and marker, to the last digit: of a
+        copied row, in this or another session, another number than its own."""
+        numbers = (self.marker_numbers, self.orientations)
         other_columns = [np.reshape(column, (len(self), -1)) for column in numbers if column is not None]
         rows = np.column_stack([self.postures, self.positions, *other_columns])
         _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -317,6 +317,13 @@ class Measurements(ByValue):
         Directions and the past stay what they were among all rows; session time and the mean temperature are those of
         the subset.
         """
-        frozen = replace(self, directions=self._directions, past=self._past)
-        columns = [name for name in (*VALUES, "session", "marker", "past") if getattr(frozen, name) is not None]
-        return replace(frozen, **{name: getattr(frozen, name)[index] for name in columns})
+        return replace(self, directions=self._directions, past=self._past)._picked(index)
+
+    def without_copies(self) -> Self:
+        """The rows without exact copies of others, as if they had not been listed again."""
+        once = self._picked(np.unique(self.originals))
+        return replace(once, session_names=once.sessions)
+
+    def _picked(self, index: Any) -> Self:
+        columns = [name for name in (*VALUES, "session", "marker", "past") if getattr(self, name) is not None]
+        return replace(self, **{name: getattr(self, name)[index] for name in columns})

@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 
 import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
-from identification.conditions import REMEMBERED, Conditions
+from identification.conditions import REMEMBERED
 from identification.errors import InputError
 from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.spatial import SpatialChain, in_space, turned_about
 
-ORIENTATION = 10  # columns of a measured orientation: nine, and whether there is none
+
+def condition_slices(links: int, extra: Collection[str] = ()) -> dict[str, slice]:
+    """Where each condition of a model stands among its columns: those of `Conditions.table`, and of these in order what
+    the model has besides.
+
+    extra : `past` of the joints, if an effect has a memory; `marker`, where there are several; `orientation`, what was
+        measured, column by column, and 1 where there is none; `errors` of the joints by their curves, and the share of
+        the curves' geometry that is off
+    """
+    sizes = {"payload": 1, "temperature": 1, "time": 1, "session": 1, "directions": links}
+    sizes |= {"past": links * REMEMBERED} if "past" in extra else {}
+    sizes |= {"marker": 1} if "marker" in extra else {}
+    sizes |= {"reference": 9, "missing": 1} if "orientation" in extra else {}
+    sizes |= {"errors": links, "off": 1} if "errors" in extra else {}
+    ends = accumulate(sizes.values())
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -39,11 +56,13 @@ class Chain:
     reference: ca.SX | None = None  # (9,) orientation to compare with, by columns, None: none is measured
 
     @classmethod
-    def of(cls, arm: Arm, q: ca.SX, c: ca.SX) -> Chain:
-        """An arm at a posture q (n) under conditions c, the columns of `Conditions.table` with or without the past."""
-        n, first = arm.links, Conditions.columns(arm.links)
-        past = ca.reshape(c[first:], REMEMBERED, n).T if c.numel() > first else None
-        return cls(arm.chain, arm.gravity, q, c[0], c[1], c[2], c[3], c[4 : 4 + n], past)
+    def of(cls, arm: Arm, q: ca.SX, c: ca.SX, extra: Collection[str] = ()) -> Chain:
+        """An arm at a posture q (n) under conditions c, whose columns are those of `condition_slices`."""
+        at = {name: c[place] for name, place in condition_slices(arm.links, extra).items()}
+        past = ca.reshape(at["past"], REMEMBERED, arm.links).T if "past" in at else None
+        plain = [at[name] for name in ("payload", "temperature", "time", "session", "directions")]
+        further = replace(cls(arm.chain, arm.gravity, q, *plain), past=past, errors=at.get("errors"))
+        return replace(further, marker=at.get("marker"), reference=at.get("reference"))
 
     @property
     def previous(self) -> ca.SX:
@@ -123,30 +142,3 @@ class Chain:
         """(3,) force [N] of all loads on links >= `beyond`, from 0, in the axes of a joint's frame."""
         mass = sum((mass for mass, k, _ in self.loads if k >= beyond), ca.SX(0))
         return ca.mtimes(self.frames[joint + 1].axes.T, mass * self.acceleration)
-
-
-def condition_width(links: int, remembers: bool, extra: tuple[str, ...]) -> int:
-    """Number of columns of the conditions of a model."""
-    return orientation_columns(links, remembers, extra).stop + (links + 1) * ("errors" in extra)
-
-
-def orientation_columns(links: int, remembers: bool, extra: tuple[str, ...]) -> slice:
-    """Columns of a measured orientation among those of the conditions; empty without one."""
-    start = Conditions.columns(links, remembers) + ("marker" in extra)
-    return slice(start, start + ORIENTATION * ("orientation" in extra))
-
-
-def chain_at(arm: Arm, q: ca.SX, c: ca.SX, remembers: bool, extra: tuple[str, ...]) -> Chain:
-    """The nominal chain at the symbols of a posture and its conditions.
-
-    extra : further columns of the conditions, in order: `marker`; `orientation` as measured (nine elements, column by
-        column, and 1 where there is none); `errors`, values of error curves,
-        and the share of their geometry that is off
-    """
-    width, measured = Conditions.columns(arm.links, remembers), orientation_columns(arm.links, remembers, extra)
-    chain = Chain.of(arm, q, c[:width])
-    if "marker" in extra:
-        chain = replace(chain, marker=c[width])
-    if "orientation" in extra:
-        chain = replace(chain, reference=c[measured.start : measured.stop - 1])
-    return replace(chain, errors=c[measured.stop : measured.stop + arm.links]) if "errors" in extra else chain

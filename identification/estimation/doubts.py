@@ -244,7 +244,7 @@ def copied_rows(measurements: Measurements) -> list[str]:
     number = "1 row is an exact copy" if rows.size == 1 else f"{rows.size} rows are exact copies"
     no = "it is no measurement of its own" if rows.size == 1 else "they are no measurements of their own"
     seen = f"{number} of another (of {len(measurements)} rows): the first row {copy} of row {original}"
-    return [f"{seen}: {no}, which identify does not count"]
+    return [f"{seen}: {no}, which identify and diagnose do not count"]
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,10 @@ from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.sessions import SESSIONS
 
-# reasons: identification/README.md, "Constants"
-LIKELY = 0.5  # of the rest of the library, below which the average is over the sets without it
-VARIES = 1e-8  # least eigenvalue of correlations that is not rounding
-TIDY = 7  # decimals of a value in degrees, in files
+# convention: of the rest of the library; if less likely, the average is over the sets without it
+LIKELY = 0.5
+VARIES = 1e-8  # least eigenvalue of correlations; numerical: those of the average have rounding of 1e-9
+TIDY = 7  # decimals of a value in degrees, in files; numerical: 2e-6 mm at 1 m
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,24 +176,27 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
     values = np.clip(mixed.mean[index], plain.parameters.lower, plain.parameters.upper)
     curves = tuple(_curve(held, mixed, b, at, values, plain) for b, at in mixed.places.values() if b.basis is not None)
-    every = (*specs, *(curve.spec for curve in curves))
-    model = Model(arm.with_effects(*arm.effects, *every))
+    entries = (*specs, *(curve.spec for curve in curves))
+    model = Model(arm.with_effects(*arm.effects, *entries))
     freedom = max(rows - round(mixed.effective), 1)
     of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
     spread[np.ix_(of_base, of_base)] = mixed.normal[np.ix_(index[of_base], index[of_base])]
-    jacobian = model.jacobian(held.rows.postures, values, held.rows.conditions)
-    spread /= max(_mean_trace(jacobian, spread), 1e-300)
     # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
     # measured as much more as the curves are uncertain, and what a file cannot have is there
+    jacobian = model.jacobian(held.rows.postures, values, held.rows.conditions)
     where = Where(held.at.model, held.at.values, held.rows.postures, held.rows.conditions)
     tables = [
         (b.columns(where), at) for b, at in mixed.places.values() if b.basis is not None and b.columns is not None
     ]
     of_curves = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in tables)])
+    whole, every = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
+    tall = whole.reshape(-1, whole.shape[2])
+    gram = tall.T @ tall / len(whole)  # of a covariance C the mean square distance is the sum of gram * C
+    inside = gram[: len(index), : len(index)]
+    spread /= max(float(np.sum(inside * spread)), 1e-300)
     covariance = beside_known(mixed.covariance, index, of_curves)
-    written = PredictingModel(model, values, covariance, every, curves, mixed.sigma, freedom, spread)
-    whole, both = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
-    more = _mean_trace(whole, mixed.covariance[np.ix_(both, both)]) - _mean_trace(jacobian, covariance)
+    written = PredictingModel(model, values, covariance, entries, curves, mixed.sigma, freedom, spread)
+    more = float(np.sum(gram * mixed.covariance[np.ix_(every, every)]) - np.sum(inside * covariance))
     lacking = held.noise_variance - found.noise_variance
     return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
 
@@ -212,22 +215,17 @@ def beside_known(covariance: Array, kept: Index, known: Index) -> Array:
     return covariance[np.ix_(kept, kept)] - across @ across.T
 
 
-def _mean_trace(columns: Array, covariance: Array) -> float:
-    """Mean over rows of tr(L C L^T)."""
-    return float(np.sum((columns @ covariance) * columns)) / len(columns)
-
-
 def _curve(found: Posterior, mixed: Mixture, block: Block, part: Index, values: Array, model: Model) -> Curve:
     """The error curve of a joint."""
     basis = block.basis
     assert basis is not None
     angles = np.linspace(basis.start, basis.stop, 2 * WAVES + 1)
     functions = basis.at(angles)
-    error, variance = (
-        functions @ mixed.mean[part],
-        np.sum((functions @ mixed.covariance[np.ix_(part, part)]) * functions, axis=1),
-    )
-    geometry = dict(zip(found.library.base.names, mixed.response[:, part] @ mixed.mean[part], strict=True))
+    # beside the geometry that goes with it: what the two exchange makes no difference to any point
+    base = found.library.base.names
+    covariance = beside_known(mixed.covariance, part, np.arange(len(base)))
+    error, variance = functions @ mixed.mean[part], np.sum((functions @ covariance) * functions, axis=1)
+    geometry = dict(zip(base, mixed.response[:, part] @ mixed.mean[part], strict=True))
     table = basis.table(np.radians(np.round(np.degrees(error[::2]), TIDY)))
     table = replace(table, geometry=_tied(model, geometry, values))
     std = np.sqrt(np.maximum(variance, 0.0))

@@ -13,6 +13,7 @@ from functools import cached_property, partial
 from itertools import pairwise, product
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import block_diag
 
 from identification.arrays import Array
@@ -21,18 +22,17 @@ from identification.gap.columns import Basis, Where, times
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
 from identification.gap.hypotheses import Block, HypothesisSet, untested_joints
-from identification.information import column_space_of
+from identification.information import VISIBLE, column_space_of, significant
 from identification.kinematics.parameters import REVOLUTE
 
-# reasons: identification/README.md, "Constants"
-ALIKE = 0.3  # relative scatter of one family's parameters over the joints
-RANK = 1e-6  # of a square: less left of columns beside the base model, or beside each other, cannot be seen
-FAINT = 0.03  # expected square of a combination of columns at the block's largest size, below which it is left out
-OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect
-TIMES = 12  # half periods in a session of the fastest smooth function of time
-SLOW = 3  # half periods, of orders of functions of several variables
+ALIKE = 0.3  # convention: relative scatter of one family's parameters over the joints, which are of one make
+# numerical: expected square of a combination of columns at the block's largest size, below which it is left out
+FAINT = 0.03
+OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect of the whole arm
+TIMES = 12  # convention: half periods in a session of the fastest smooth function of time
+SLOW = 3  # convention: half periods, of orders of functions of several variables
 REST = "library"  # label of the rest of the library
-REST_SIZES = 2  # of `SIZES` that it may have: what is larger shows one effect at a time
+REST_SIZES = 2  # of `SIZES` that it may have; prior: what is larger shows one effect at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +99,7 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
     low, span = rows.postures.min(axis=0), np.maximum(np.ptp(rows.postures, axis=0), 1e-9)
     corner, size = at.position.min(axis=0), np.maximum(np.ptp(at.position, axis=0), 1e-9)
     unseen = untested_joints(at.model, rows)
+    seen = d > 1 and not arm.chain.instrument.contact  # readings say where in the workspace the point is
     turning = [j for j in range(n) if np.ptp(rows.postures[:, j]) > 0.0]
     curved = {spec.joint for spec in arm.effects if spec.curve is not None}
     bases = {f"curve:{j + 1}": Basis(j, float(low[j]), float(low[j] + span[j])) for j in turning}
@@ -130,10 +131,10 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
         (timed and arm.gravity is not None, "time[load]", 0.3 * OUTSIDE, _sagging),
         (warmed, "temperature", OUTSIDE, lambda w: w.moved(warm(w))),
         (warmed, "temperature[parameters]", 0.3 * OUTSIDE, lambda w: w.varied(warm(w))),
-        (d > 1, "workspace", OUTSIDE / 4.0, partial(_smooth, corner=corner, size=size)),
-        (d > 1, "workspace[squares]", OUTSIDE / 4.0, _bent),
-        (d > 1, "workspace[axes]", OUTSIDE / 4.0, partial(_along_axes, corner=corner, size=size)),
-        (d > 1, "workspace[radius]", OUTSIDE / 4.0, _outward),
+        (seen, "workspace", OUTSIDE / 4.0, partial(_smooth, corner=corner, size=size)),
+        (seen, "workspace[squares]", OUTSIDE / 4.0, _bent),
+        (seen, "workspace[axes]", OUTSIDE / 4.0, partial(_along_axes, corner=corner, size=size)),
+        (seen, "workspace[radius]", OUTSIDE / 4.0, _outward),
     ]
     for possible, label, weight, columns in table:
         if possible:
@@ -231,12 +232,12 @@ def linearized(
     at: Fit,
     rows: Rows,
     wrong: Sequence[int] = (),
-    outside: frozenset[str] | None = None,
+    outside: bool = True,
 ) -> Linearized:
     """All blocks at a fitted model `at`, which may have effects of the library in it, for rows with any noise model.
 
     wrong : rows that may be outlying
-    outside : labels of blocks outside the library, None: all
+    outside : whether blocks outside the library are among them
     """
     model, (y, jacobian, base) = at.model, library.as_base(at, rows)
     # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
@@ -249,7 +250,7 @@ def linearized(
         for h, c in zip(library.members, neutral, strict=True)
     ]
     where = Where(model, at.values, rows.postures, rows.conditions)
-    further = [one for one in outside_blocks(rows, where) if outside is None or one.label in outside]
+    further = list(outside_blocks(rows, where)) if outside else []
     columns = [*of_library, *(one.columns(where) for one in further if one.columns is not None)]
     blocks: list[Block] = [*library.members, *further]
     for k in wrong:
@@ -258,40 +259,45 @@ def linearized(
         columns.append(shift)
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
     starts = np.concatenate([[0], np.cumsum([c.shape[2] for c in columns])])
+    parts = [slice(low, high) for low, high in pairwise(starts)]
     white, target = rows.whiten(np.concatenate(columns, axis=2)), rows.whiten(y)
     u, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
-    inside, before = u.T @ white, np.einsum("np,np->p", white, white)
-    white -= u @ inside
+    inside, gram = u.T @ white, white.T @ white
+    squares = np.diag(gram).copy()
+    gram -= inside.T @ inside
     left = target - u @ (u.T @ target)
-    parts = [slice(low, high) for low, high in pairwise(starts)]
-    squares = [float(np.sum(before[p])) for p in parts]
-    every = [_root(white[:, p].T @ white[:, p], s, b) for p, s, b in zip(parts, squares, blocks, strict=True)]
+    right = left @ white
+    every = [_root(gram[p, p], float(np.sum(squares[p])), b) for p, b in zip(parts, blocks, strict=True)]
     shown = [k for k, root in enumerate(every) if root.shape[1]]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]
-    z = [white[:, parts[k]] @ every[k] for k in shown]
-    turned = [inside[:, parts[k]] @ every[k] for k in shown]
+    turn = sparse.block_diag([root.T for root in every], format="csr")  # (P, p)
+    gram = turn @ np.ascontiguousarray((turn @ gram).T)
+    right, inside = turn @ right, np.ascontiguousarray((turn @ np.ascontiguousarray(inside.T)).T)
+    ends = np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])])
     many = [k for k, b in enumerate(blocks) if _common(b, library)]
-    if len(many) > 1 and (outside is None or REST in outside):
+    if len(many) > 1 and outside:
         # the rest of the library as one block: each of its effects, and each error curve, with the same expected square
-        together = np.concatenate([z[k] for k in many], axis=1) / np.sqrt(len(many))
-        values, vectors = np.linalg.eigh(together.T @ together)
+        own = np.concatenate([np.arange(*ends[k : k + 2]) for k in many])
+        values, vectors = np.linalg.eigh(gram[np.ix_(own, own)] / len(many))
         vectors = vectors[:, values * SIZES[REST_SIZES - 1] ** 2 > FAINT] / np.sqrt(len(many))
-        z.append(np.concatenate([z[k] for k in many], axis=1) @ vectors)
-        turned.append(np.concatenate([turned[k] for k in many], axis=1) @ vectors)
+        across = gram[:, own] @ vectors
+        gram = np.block([[gram, across], [across.T, vectors.T @ across[own]]])
+        right, inside = np.append(right, right[own] @ vectors), np.hstack([inside, inside[:, own] @ vectors])
+        ends = np.append(ends, len(right))
         roots.append(np.asarray(block_diag(*(roots[k] for k in many))) @ vectors)
         columns.append(np.concatenate([columns[k] for k in many], axis=2))
         blocks.append(Block(REST, REST, 1.0, parts=tuple(blocks[k] for k in many)))
-    products = Products.of(
-        np.concatenate([np.zeros((len(left), 0)), *z], axis=1),
-        left,
+    products = Products(
+        gram,
+        right,
+        float(left @ left),
         len(target) - u.shape[1],
-        np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])]),
+        ends,
         np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
         np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64),
     )
-    moved = np.concatenate([np.zeros((u.shape[1], 0)), *turned], axis=1)
-    response, place = -back @ moved, at.values[base] + back @ (u.T @ target)
-    return Linearized(tuple(blocks), products, tuple(roots), response, place, back @ back.T, tuple(columns))
+    place = at.values[base] + back @ (u.T @ target)
+    return Linearized(tuple(blocks), products, tuple(roots), -back @ inside, place, back @ back.T, tuple(columns))
 
 
 def _common(block: Block, library: HypothesisSet) -> bool:
@@ -310,7 +316,7 @@ def _root(gram: Array, before: float, block: Block) -> Array:
     An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
     of `ALIKE`; what is outside the library has its own columns scaled alone.
     """
-    if not np.trace(gram) > RANK * before:
+    if not np.trace(gram) > VISIBLE * before:
         return np.zeros((len(gram), 0))
     if block.member is None:
         values, vectors = np.linalg.eigh(gram / np.trace(gram))
@@ -320,6 +326,6 @@ def _root(gram: Array, before: float, block: Block) -> Array:
         return np.asarray(np.linalg.cholesky(alike / np.sum(gram * alike)))
     lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
-    seen = values > RANK * values[-1]
+    seen = significant(values, VISIBLE)
     root = vectors[:, seen] / np.sqrt(values[seen] * seen.sum()) / lengths[:, None]
     return np.asarray(np.abs(root) if len(gram) == 1 else root)

@@ -20,15 +20,14 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Effect, Setting
-from identification.effects.chain import chain_at, condition_width
+from identification.effects.chain import Chain, condition_slices
 from identification.effects.places import contributions, in_state, state_size
 from identification.error_curve import ErrorCurve, local_splines
 from identification.model import Model
 from identification.vectorize import vectorize
 
-# reasons: identification/README.md, "Constants"
 KEPT = 128  # effort: models compiled and formulas set up, of some arms
-WAVES = 30  # half periods of an error curve over the angles of its joint
+WAVES = 30  # half periods of an error curve over the angles of its joint; convention: what a person would call smooth
 # an effect's class, joint, and names of its settings where they are scanned, else names and values
 Key = tuple[type[Effect], int | None, tuple[str, ...] | tuple[tuple[str, float], ...]]
 
@@ -42,8 +41,9 @@ class Symbols:
     def __init__(self, arm: Arm, remembers: bool) -> None:
         n, self.arm, self.remembers = arm.links, arm, remembers
         self.q, self.state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(arm.chain))
-        self.c = ca.SX.sym("c", condition_width(n, remembers, ()))
-        self.chain = chain_at(arm, self.q, self.c, remembers, ())
+        extra = ("past",) if remembers else ()
+        self.c = ca.SX.sym("c", max(place.stop for place in condition_slices(n, extra).values()))
+        self.chain = Chain.of(arm, self.q, self.c, extra)
         self.loaded = in_state(self.chain, self.state)
 
     def added(self, effect: Effect) -> tuple[ca.SX, ca.SX]:

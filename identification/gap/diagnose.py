@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import rows_in_words
@@ -30,7 +31,7 @@ from identification.gap.detectability import Beside, assess, look_alikes, order_
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import misfit, noise_floor, repeat_finding
-from identification.gap.posterior import MOST_ROWS, Explanation, Posterior, posterior
+from identification.gap.posterior import MOST_ROWS, STAGES, Explanation, Posterior, posterior
 from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, candidate_of, trials
 from identification.gap.scatter import Finding
@@ -44,8 +45,8 @@ from identification.sessions import of_these_sessions, with_base, with_sessions,
 from identification.status import Status
 from identification.threads import single_thread
 
-IMPOSSIBLE = 1e-3  # p-value of what is left, below which the noise cannot be all: a trusted sigma, or repeats
-# reason: identification/README.md, "Constants"
+# convention: p-value of what is left, below which the noise cannot be all, by a trusted sigma or by repeats
+IMPOSSIBLE = 1e-3
 KINDS = {
     "time": "smooth in time",
     "workspace": "smooth over the workspace",
@@ -77,6 +78,8 @@ def diagnose(
     freedom, a single posture or position, and a hold-out of another arm or one that shares rows with the data.
     """
     check_input(arm, measurements, holdout)
+    copies, numbers = copied_rows(measurements), np.unique(measurements.originals)
+    measurements = measurements.without_copies() if copies else measurements
     holdout = None if holdout is None else of_these_sessions(holdout, measurements)
     given = practical(arm, measurements)
     arm, rows, generator = with_sessions(given, measurements), Rows.of(measurements), np.random.default_rng(seed)
@@ -90,9 +93,11 @@ def diagnose(
     require_spare(base.freedom, len(rows))
     if holdout is not None:
         check_same_arm(base, measurements, holdout)
-    found = posterior(library, rows, generator, lambda message: progress(0.1, 1.0, f"step 2 of 3: {message}"))
+    shares = iter(np.linspace(0.1, 0.7, STAGES, endpoint=False).tolist())
+    found = posterior(library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}"))
     progress(0.7, 1.0, "step 3 of 3: fits, tests on other rows")
-    result = diagnosis_of(found, measurements, holdout, generator)
+    result = diagnosis_of(found, measurements, holdout, generator, numbers + 1)
+    result = replace(result, warnings=(*result.warnings, *copies))
     progress(1.0, 1.0, result.sentence)
     return result if arm is given else of_first_session(result, given)
 
@@ -108,6 +113,11 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
         if not (touching and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
     if holdout is not None:
+        if arm.chain.instrument.own_targets and (new := {*holdout.marker_names} - {*measurements.marker_names}):
+            what, names = arm.chain.instrument.target, ", ".join(measurements.marker_names)
+            raise InputError(
+                f"holdout: found {what} {min(new)!r}, allowed: {names}, as in the data; or armcal validate"
+            )
         check_holdout(measurements, holdout)
 
 
@@ -121,9 +131,13 @@ def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
 
 
 def diagnosis_of(
-    found: Posterior, measurements: Measurements, holdout: Measurements | None, generator: np.random.Generator
+    found: Posterior,
+    measurements: Measurements,
+    holdout: Measurements | None,
+    generator: np.random.Generator,
+    numbers: NDArray[np.int64],
 ) -> Diagnosis:
-    """Everything that is read off the posterior."""
+    """Everything that is read off the posterior;  numbers : (m,) of the rows in the table that was given, from 1"""
     library, conditions, rows = found.library, measurements.conditions, found.rows
     kept = np.ones(len(rows), dtype=bool)
     kept[list(found.best.wrong)] = False
@@ -186,8 +200,8 @@ def diagnosis_of(
         where=place,
         shape=shape_of(place, curves, shown),
         scatter=noise_findings(found, repeats),
-        outlier_rows=tuple((np.flatnonzero(~kept) + 1).tolist()),
-        unexplained_rows=tuple((np.flatnonzero(far) + 1).tolist()),
+        outlier_rows=tuple(numbers[~kept].tolist()),
+        unexplained_rows=tuple(numbers[far].tolist()),
         gap=Gap.of(rms_distance(before[kept]), rms_distance(after[kept]), floor, confirmation),
         trials=trials(found, beside),
         detectability=sees,
@@ -204,7 +218,6 @@ def diagnosis_of(
             *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
             *another_frame(library.arm, measurements),
             *outside_limits(library.arm, measurements),
-            *copied_rows(measurements),
             *other_set_up(confirmation),
         ),
         shapes=order_ranges(fitted, named.effects),
@@ -213,7 +226,7 @@ def diagnosis_of(
         ),
         curves=curves,
     )
-    return replace(result, notes=tuple(notes(result, found, measurements, fitted, holdout)))
+    return replace(result, notes=tuple(notes(result, found, measurements, fitted, holdout, numbers)))
 
 
 def candidate_in(found: Posterior, likely: Probabilities, beside: Beside, one: Explanation, fitted: Fit) -> Candidate:
@@ -258,9 +271,14 @@ def shape_of(place: str | None, curves: Sequence[Curve], one: Explanation) -> st
 
 
 def notes(
-    result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit, holdout: Measurements | None
+    result: Diagnosis,
+    posterior: Posterior,
+    measurements: Measurements,
+    best: Fit,
+    holdout: Measurements | None,
+    numbers: NDArray[np.int64],
 ) -> list[str]:
-    """Sentences to read before the verdict is trusted;  best : fit of the likeliest set"""
+    """Sentences to read before the verdict is trusted;  best : fit of the likeliest set;  numbers : of the rows"""
     listed = []
     for effect in result.effects:
         waves = [(like, share) for key, like, share in result.aliases if key == effect and "[" in like]
@@ -301,8 +319,9 @@ def notes(
         listed.append(f"{which} validate and compensate take it")
     if holdout is not None and any("drift" in h.key for h in posterior.best.effects):
         listed.append("a drift of one session does not carry over to another; confirm it on held-out rows of this one")
-    if rows := [k - 1 for k in result.unexplained_rows]:
-        far = f"up to {distances(result.residuals.after)[rows].max():.3g} mm off"
-        which = rows_in_words(np.isin(np.arange(len(measurements)), rows))
+    if result.unexplained_rows:
+        far = distances(result.residuals.after)[np.isin(numbers, result.unexplained_rows)].max()
+        far = f"up to {far:.3g} mm off"
+        which = rows_in_words(np.isin(np.arange(numbers[-1]) + 1, result.unexplained_rows))
         listed.append(f"{which} are not explained ({far}); they stay in, as whole postures or neighbors")
     return listed

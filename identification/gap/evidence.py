@@ -9,66 +9,36 @@ c = Z^T y and y^T y enter. For a set A with sizes s, D = diag(s) and f degrees o
 relative to nothing missing (A. Zellner, 1971). The columns of a block are scaled such that s_b^2 is the expected
 square, in units of the noise, of what the block contributes to the rows; s_b is one of `SIZES`.
 
-A set is changed by one block at a time, and what it leaves of all columns, V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z, by a term
-of that block's rank (M. A. Woodbury, 1950): Z_A is never factorized anew.
+What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z; of it the scores and the blocks' own parts are
+kept. A set changes by one block at a time: with one block less, and with another in its place, V changes by a term of
+that block's rank (M. A. Woodbury, 1950).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 from scipy.special import log_ndtr
 
 from identification.arrays import Array, eigen_of_pairs
 
-# reasons: identification/README.md, "Constants"
-SIZES: Array = 3.0 * np.exp2(np.arange(14))  # of a block's contribution, in standard deviations of the noise
-DIGITS = 1e-7  # of the scores, which a set's coefficients explain but for rounding
-LEAST = 1e-14  # of y^T y: what rounding leaves of a sum of squares
+# of a block's contribution, in standard deviations of the noise. Prior: from what can just not be seen by itself to a
+# tenth of the reach, equally spaced in log lambda
+SIZES: Array = 3.0 * np.exp2(np.arange(14))
+LEAST = 1e-14  # of y^T y; numerical: what rounding leaves of a sum of squares
 
 Index = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """A set of M blocks with k columns, and what it leaves of all P columns.
-
-    blocks, sizes : numbers of the blocks in ascending order, and of their sizes in `SIZES`
-    places : (k,) of its columns among all, in the order of `order`, in which the blocks were added
-    mean, covariance : (k,) and (k, k) of the posterior of its coefficients, for unit sigma
-    shares : (k, P) by which its coefficients take up a unit of each column
-    scores : (P,) V's counterpart of c;  within : of each group of `Products.alike` the blocks' own parts of V
-    squares : R;  volume : log |I + D G_A D|
-    """
-
-    order: tuple[tuple[int, int], ...]
-    places: Index
-    mean: Array
-    covariance: Array
-    shares: Array
-    scores: Array
-    within: tuple[Array, ...]
-    squares: float
-    volume: float
-
-    @cached_property
-    def key(self) -> tuple[tuple[int, int], ...]:
-        """Pairs of block and size, ascending."""
-        return tuple(sorted(self.order))
-
-    @cached_property
-    def blocks(self) -> tuple[int, ...]:
-        """Numbers of the blocks, ascending."""
-        return tuple(block for block, _ in self.key)
+Key = tuple[tuple[int, int], ...]  # blocks with the numbers of their sizes, ascending
 
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Products of the columns of B blocks, projected off the base model.
+    """Products of the P columns of B blocks, projected off the base model.
 
     gram, right : (P, P) G and (P,) c;  squares : y^T y;  freedom : f
     starts : (B + 1,) first column of each block, and P;  signs : (B,) 1 where the only parameter cannot be negative
@@ -108,139 +78,207 @@ class Products:
         return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(*self.starts[b : b + 2]) for b in blocks)])
 
     @cached_property
-    def alike(self) -> list[tuple[Index, Index]]:
-        """Blocks of one width: their numbers (b,) and columns (b, w)."""
-        numbers = [np.flatnonzero(self.widths == width) for width in np.unique(self.widths)]
-        return [(b, self.starts[b][:, None] + np.arange(self.widths[b[0]])) for b in numbers]
+    def alike(self) -> list[Index]:
+        """Of the blocks of each width w their columns (b, w)."""
+        widths = np.unique(self.widths)
+        return [self.starts[np.flatnonzero(self.widths == w)][:, None] + np.arange(w) for w in widths]
 
     @cached_property
     def nothing(self) -> State:
         """The empty set."""
-        within = tuple(self.gram[index[:, :, None], index[:, None, :]] for _, index in self.alike)
-        covariance, shares = np.zeros((0, 0)), np.zeros((0, len(self.right)))
-        places, mean = np.zeros(0, dtype=np.int64), np.zeros(0)
-        return State((), places, mean, covariance, shares, self.right, within, self.squares, 0.0)
+        return self.state(())
 
     def state(self, pairs: Sequence[tuple[int, int]]) -> State:
         """The set of these blocks with the numbers of their sizes."""
-        if not pairs:
-            return self.nothing
-        places = self.places([block for block, _ in pairs])
-        precision = np.repeat([SIZES[size] ** -2.0 for _, size in pairs], self.widths[[block for block, _ in pairs]])
-        inner = self.gram[np.ix_(places, places)] + np.diag(precision)
-        covariance = np.asarray(np.linalg.inv(inner))
-        shares, mean = covariance @ self.gram[places], covariance @ self.right[places]
-        return State(
-            tuple(pairs),
-            places,
-            mean,
-            covariance,
-            shares,
-            self.right - mean @ self.gram[places],
-            self._within(self.nothing, self.gram[places], shares, -1.0),
-            self._rest(self.squares - float(mean @ self.right[places])),
-            float(np.linalg.slogdet(inner)[1] - np.sum(np.log(precision))),
-        )
+        return State(self, tuple(sorted(pairs)))
 
-    def with_block(self, state: State, block: int, size: int) -> State:
-        """A set and one more block: the block inverse of a larger matrix."""
-        columns = slice(*self.starts[block : block + 2])
-        rows = self.gram[columns]
-        width, precision = len(rows), SIZES[size] ** -2.0
-        left = rows - rows[:, state.places] @ state.shares  # (w, P) rows of V
-        inner = left[:, columns] + precision * np.eye(width)
-        inverse = np.linalg.inv(inner)
-        new, taken = inverse @ left, state.shares[:, columns]
-        gain, give = inverse @ state.scores[columns], taken @ inverse
-        return State(
-            (*state.order, (block, size)),
-            np.concatenate([state.places, np.arange(self.starts[block], self.starts[block + 1])]),
-            np.concatenate([state.mean - taken @ gain, gain]),
-            np.block([[state.covariance + give @ taken.T, -give], [-give.T, inverse]]),
-            np.concatenate([state.shares - taken @ new, new]),
-            state.scores - gain @ left,
-            self._within(state, left, new, -1.0),
-            self._rest(state.squares - float(gain @ state.scores[columns])),
-            state.volume + float(np.linalg.slogdet(inner)[1]) - width * float(np.log(precision)),
-        )
-
-    def without(self, state: State, block: int) -> State:
-        """A set less one of its blocks: the same step back."""
-        which = next(k for k, (b, _) in enumerate(state.order) if b == block)
-        out = np.isin(state.places, np.arange(self.starts[block], self.starts[block + 1]))
-        mean, shares = state.mean[out], state.shares[out]
-        inner = np.linalg.inv(state.covariance[np.ix_(out, out)])
-        give = state.covariance[np.ix_(~out, out)] @ inner
-        precision = SIZES[state.order[which][1]] ** -2.0
-        fewer = State(
-            (*state.order[:which], *state.order[which + 1 :]),
-            state.places[~out],
-            state.mean[~out] - give @ mean,
-            state.covariance[np.ix_(~out, ~out)] - give @ state.covariance[np.ix_(out, ~out)],
-            state.shares[~out] - give @ shares,
-            state.scores + (inner @ mean) @ shares,
-            self._within(state, shares, inner @ shares, 1.0),
-            self._rest(state.squares + float(mean @ inner @ mean)),
-            state.volume - float(np.linalg.slogdet(inner)[1]) + len(mean) * float(np.log(precision)),
-        )
-        # what two nearly equal blocks share cancels when one of them goes: made at once where too few digits are left
-        right = self.right[fewer.places]
-        precisions = np.repeat(
-            [SIZES[size] ** -2.0 for _, size in fewer.order], self.widths[[b for b, _ in fewer.order]]
-        )
-        off = self.gram[np.ix_(fewer.places, fewer.places)] @ fewer.mean + precisions * fewer.mean - right
-        return fewer if np.linalg.norm(off) <= DIGITS * np.linalg.norm(right) else self.state(fewer.order)
-
-    def _within(self, state: State, one: Array, other: Array, sign: float) -> tuple[Array, ...]:
-        """The blocks' own parts of V + sign one^T other, with (v, P) each."""
-        changed = []
-        for (_, index), part in zip(self.alike, state.within, strict=True):
-            left, right = one[:, index].transpose(1, 2, 0), other[:, index].transpose(1, 0, 2)  # (b, w, v), (b, v, w)
-            changed.append(part + sign * (left @ right))
-        return tuple(changed)
-
-    def _rest(self, squares: float) -> float:
+    def least(self, squares: float) -> float:
+        """A sum of squares, not below rounding."""
         return max(squares, LEAST * self.squares, 1e-300)
 
-    def ratio(self, state: State) -> float:
-        """Log likelihood ratio of a set with sizes against nothing missing, signs left out."""
-        return -0.5 * state.volume - 0.5 * self.freedom * float(np.log(state.squares / max(self.squares, 1e-300)))
+    def added(self, left: Left) -> Array:
+        """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf; of
+        those that are in the set, too."""
+        values, parts = np.empty(len(self.right)), np.empty(len(self.right))
+        for index, own in zip(self.alike, left.within, strict=True):
+            if own.shape[1] == 1:
+                values[index], parts[index] = own[:, 0], left.scores[index]
+            else:
+                values[index], vectors = eigen_of_pairs(own) if own.shape[1] == 2 else np.linalg.eigh(own)
+                parts[index] = (left.scores[index][:, None, :] @ vectors)[:, 0]
+        squared, starts = np.square(SIZES)[:, None], self.starts[:-1]
+        spread = 1.0 + squared * np.maximum(values, 0.0)  # (S, P)
+        gains = np.add.reduceat(squared * np.square(parts) / spread, starts, axis=1)  # (S, B)
+        squares = np.maximum(left.squares - gains, LEAST * self.squares + 1e-300)
+        ratios = -0.5 * np.add.reduceat(np.log(spread), starts, axis=1)
+        ratios -= 0.5 * self.freedom * np.log(squares / left.squares)
+        if self.signs.any():
+            places = starts[self.signs]
+            deviations = parts[places] * np.sqrt(squared / spread[:, places] * self.freedom / squares[:, self.signs])
+            ratios[:, self.signs] += np.log(2.0) + log_ndtr(deviations)
+        return np.where(np.arange(len(SIZES)) < self.limits[:, None], ratios.T, -np.inf)
 
-    def signed(self, state: State) -> float:
-        """Log of the factor by which the signs that physics allows make a set likelier."""
-        signs = np.repeat(self.signs[[b for b, _ in state.order]], self.widths[[b for b, _ in state.order]])
+    def changed(self, within: tuple[Array, ...], one: Array, other: Array) -> tuple[Array, ...]:
+        """The blocks' own parts of V + one^T other, with (v, P) each, from those of V."""
+        pairs = zip(self.alike, within, strict=True)
+        return tuple(own + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, own in pairs)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A set of blocks with their sizes, and k columns;  given : `within`, where it is known."""
+
+    products: Products
+    key: Key
+    given: tuple[Array, ...] | None = None
+
+    @cached_property
+    def blocks(self) -> tuple[int, ...]:
+        """Numbers of the blocks, ascending."""
+        return tuple(block for block, _ in self.key)
+
+    @cached_property
+    def places(self) -> Index:
+        """(k,) of its columns among all, ascending."""
+        return self.products.places(self.blocks)
+
+    @cached_property
+    def sizes(self) -> Array:
+        """(k,) s of the columns."""
+        return np.repeat(SIZES[[size for _, size in self.key]], self.products.widths[[*self.blocks]])
+
+    @cached_property
+    def rows(self) -> Array:
+        """(k, P) of G."""
+        return self.products.gram[self.places]
+
+    @cached_property
+    def _factor(self) -> Array:
+        """(k, k) lower triangular root of G_A + D^-2."""
+        inner = self.rows[:, self.places]
+        inner[np.diag_indices(len(inner))] += self.sizes**-2.0
+        return np.asarray(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0]) if self.key else inner
+
+    def solve(self, table: Array) -> Array:
+        """(k, n) the coefficients' covariance, for unit sigma, times a table (k, n)."""
+        return np.asarray(lapack.dpotrs(self._factor, table, lower=1)[0]) if table.size else table
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(k, k) of its coefficients, for unit sigma."""
+        half = lapack.dpotri(self._factor, lower=1)[0] if self.key else self._factor
+        return np.asarray(half + np.tril(half, -1).T)
+
+    @cached_property
+    def mean(self) -> Array:
+        """(k,) of its coefficients."""
+        return self.solve(self.products.right[self.places][:, None])[:, 0]
+
+    @cached_property
+    def squares(self) -> float:
+        """R"""
+        return self.products.least(self.products.squares - float(self.mean @ self.products.right[self.places]))
+
+    @property
+    def ratio(self) -> float:
+        """Log likelihood ratio against nothing missing, signs left out."""
+        volume = 2.0 * float(np.sum(np.log(np.diag(self._factor) * self.sizes)))
+        share = self.squares / self.products.least(self.products.squares)
+        return -0.5 * volume - 0.5 * self.products.freedom * float(np.log(share))
+
+    @property
+    def signed(self) -> float:
+        """Log of the factor by which the signs that physics allows make the set likelier."""
+        signs = np.repeat(self.products.signs[[*self.blocks]], self.products.widths[[*self.blocks]])
         if not signs.any():
             return 0.0
-        variance = np.diag(state.covariance)[signs] * state.squares / max(self.freedom, 1)
-        return float(np.sum(np.log(2.0) + log_ndtr(state.mean[signs] / np.sqrt(np.maximum(variance, 1e-300)))))
+        variance = (
+            np.diag(self.solve(np.eye(len(signs))[:, signs])[signs]) * self.squares / max(self.products.freedom, 1)
+        )
+        return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / np.sqrt(np.maximum(variance, 1e-300)))))
 
-    def added(self, state: State, barred: Collection[int] = ()) -> Array:
-        """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf.
+    @cached_property
+    def within(self) -> tuple[Array, ...]:
+        """Of each group of `Products.alike` the blocks' own parts of V."""
+        if self.given is not None:
+            return self.given
+        own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
+        return self.products.changed(own, self.rows, -self.solve(self.rows))
 
-        barred : blocks that are not asked, beside those that are in the set
-        """
-        ratios = np.full((len(self.widths), len(SIZES)), -np.inf)
-        asked = np.ones(len(self.widths), dtype=bool)
-        asked[[*state.blocks, *barred]] = False
-        for (every, every_index), parts_of_all in zip(self.alike, state.within, strict=True):
-            chosen = asked[every]
-            if not chosen.any():
-                continue
-            blocks, index, left = every[chosen], every_index[chosen], parts_of_all[chosen]
-            width, scores = index.shape[1], state.scores[index]
-            if width == 1:
-                values, parts = left[:, 0], scores
-            else:
-                values, vectors = eigen_of_pairs(left) if width == 2 else np.linalg.eigh(left)
-                parts = (scores[:, None, :] @ vectors)[:, 0]
-            values = np.maximum(values, 0.0)
-            squared = np.square(SIZES[: self.limits[blocks].max()])[:, None, None]  # (S, 1, 1)
-            spread = 1.0 + squared * values
-            gains = np.sum(squared * np.square(parts) / spread, axis=2)  # (S, b)
-            squares = np.maximum(state.squares - gains, LEAST * self.squares + 1e-300)
-            ratio = -0.5 * np.sum(np.log(spread), axis=2) - 0.5 * self.freedom * np.log(squares / state.squares)
-            if width == 1 and self.signs[blocks].any():
-                deviations = parts.T * np.sqrt(squared[:, :, 0] / spread[:, :, 0] * self.freedom / squares)
-                ratio += np.where(self.signs[blocks], np.log(2.0) + log_ndtr(deviations), 0.0)
-            ratios[blocks, : len(squared)] = ratio.T
-        return np.where(np.arange(len(SIZES)) < self.limits[:, None], ratios, -np.inf)
+    def without(self, block: int | None = None) -> Left:
+        """What it leaves with one of its blocks less, None: with all of them."""
+        return Left(self, block)
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What a set, less one of its blocks with w columns (or none, w = 0), leaves of y and of all columns."""
+
+    whole: State
+    block: int | None
+
+    @cached_property
+    def key(self) -> Key:
+        """Of the set without the block."""
+        return tuple(pair for pair in self.whole.key if pair[0] != self.block)
+
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Numbers of the blocks, ascending."""
+        return tuple(block for block, _ in self.key)
+
+    @cached_property
+    def _out(self) -> NDArray[np.bool_]:
+        """(k,) the block's columns in the set."""
+        out = np.array([block == self.block for block in self.whole.blocks], dtype=bool)
+        return np.repeat(out, self.whole.products.widths[[*self.whole.blocks]])
+
+    @cached_property
+    def _covariance(self) -> Array:
+        """(w, k) of the block's coefficients with those of the set."""
+        return self.whole.solve(np.eye(len(self._out))[:, self._out]).T
+
+    @cached_property
+    def _taken(self) -> Array:
+        """(w, P) by which the block's coefficients take up a unit of each column."""
+        return np.asarray(self._covariance @ self.whole.rows)
+
+    @cached_property
+    def _inner(self) -> Array:
+        """(w, w) by which V is larger, in these."""
+        return np.asarray(np.linalg.inv(self._covariance[:, self._out]))
+
+    @cached_property
+    def squares(self) -> float:
+        """R"""
+        mean = self.whole.mean[self._out]
+        return self.whole.products.least(self.whole.squares + float(mean @ self._inner @ mean))
+
+    @cached_property
+    def scores(self) -> Array:
+        """(P,) V's counterpart of c."""
+        whole = self.whole
+        scores = whole.products.right - whole.mean @ whole.rows
+        return np.asarray(scores + (self._inner @ whole.mean[self._out]) @ self._taken)
+
+    @cached_property
+    def within(self) -> tuple[Array, ...]:
+        """Of each group of `Products.alike` the blocks' own parts of V."""
+        if self.block is None:
+            return self.whole.within
+        return self.whole.products.changed(self.whole.within, self._taken, self._inner @ self._taken)
+
+    def put(self, block: int, size: int) -> State:
+        """The set with a block in this one's place."""
+        products, whole = self.whole.products, self.whole
+        own = slice(*products.starts[block : block + 2])
+        rows = products.gram[own] - whole.solve(whole.rows[:, own]).T @ whole.rows  # (w, P) of V
+        rows += (self._taken[:, own].T @ self._inner) @ self._taken
+        inner = rows[:, own] + SIZES[size] ** -2.0 * np.eye(len(rows))
+        given = products.changed(self.within, rows, -np.linalg.solve(inner, rows))
+        return State(products, tuple(sorted((*self.key, (block, size)))), given)
+
+    @property
+    def rest(self) -> State:
+        """The set without the block."""
+        return State(self.whole.products, self.key, self.within)

@@ -28,11 +28,10 @@ from identification.information import column_space
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 
-# reasons: identification/README.md, "Constants"
-UNSEEN = 1e-3  # share of the reach
+UNSEEN = 1e-3  # convention: of the reach; a joint whose lever on the measured point is shorter is not looked at
 EFFECT, ORDER = "transmission_ripple", "k"
-ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn: every wave between has a likeness of 0.97 with one
-CLEAR = 8.0  # log likelihood ratio below which a wave of further order is not added
+ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn; derived: every wave between has a likeness of 0.97 with one
+CLEAR = 8.0  # convention: log likelihood ratio below which a wave of further order is not added
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 
 
@@ -304,9 +303,9 @@ def _gains(rows: Rows, basis: Array, y: Array, lever: Array, q: Array, orders: A
     angles = q[:, None] * orders
     waves = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
     x = rows.whiten(lever[:, :, None] * waves[:, None, :])
-    x -= basis @ (basis.T @ x)
+    inside, scores = (basis.T @ x).reshape(basis.shape[1], -1, 2), (y @ x).reshape(-1, 2)  # y is off the basis
     x = x.reshape(len(x), -1, 2)
-    gram, scores = np.einsum("nki,nkj->kij", x, x), np.einsum("nki,n->ki", x, y)
+    gram = np.einsum("nki,nkj->kij", x, x) - np.einsum("nki,nkj->kij", inside, inside)
     gram += 1e-9 * np.einsum("kii->k", gram)[:, None, None] * np.eye(2) + 1e-300 * np.eye(2)
     return np.asarray(
         np.einsum("ki,ki->k", scores, np.linalg.solve(gram, scores[:, :, None])[:, :, 0]) / max(y @ y, 1e-300)

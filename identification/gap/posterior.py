@@ -15,18 +15,18 @@ from identification.gap.blocks import Linearized, linearized
 from identification.gap.evidence import State
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import Block, Hypothesis, HypothesisSet, with_further_orders
-from identification.gap.scatter import NoiseModel, log_likelihood, noises
-from identification.gap.search import MOVES, ROUNDING, Moments, Search, Walked, Weighed
+from identification.gap.scatter import NoiseModel, log_likelihoods, noises
+from identification.gap.search import ROUNDING, Moments, Search, Walked, Weighed
 from identification.progress import Tell, say_nothing
 
-# reasons: identification/README.md, "Constants"
-MOST_ROWS = 1250  # that are searched for any effect
+MOST_ROWS = 1250  # effort: rows that are searched for any effect
 PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
-UNLIKELY = 3.0  # log odds below the best, of a noise model that is not searched
-STRIKING = 3.0  # robust standard deviations of a row that may be outlying
-WRITTEN = 0.05  # probability of a block that is part of the model that is written
-MOST_WRONG = 30  # effort: rows that may be
+UNLIKELY = 3.0  # effort: log odds below the best, of a noise model that is not searched
+STRIKING = 3.0  # effort: robust standard deviations of a row that may be outlying
+WRITTEN = 0.05  # convention: probability of a block from which on it is part of the model that is written
+MOST_WRONG = 30  # effort: rows that may be outlying
+STAGES = PASSES + NOISES + 1  # that are told, at most
 
 
 @dataclass(frozen=True)
@@ -137,16 +137,16 @@ def posterior(
     angle); the blocks and noises that are not unlikely there are then weighed with all rows.
     """
     if len(rows) <= MOST_ROWS:
-        return _walked(_climbed(library, rows, tell), rows, generator, tell)
-    some = np.sort(generator.permutation(len(rows))[:MOST_ROWS])
-    return _walked(_with_all_rows(_climbed(library, rows.pick(some), tell), rows, tell), rows, generator, tell)
+        return _walked(_climbed(library, rows, PASSES, tell), rows, generator, tell)
+    sample = rows.pick(np.sort(generator.permutation(len(rows))[:MOST_ROWS]))
+    return _walked(_with_all_rows(_climbed(library, sample, PASSES - 1, tell), rows, tell), rows, generator, tell)
 
 
-def _climbed(library: HypothesisSet, rows: Rows, tell: Tell) -> Climbed:
+def _climbed(library: HypothesisSet, rows: Rows, passes: int, tell: Tell) -> Climbed:
     """A likely set, linearized at itself and under its likeliest noise."""
     chosen: tuple[str, ...] = ()
     at, number = fit(library.base, rows), 0
-    for turn in range(PASSES):
+    for turn in range(passes):
         tell(f"pass {turn + 1}")
         wrong, every = _striking(rows, at), list(noises(rows, at))
         problem = linearized(library, at, every[number].rows, wrong)
@@ -155,7 +155,7 @@ def _climbed(library: HypothesisSet, rows: Rows, tell: Tell) -> Climbed:
         found = _with_noises(library, at, every, number, wrong, problem, search, top)
         likely = int(np.argmax(np.where(np.arange(len(every)) == number, found.scores + ROUNDING, found.scores)))
         settled = found.labels == chosen and likely == number
-        if turn == PASSES - 1:
+        if turn == passes - 1:
             break
         if not settled:
             chosen, number = found.labels, likely
@@ -170,25 +170,18 @@ def _climbed(library: HypothesisSet, rows: Rows, tell: Tell) -> Climbed:
 
 
 def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
-    """The set of a sample, with the blocks and noises that are not unlikely there, in the problem of all rows."""
+    """The set of a sample, and the noises that are not unlikely there, in the problem of all rows."""
     tell("all rows")
-    near = {sample.problem.blocks[b].label for b in sample.search.near(sample.top)}
-    if not all(_holds(sample.problem.blocks[b]) for b in sample.top.blocks):
-        alone = _writable(sample)
-        near |= {alone.problem.blocks[b].label for b in alone.search.near(alone.top)}
-    labels = frozenset(near)
-    least = sample.scores.max() - UNLIKELY
-    chosen = sample.every[sample.noise]
+    chosen, least = sample.every[sample.noise], sample.scores.max() - UNLIKELY
     names = {chosen.name, *(n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least)}
-    library = replace(sample.library, members=tuple(h for h in sample.library.members if h.label in labels))
     at = fit(sample.at.model, rows, sample.at.by_name)
     every = [n for n in noises(rows, at) if n.name in names]
     number = next(k for k, n in enumerate(every) if (n.name, n.size) == (chosen.name, chosen.size))
     wrong = _striking(rows, at)
-    problem = linearized(library, at, every[number].rows, wrong, labels)
-    search = search_of(library, problem)
+    problem = linearized(sample.library, at, every[number].rows, wrong)
+    search = search_of(sample.library, problem)
     top = _same_set(sample, problem, search)
-    return _with_noises(library, at, every, number, wrong, problem, search, top)
+    return _with_noises(sample.library, at, every, number, wrong, problem, search, top)
 
 
 def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> State:
@@ -213,15 +206,16 @@ def _with_noises(
 ) -> Climbed:
     """A set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and with
     the outlying rows of the set alone, which noise of another kind may need, too."""
-    first, there = _likelihoods(library, every, at, problem, top)
+    rows_only = search.products.state([(b, size) for b, size in top.key if problem.blocks[b].row])
+    sets = {one.key: one for one in (search.products.nothing, top, rows_only)}
     prior = np.array([n.prior for n in every])
-    offset = first - first[number] + prior
-    scores = np.maximum(offset, there - there[number] + search.log_odds(top) + prior)
-    if outlying := [(b, size) for b, size in top.key if problem.blocks[b].row]:
-        rows_only = search.products.state(outlying)
-        there = _likelihoods(library, every, at, problem, rows_only)[1]
-        scores = np.maximum(scores, there - there[number] + search.log_odds(rows_only) + prior)
-    return Climbed(library, at, every, number, wrong, problem, search, top, scores, offset)
+    each = [
+        likelihoods - likelihoods[number] + search.log_odds(one) + prior
+        for one, likelihoods in zip(
+            sets.values(), _likelihoods(library, every, at, problem, [*sets.values()]), strict=True
+        )
+    ]
+    return Climbed(library, at, every, number, wrong, problem, search, top, np.max(each, axis=0), each[0])
 
 
 def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
@@ -248,36 +242,34 @@ def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: 
     """The posterior around a likely set, under each noise that is not unlikely."""
     order = [int(k) for k in np.argsort(-climbed.scores, kind="stable") if k != climbed.noise]
     order = [k for k in order if climbed.scores[k] > climbed.scores.max() - UNLIKELY][: NOISES - 1]
-    labels = frozenset(climbed.problem.numbers)
     models = []
     for k in [climbed.noise, *order]:
         noise = climbed.every[k]
         tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
         there = climbed
         if k != climbed.noise:
-            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong, labels)
+            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong)
             search = search_of(climbed.library, problem)
             there = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
-        moves = MOVES if k == climbed.noise else MOVES // 2
-        models.append((noise, *_near_walk(there, generator, moves), float(climbed.offset[k])))
+        models.append((noise, *_near_walk(there, generator), float(climbed.offset[k])))
     found = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
     lacking = sum(one.probability for one in found.explanations if not all(map(_holds, one.blocks)))
     if lacking < WRITTEN:
         return found
     alone = _writable(climbed)
     tell("what an arm file can have")
-    model = climbed.every[climbed.noise], *_near_walk(alone, generator, MOVES // 2), 0.0
+    model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
     return replace(found, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
 
 
-def _near_walk(climbed: Climbed, generator: np.random.Generator, moves: int) -> tuple[Linearized, Walked]:
+def _near_walk(climbed: Climbed, generator: np.random.Generator) -> tuple[Linearized, Walked]:
     """The problem with the blocks alone that are not negligible, and the walk there."""
     search, near = climbed.search, climbed.search.near(climbed.top)
     problem, place = climbed.problem.of(near), {b: i for i, b in enumerate(near)}
     total = search.total or float(np.sum(search.weights[search.counted]))
     walk = search_of(climbed.library, problem, total)
     start = walk.products.state([(place[b], size) for b, size in climbed.top.key])
-    return problem, walk.walk(start, generator, moves)
+    return problem, walk.walk(start, generator)
 
 
 def _mixture(
@@ -326,20 +318,13 @@ def _striking(rows: Rows, at: Fit) -> list[int]:
 
 
 def _likelihoods(
-    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, best: State
-) -> tuple[Array, Array]:
-    """(K,) log likelihood of each noise, with nothing missing, and with the best set."""
+    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, sets: Sequence[State]
+) -> list[Array]:
+    """Of each set (K,) log likelihoods of the noises, up to a constant."""
     rows = every[0].rows
-    own = library.own_places(at.model)
-    added = np.setdiff1d(np.arange(len(at.values)), own)
-    position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
-    left = rows.positions - position + jacobian[:, :, added] @ at.values[added]
-    plain = jacobian[:, :, own] / at.model.scales[own]
-    first = np.array([log_likelihood(n.rows, left, plain) for n in every])
-    if not best.blocks:
-        return first, first
-    columns = problem.columns_of(best.blocks)
-    sizes = np.sqrt(np.mean(np.square(columns), axis=(0, 1)))
-    wide = np.concatenate([plain, columns / np.where(sizes > 0.0, sizes, 1.0)], axis=2)
-    with_best = np.array([log_likelihood(n.rows, left, wide) for n in every])
-    return first, with_best
+    y, jacobian, base = library.as_base(at, rows)
+    plain = jacobian[:, :, base] / at.model.scales[base]
+    return [
+        log_likelihoods(every, y, np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2))
+        for one in sets
+    ]

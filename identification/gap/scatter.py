@@ -10,19 +10,19 @@ Thompson, 1971),
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from identification.arrays import Array
 from identification.gap.fit import Fit, Rows
+from identification.information import column_space
 
-# reasons: identification/README.md, "Constants"
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
-RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one
-CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next
-CLEAR = 1e-10  # eigenvalues of a normal matrix, of the largest
+RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one; numerical: likelihoods are flat over a step
+CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next; numerical, as `RATIOS`
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class NoiseModel:
 def noises(rows: Rows, at: Fit) -> Iterator[NoiseModel]:
     """White noise, and every other that these rows can have, at a fitted model."""
     where = (rows.postures, at.values, rows.conditions)
-    forms = variance_forms(rows, at.model.position(*where), at.model.joint_levers(*where))
+    reads = not at.model.arm.chain.instrument.contact  # else nothing says how far away the point is
+    forms = variance_forms(rows, reads * at.model.position(*where), at.model.joint_levers(*where))
     joints = sum(name.startswith("joint") for name in forms)
     yield NoiseModel("", 0.0, rows, 0.0)
     for name, form in forms.items():
@@ -100,13 +101,18 @@ def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Arra
     return {name: form * (d * len(form) / traces[name]) for name, form in forms.items() if traces[name] > 0.0}
 
 
-def log_likelihood(rows: Rows, left: Array, columns: Array) -> float:
-    """Of a covariance, see above;  left : (m, d) residuals [mm];  columns : (m, d, p) of all free parameters"""
-    residual, basis = rows.whiten(left), rows.whiten(columns)
-    values, turn = np.linalg.eigh(basis.T @ basis)
-    seen = values > CLEAR * values.max(initial=0.0)
-    scores = turn[:, seen].T @ (basis.T @ residual)
-    squares = float(residual @ residual - np.sum(scores**2 / values[seen]))
-    freedom = len(residual) - int(seen.sum())
-    cost = freedom * np.log(max(squares, 1e-300)) + rows.log_determinant + float(np.sum(np.log(values[seen])))
-    return -0.5 * float(cost)
+def log_likelihoods(models: Sequence[NoiseModel], left: Array, columns: Array) -> Array:
+    """(K,) of covariances, see above, up to a constant;  left : (m, d) residuals [mm];  columns : (m, d, p) of all free
+    parameters"""
+    tall = columns.reshape(left.size, -1)
+    basis = column_space(tall, np.maximum(np.linalg.norm(tall, axis=0), 1e-300))
+    table = np.concatenate([basis, left.reshape(-1, 1)], axis=1).reshape(*left.shape, -1)
+    costs = []
+    for model in models:
+        white = model.rows.whiten(table)
+        root = np.linalg.cholesky(white[:, :-1].T @ white[:, :-1])
+        scores = solve_triangular(root, white[:, :-1].T @ white[:, -1], lower=True)
+        squares = max(float(white[:, -1] @ white[:, -1] - scores @ scores), 1e-300)
+        volume = model.rows.log_determinant + 2.0 * float(np.sum(np.log(np.diag(root))))
+        costs.append((len(white) - len(root)) * np.log(squares) + volume)
+    return -0.5 * np.array(costs)

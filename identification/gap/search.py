@@ -14,6 +14,7 @@ A. F. M. Smith, 1990, "Rao-Blackwellization").
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,22 +27,20 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, zeta
 
 from identification.arrays import Array
-from identification.gap.evidence import SIZES, Products, State
+from identification.gap.evidence import SIZES, Key, Left, Products, State
 
-# reasons: identification/README.md, "Constants"
-SOME = 1.0  # prior odds of something missing to nothing
-TAIL = 3.0  # p(K) ~ K^-TAIL
-WRONG = 0.0005  # prior odds of a row to be outlying
-REST_ODDS = 0.1  # prior odds of the rest of the library
-NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
-MOVES = 1000  # effort: of the walk
-ROUNDS = 3  # effort: of the climb
+SOME = 1.0  # prior odds of something missing to nothing: even
+TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
+WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
+REST_ODDS = 0.1  # prior odds of the rest of the library: many small effects beside what can be named
+NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out
+MOVES = 500  # effort: of the walk
+THIN = 32  # effort: columns of a set for each move of the walk that is not counted among the draws
 PAIRS = 10  # effort: of the climb, blocks that are tried in pairs
-LEAST = 1e-5  # probability of a set that is kept
-ROUNDING = 1e-6  # of a log likelihood
+LEAST = 1e-5  # numerical: probability of a set that is kept
+ROUNDING = 1e-6  # numerical: of a log likelihood
 
 Set = tuple[int, ...]
-Key = tuple[tuple[int, int], ...]  # blocks with their sizes, ascending
 
 
 class Weighed(NamedTuple):
@@ -64,20 +63,17 @@ class Moments:
         size = int(products.starts[-1])
         self.count, self.variance, self.effective = 0, 0.0, 0.0
         self.first, self.second = np.zeros(size), np.zeros((size, size))
-        self._products = products
+        self._freedom = products.freedom
 
-    def add(self, state: State, count: int = 1) -> None:
+    def add(self, state: State) -> None:
         """One draw of a set with its sizes, its coefficients averaged over."""
-        variance = state.squares / max(self._products.freedom, 1)
-        of_each = np.repeat(
-            [SIZES[size] ** 2 for _, size in state.order], self._products.widths[[block for block, _ in state.order]]
-        )
-        self.count += count
-        self.variance += count * variance
-        self.effective += count * float(np.sum(1.0 - np.diag(state.covariance) / of_each))
-        self.first[state.places] += count * state.mean
+        variance = state.squares / max(self._freedom, 1)
+        self.count += 1
+        self.variance += variance
+        self.effective += float(np.sum(1.0 - np.diag(state.covariance) / np.square(state.sizes)))
+        self.first[state.places] += state.mean
         products = variance * state.covariance + np.outer(state.mean, state.mean)
-        self.second[np.ix_(state.places, state.places)] += count * products
+        self.second[np.ix_(state.places, state.places)] += products
 
 
 class Walked(NamedTuple):
@@ -106,7 +102,7 @@ class Search:
     needy: frozenset[int] = frozenset()
     givers: frozenset[int] = frozenset()
     total: float | None = None
-    _tables: dict[tuple[Key, frozenset[int]], Array] = field(default_factory=dict)
+    _tables: dict[Key, Array] = field(default_factory=dict)
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:
@@ -134,122 +130,137 @@ class Search:
     def log_odds(self, state: State) -> float:
         """Log posterior odds of a set with its sizes against nothing missing."""
         of_sizes = -float(np.sum(np.log(self.products.limits[list(state.blocks)])))
-        return self.products.ratio(state) + self.products.signed(state) + self.log_prior(state.blocks) + of_sizes
+        return state.ratio + state.signed + self.log_prior(state.blocks) + of_sizes
 
     def climb(self, start: Set = ()) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
-        nothing = self.products.nothing
-        tops = [nothing, self._up(self.products.state([(block, 2) for block in start]), self.rest)]
-        table = self._each(nothing)
-        for block in np.argsort(-np.round(logsumexp(table, axis=1), 9), kind="stable")[:PAIRS].tolist():
+        nothing, every = self.products.nothing, np.ones(len(self.weights), dtype=bool)
+        others = every.copy()
+        others[list(self.rest)] = False
+        tops = [nothing, self._up(self.products.state([(block, 2) for block in start]), others)]
+        table = self._each(nothing.without())
+        for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:PAIRS].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
-                single = self.products.with_block(nothing, block, int(np.argmax(table[block])))
-                pair = self._put(single, self._each(single))
-                tops += [single, self._up(pair, frozenset(range(len(table))) - set(pair.blocks))]  # its sizes alone
-        return self._up(self._up(max(tops, key=lambda one: round(self.log_odds(one), 9)), self.rest))
+                single = nothing.without().put(block, int(np.argmax(table[block])))
+                best = self._likeliest(self._each(single.without()), every)
+                pair = single if best is None else single.without().put(*best)
+                tops += [single, self._up(pair, ~every)]  # its sizes alone
+        return self._up(self._up(max(tops, key=lambda one: round(self.log_odds(one), 9)), others), every)
 
-    def _up(self, state: State, barred: frozenset[int] = frozenset()) -> State:
-        """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each;
-        and so on, round after round, until nothing changes;  barred : blocks that are not added"""
-        for _ in range(ROUNDS):
-            before = state.key
-            for block in (-1, *state.blocks):
-                if block in state.blocks:
-                    fewer = self.products.without(state, block)
-                    table = self._each(fewer, barred - {block})
-                    nothing = np.isfinite(self.log_prior(fewer.blocks)) and np.max(logsumexp(table, axis=1)) <= 0.0
-                    best = None if nothing else self._likeliest(table, block)
-                    if best != (block, dict(state.order)[block]):
-                        state = fewer if best is None else self.products.with_block(fewer, *best)
-                while len(state.order) < self.products.freedom:  # rows that are fitted exactly would take all blocks
-                    table = self._each(state, barred)
-                    if np.max(logsumexp(table, axis=1)) <= ROUNDING:
-                        break
-                    state = self._put(state, table)
-            if state.key == before:
-                break
+    def _up(self, state: State, allowed: NDArray[np.bool_]) -> State:
+        """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each.
+
+        allowed : (B,) blocks that may be added
+        """
+        for block in (None, *state.blocks):
+            if block in state.blocks:
+                left, own = state.without(block), allowed.copy()
+                own[block] = True
+                best = self._likeliest(self._each(left), own, block, np.isfinite(self.log_prior(left.blocks)))
+                if best != (block, dict(state.key)[block]):
+                    state = left.rest if best is None else left.put(*best)
+            while len(state.key) < self.products.freedom:  # rows that are fitted exactly would take all blocks
+                best = self._likeliest(self._each(state.without()), allowed)
+                if best is None:
+                    break
+                state = state.without().put(*best)
         return state
 
-    def _likeliest(self, table: Array, first: int = -1) -> tuple[int, int] | None:
-        """The block that is likeliest in a table, and its likeliest size; None without any;  first : of those equally
-        likely"""
-        odds = logsumexp(table, axis=1)
-        if not np.isfinite(np.max(odds, initial=-np.inf)):
-            return None
-        best = first if first >= 0 and odds[first] >= np.max(odds) - ROUNDING else int(np.argmax(np.round(odds, 9)))
-        return best, int(np.argmax(np.round(table[best], 9)))
+    def _likeliest(
+        self, table: Array, allowed: NDArray[np.bool_], first: int | None = None, alone: bool = True
+    ) -> tuple[int, int] | None:
+        """The block that is likeliest in a table, and its likeliest size; None if it is likelier without any.
 
-    def _put(self, state: State, table: Array) -> State:
-        """A set with the block that is likeliest in a table."""
-        best = self._likeliest(table)
-        return state if best is None else self.products.with_block(state, *best)
+        allowed : (B,) blocks that may be;  first : of those equally likely;  alone : whether the set may be without any
+        """
+        odds = np.where(allowed, log_sums(table), -np.inf)
+        most = np.max(odds, initial=-np.inf)
+        if most <= (ROUNDING if alone else -np.inf):
+            return None
+        best = first if first is not None and odds[first] >= most - ROUNDING else int(np.argmax(np.round(odds, 9)))
+        return best, int(np.argmax(np.round(table[best], 9)))
 
     def near(self, top: State) -> list[int]:
         """All blocks but those that are together negligible beside a set and in place of one of its blocks."""
-        best = self.log_odds(top)
-        states = [self.products.nothing, top, *(self.products.without(top, block) for block in top.blocks)]
-        odds = [self.log_odds(one) + logsumexp(self._each(one), axis=1) for one in states]
-        shares = np.exp(np.minimum(np.nan_to_num(np.max(odds, axis=0), nan=-np.inf) - best, 0.0))
+        nothing = self.products.nothing
+        odds = [
+            self.log_odds(one.rest) + log_sums(self._each(one))
+            for one in (nothing.without(), top.without(), *map(top.without, top.blocks))
+        ]
+        shares = np.exp(np.minimum(np.max(odds, axis=0) - self.log_odds(top), 0.0))
         order = np.argsort(shares, kind="stable")
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
 
-    def walk(self, top: State, generator: np.random.Generator, moves: int | None = None) -> Walked:
-        """The posterior, from a set to start from;  moves : steps, None: `MOVES`"""
-        moves = moves or MOVES
-        state, steps, odds = top, dict[Key, tuple[Array, Array]](), dict[Key, float]()
+    def walk(self, top: State, generator: np.random.Generator) -> Walked:
+        """The posterior, from a set to start from."""
+        thin = 1 + len(top.places) // THIN
+        state, steps, odds = top, dict[Key, Array](), dict[Key, float]()
         visits, moments = Counter[Key](), (Moments(self.products), Moments(self.products))
-        for _ in range(moves):
-            taken = int(generator.integers(len(state.order) + 1))
-            fewer = self.products.without(state, state.blocks[taken]) if taken < len(state.order) else state
-            visits[fewer.key] += 1
-            if fewer.key not in steps:
-                each = self._each(fewer) - np.log(len(fewer.order) + 2)
-                stay = -np.log(len(fewer.order) + 1) if np.isfinite(self.log_prior(fewer.blocks)) else -np.inf
+        for move in range(MOVES):
+            taken = int(generator.integers(len(state.key) + 1))
+            left = state.without(state.blocks[taken] if taken < len(state.key) else None)
+            visits[left.key] += 1
+            if left.key not in steps:
+                each = self._each(left) - np.log(len(left.key) + 2)
+                stay = -np.log(len(left.key) + 1) if np.isfinite(self.log_prior(left.blocks)) else -np.inf
                 every = np.append(each.ravel(), stay)
-                shares = np.exp(every - logsumexp(every))
-                steps[fewer.key] = shares, np.cumsum(shares)
-            total = steps[fewer.key][1]
+                shares = np.exp(every - np.max(every))
+                steps[left.key] = shares / np.sum(shares)
+            total = np.cumsum(steps[left.key])
             drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
-            inside = drawn < len(self.weights) * len(SIZES)
-            state = self.products.with_block(fewer, *divmod(drawn, len(SIZES))) if inside else fewer
-            if state.key not in odds:
-                odds[state.key] = self.log_odds(state)
-            moments[not self.rest.isdisjoint(state.blocks)].add(state)
-        return Walked(self._counted_up(visits, {key: shares for key, (shares, _) in steps.items()}, odds), moments)
+            pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
+            if (key := left.key if pair is None else tuple(sorted((*left.key, pair)))) != state.key:
+                state = left.rest if pair is None else left.put(*pair)
+            if move % thin == 0:
+                moments[not self.rest.isdisjoint(state.blocks)].add(state)
+                odds[key] = odds[key] if key in odds else self.log_odds(state)
+        return Walked(self._counted_up(visits, steps, odds), moments)
 
     def _counted_up(self, visits: Counter[Key], steps: dict[Key, Array], odds: dict[Key, float]) -> list[Weighed]:
-        """The sets, from the probabilities with which each was drawn;  odds : log odds of those that were"""
-        total: defaultdict[Key, float] = defaultdict(float)
+        """The sets, from the probabilities with which each was drawn;  odds : log odds of some that were"""
+        total: defaultdict[Set, defaultdict[tuple[int, ...], float]] = defaultdict(lambda: defaultdict(float))
         for key, count in visits.items():
             shares = steps[key] * (count / visits.total())
-            total[key] += float(shares[-1])
+            blocks, sizes = tuple(b for b, _ in key), tuple(s for _, s in key)
+            total[blocks][sizes] += float(shares[-1])
             for k in np.flatnonzero(shares[:-1] > 0.1 * LEAST).tolist():
-                total[tuple(sorted((*key, divmod(k, len(SIZES)))))] += float(shares[k])
-        # the draws have these odds together, and this share of the probability
-        evidence = float(logsumexp(list(odds.values())) - np.log(sum(total[key] for key in odds)))
-        of_set: defaultdict[Set, float] = defaultdict(float)
-        likeliest: dict[Set, Key] = {}
-        for key, share in sorted(total.items(), key=lambda item: (-item[1], item[0])):
-            blocks = tuple(b for b, _ in key)
-            of_set[blocks] += share
-            likeliest.setdefault(blocks, key)
-        order = sorted((-share, blocks) for blocks, share in of_set.items() if share > LEAST)
-        sizes = {blocks: tuple(size for _, size in likeliest[blocks]) for _, blocks in order}
-        return [Weighed(blocks, sizes[blocks], float(np.log(-negative)) + evidence) for negative, blocks in order]
+                block, size = divmod(k, len(SIZES))
+                at = bisect(blocks, block)
+                total[(*blocks[:at], block, *blocks[at:])][(*sizes[:at], size, *sizes[at:])] += float(shares[k])
+        # these draws have these odds together, and this share of the probability
+        share = sum(total[tuple(b for b, _ in key)][tuple(s for _, s in key)] for key in odds)
+        evidence = float(logsumexp(list(odds.values())) - np.log(share))
+        listed = [(sum(of_sizes.values()), blocks, of_sizes) for blocks, of_sizes in total.items()]
+        return [
+            Weighed(blocks, max(of_sizes, key=lambda sizes: (of_sizes[sizes], sizes)), float(np.log(p)) + evidence)
+            for p, blocks, of_sizes in sorted(listed, key=lambda one: (-one[0], one[1]))
+            if p > LEAST
+        ]
 
-    def _each(self, state: State, barred: frozenset[int] = frozenset()) -> Array:
-        """(B, S) log odds of the set with each further block in each size against the set; -inf where it may not be."""
-        if (state.key, barred) not in self._tables:
-            chosen, inside = set(state.blocks), list(state.blocks)
+    def _each(self, left: Left) -> Array:
+        """(B, S) log odds of a set with each further block in each size against the set; -inf where it may not be."""
+        if left.key not in self._tables:
+            chosen, inside = set(left.blocks), list(left.blocks)
             count = int(np.sum(self.counted[inside]))
             step = np.where(self.counted, log_odds_of_count(count + 1) - log_odds_of_count(count), 0.0)
             prior = step + self._log_weights - np.log(self.products.limits)
-            prior[[b for a, b in self.apart if a in chosen] + [a for a, b in self.apart if b in chosen]] = -np.inf
+            prior[
+                inside + [b for a, b in self.apart if a in chosen] + [a for a, b in self.apart if b in chosen]
+            ] = -np.inf
             if not chosen & self.givers:
                 others = set(range(len(prior))) - self.givers if chosen & self.needy else self.needy
                 prior[list(others)] = -np.inf
-            self._tables[state.key, barred] = self.products.added(state, barred) + prior[:, None]
-        return self._tables[state.key, barred]
+            self._tables[left.key] = self.products.added(left) + prior[:, None]
+        return self._tables[left.key]
+
+
+def log_sums(table: Array) -> Array:
+    """(B,) log of the sums of the exponentials in each row of (B, S)."""
+    most = np.max(table, axis=1)
+    with np.errstate(divide="ignore"):
+        return np.asarray(
+            most + np.log(np.sum(np.exp(table - np.where(np.isfinite(most), most, 0.0)[:, None]), axis=1))
+        )
 
 
 def log_odds_of_count(count: int) -> float:

@@ -13,7 +13,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
-from identification.effects.chain import ORIENTATION, chain_at, condition_width, orientation_columns
+from identification.effects.chain import condition_slices
 from identification.effects.places import by_place, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
@@ -31,8 +31,7 @@ class Expressions:
     Equal ones have the same symbols: limits, sigma and the name of an arm, say, are not in them.
 
     every, estimated : all parameters, and those of the vector p;  fixed : name -> value of the others
-    extra : further columns of the conditions, in order: `marker`, `orientation` that was measured and `errors` that
-        curves say
+    extra : further columns of the conditions, see `condition_slices`
     best : name -> best known value of the geometry's parameters
     """
 
@@ -41,7 +40,6 @@ class Expressions:
     every: ParameterSet
     estimated: ParameterSet
     fixed: Mapping[str, float]
-    remembers: bool
     extra: tuple[str, ...]
     best: Mapping[str, float]
 
@@ -58,15 +56,20 @@ class Expressions:
         effects = ((type(e), e.joint, e.tagged, e.curve, *e.chosen.items()) for e in self.effects)
         names = self.every.names, self.estimated.names, *self.fixed.items()
         best = tuple(self.best.items()) if oriented else ()
-        return arm.chain, arm.gravity, *effects, names, self.remembers, self.extra, best
+        return arm.chain, arm.gravity, *effects, names, self.extra, best
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """SX of postures q (n), conditions c, parameters (p) and position (d): of a pose the point, and the rotation
         vector by which the computed orientation is turned against the measured one, times `angle_scale` [mm]."""
-        width = condition_width(self.arm.links, self.remembers, self.extra)
+        width = max(place.stop for place in self.places.values())
         q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.estimated))
         return q, c, p, measured_position(self.chain(q, c), self.effects, self.values(c, p))
+
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Where each condition stands among the columns."""
+        return condition_slices(self.arm.links, self.extra)
 
     def values(self, c: ca.SX, p: ca.SX) -> ca.SX:
         """Values of `every` parameter, where p has those of the estimated ones; where error curves do not hold, without
@@ -93,23 +96,23 @@ class Expressions:
 
     def chain(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
-        chain = chain_at(self.arm, q, c, self.remembers, self.extra)
+        chain = Chain.of(self.arm, q, c, self.extra)
         if chain.reference is None:
             return chain
-        missing = c[orientation_columns(self.arm.links, self.remembers, self.extra).stop - 1]
         best = self.arm.chain.orientation(q, self.best, chain.marker)
-        return replace(chain, reference=chain.reference + missing * best)
+        return replace(chain, reference=chain.reference + c[self.places["missing"]] * best)
 
     def table(self, postures: Array, conditions: Conditions) -> Array:
-        """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
-        the marker where there are several, ten of a measured orientation, and n + 1 of error curves."""
+        """(..., m, C) values of the symbols for conditions, in the columns of `condition_slices`."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
-        shape, past = postures.shape[:-1], postures if self.remembers else None
+        shape, past = postures.shape[:-1], postures if "past" in self.extra else None
         columns = [conditions.table(shape, self.arm.links, payload, past)]
+        unsaid = self.arm.chain.instrument.unsaid
+        marker = np.broadcast_to(unsaid if conditions.marker is None else conditions.marker, shape)[..., None]
         if "marker" in self.extra:
-            columns.append(np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, shape)[..., None])
+            columns.append(marker)
         if "orientation" in self.extra:
-            columns.append(self._reference(postures, columns, conditions.orientation))
+            columns.append(self._reference(postures, marker, conditions.orientation))
         if "errors" in self.extra:  # tables are looked up here: as formulas they would be thousands of terms
             columns.append(self._curve_errors(postures))
         return np.concatenate(columns, axis=-1)
@@ -127,11 +130,10 @@ class Expressions:
 
     @property
     def neutral(self) -> Array:
-        """(4 + n,) a row of the table where nothing is said."""
+        """(C,) a row of the table where nothing is said."""
         row = self.table(np.zeros((1, self.arm.links)), Conditions())[0]
-        measured = orientation_columns(self.arm.links, self.remembers, self.extra)
-        row[measured.start :] = 0.0
-        row[measured.start : measured.stop][-1:] = 1.0
+        for name in {"reference", "missing", "errors", "off"} & set(self.places):
+            row[self.places[name]] = float(name == "missing")
         return row
 
     @cached_property
@@ -205,20 +207,17 @@ class Expressions:
         chain = self.arm.chain
         if chain.angle_scale is None:
             raise InputError("orientations: the arm measures none, allowed: with sigma_mm and sigma_deg in its file")
-        columns = c[..., orientation_columns(len(chain), self.remembers, self.extra)][..., :-1]
+        columns = c[..., self.places["reference"]]
         nominal = np.swapaxes(columns.reshape(*columns.shape[:-1], 3, 3), -1, -2)
         return turned(self.position(q, c, p)[0][..., 3:, 0] / chain.angle_scale) @ nominal
 
-    def _reference(self, postures: Array, columns: list[Array], orientation: Array | None) -> Array:
-        """(..., m, 10) columns of measured orientations (m, 3, 3), None: those of the arm as best known.
-
-        columns : that come before them, the last the marker's where there are several
-        """
-        reference = np.zeros((*postures.shape[:-1], ORIENTATION))
+    def _reference(self, postures: Array, marker: Array, orientation: Array | None) -> Array:
+        """(..., m, 10) columns of measured orientations (m, 3, 3), None: those of the arm as best known."""
+        reference = np.zeros((*postures.shape[:-1], 10))
         if orientation is not None:
             reference[..., :-1] = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)
         else:
-            reference[..., :-1] = self._best_orientation(postures, columns[-1][..., -1:])[0][..., 0]
+            reference[..., :-1] = self._best_orientation(postures, marker)[0][..., 0]
         return reference
 
     @cached_property

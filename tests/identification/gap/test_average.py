@@ -37,7 +37,8 @@ def found() -> Posterior:
         blocks = tuple(sorted(numbers[label] for label in labels))
         weighed = Weighed(blocks, tuple(2 + k for k in range(len(blocks))), float(np.log(share)))
         explanations.append(Explanation(tuple(problem.blocks[b] for b in blocks), 0, weighed, share))
-        moments[0].add(problem.products.state([(b, 2 + k) for k, b in enumerate(blocks)]), round(100 * share))
+        for _ in range(round(100 * share)):
+            moments[0].add(problem.products.state([(b, 2 + k) for k, b in enumerate(blocks)]))
     alone = {"problems": (problem,), "noises": walked.noises[:1], "moments": (moments,)}
     return replace(walked, explanations=tuple(explanations), **alone)
 

@@ -236,6 +236,32 @@ def test_held_out_gap_shrinks_to_the_noise() -> None:
     assert gap.held_out_before > 1.5 * noise
 
 
+def test_exact_copies_of_rows_are_no_measurements() -> None:
+    """The same rows twice, in one session or as a second one, are what they are once, and outliers keep their rows."""
+    once = measured("encoder_eccentricity")
+    wrong = replace(once, positions=once.positions + 5.0 * (np.arange(60) == 50)[:, None])
+    twice = [*range(60), *range(60)]
+    expected = diagnose(ARM, wrong)
+    assert expected.outlier_rows == (51,)
+    sessions = replace(wrong.rows(twice), session=np.repeat(["A", "B"], 60))
+    for copied in (wrong.rows(twice), sessions, wrong.rows([0, *range(60)])):
+        found = diagnose(ARM, copied)
+        assert (found.verdict, found.effects) == (expected.verdict, expected.effects)
+        assert found.probabilities.best == expected.probabilities.best
+        assert found.gap.rms_after == pytest.approx(expected.gap.rms_after, rel=1e-6)
+        assert found.outlier_rows == ((52,) if len(copied) == 61 else (51,))
+        assert any("exact cop" in warning for warning in found.warnings)
+
+
+def test_progress_goes_on_from_step_to_step() -> None:
+    shares: list[float] = []
+    diagnose(ARM, measured("encoder_eccentricity"), progress=lambda done, total, message: shares.append(done))
+    assert shares[0] == 0.0
+    assert shares[-1] == 1.0
+    assert all(np.diff(shares) > 0.0)
+    assert sum(0.0 < share < 0.7 for share in shares) >= 3  # the long step
+
+
 def test_order_of_rows_does_not_matter_when_conditions_are_given() -> None:
     data = measured("base_drift")
     mixed = np.random.default_rng(3).permutation(len(data))

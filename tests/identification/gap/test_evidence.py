@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.special import gammaln
 from scipy.stats import norm
 
-from identification.gap.evidence import SIZES, Products, State
+from identification.gap.evidence import SIZES, Products
 
 N, WIDTHS = 30, (1, 2, 1, 3, 7)
 STARTS = np.concatenate([[0], np.cumsum(WIDTHS)])
@@ -58,7 +58,7 @@ def test_the_ratio_is_that_of_densities_of_all_rows(blocks: tuple[int, ...]) -> 
     scales = np.repeat([SIZES[size] for _, size in pairs], [WIDTHS[b] for b in blocks])
     nothing = log_density(z[:, :0], y, np.zeros(0))
     expected = log_density(z[:, own], y, scales) - nothing
-    assert products.ratio(products.state(pairs)) == pytest.approx(expected, abs=1e-7)
+    assert products.state(pairs).ratio == pytest.approx(expected, abs=1e-7)
     assert nothing == pytest.approx(gammaln(len(y) / 2) - np.log(2) - len(y) / 2 * np.log(0.5 * float(y @ y)), abs=1e-7)
 
 
@@ -66,28 +66,12 @@ def test_a_block_added_to_a_set_is_the_larger_set() -> None:
     products = problem()[3]
     for pairs in ((), ((1, 2),), ((0, 1), (3, 3))):
         state = products.state(pairs)
-        added, chosen = products.added(state), {block for block, _ in pairs}
+        added, chosen = products.added(state.without()), {block for block, _ in pairs}
         for b in range(1, len(WIDTHS)):  # the first has a sign: below
             if b not in chosen:
-                whole = np.array([products.ratio(products.state((*pairs, (b, size)))) for size in range(len(SIZES))])
+                whole = np.array([products.state((*pairs, (b, size))).ratio for size in range(len(SIZES))])
                 allowed = np.arange(len(SIZES)) < products.limits[b]
-                np.testing.assert_allclose(
-                    added[b], np.where(allowed, whole - products.ratio(state), -np.inf), atol=1e-8
-                )
-
-
-def same(one: State, other: State, products: Products) -> None:
-    """Two ways to one set: the order of its columns may differ."""
-    order, there = np.argsort(one.places), np.argsort(other.places)
-    assert one.key == other.key
-    np.testing.assert_allclose(one.mean[order], other.mean[there], atol=1e-9)
-    np.testing.assert_allclose(one.covariance[np.ix_(order, order)], other.covariance[np.ix_(there, there)], atol=1e-9)
-    np.testing.assert_allclose(one.shares[order], other.shares[there], atol=1e-9)
-    np.testing.assert_allclose(one.scores, other.scores, atol=1e-8)
-    for a, b in zip(one.within, other.within, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-9)
-    assert one.squares == pytest.approx(other.squares, rel=1e-9)
-    assert products.ratio(one) == pytest.approx(products.ratio(other), abs=1e-8)
+                np.testing.assert_allclose(added[b], np.where(allowed, whole - state.ratio, -np.inf), atol=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -96,11 +80,22 @@ def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None
     state = products.nothing
     for _ in range(40):
         block = int(rng.integers(len(WIDTHS)))
-        if block in state.blocks:
-            state = products.without(state, block)
-        else:
-            state = products.with_block(state, block, int(rng.integers(products.limits[block])))
-        same(state, products.state(state.key), products)
+        left = state.without(block if block in state.blocks else None)
+        once = products.state(left.key)
+        assert left.squares == pytest.approx(once.squares, rel=1e-9)
+        np.testing.assert_allclose(left.scores, once.without().scores, atol=1e-8)
+        np.testing.assert_allclose(
+            np.concatenate([w.ravel() for w in left.within]),
+            np.concatenate([w.ravel() for w in once.within]),
+            atol=1e-9,
+        )
+        state = left.rest if rng.random() < 0.3 else left.put(block, int(rng.integers(products.limits[block])))
+        once = products.state(state.key)
+        np.testing.assert_allclose(
+            np.concatenate([w.ravel() for w in state.within]),
+            np.concatenate([w.ravel() for w in once.within]),
+            atol=1e-9,
+        )
 
 
 def test_what_a_set_leaves_is_what_ridge_regression_leaves() -> None:
@@ -111,9 +106,9 @@ def test_what_a_set_leaves_is_what_ridge_regression_leaves() -> None:
     scales = np.repeat([SIZES[2], SIZES[1]], [2, 7])
     inverse = np.linalg.inv(np.eye(N) + (z[:, state.places] * scales**2) @ z[:, state.places].T)
     assert state.squares == pytest.approx(y @ inverse @ y, rel=1e-10)
-    np.testing.assert_allclose(state.scores, z.T @ inverse @ y, atol=1e-9)
+    np.testing.assert_allclose(state.without().scores, z.T @ inverse @ y, atol=1e-9)
     left = z.T @ inverse @ z
-    for (_, index), own in zip(products.alike, state.within, strict=True):
+    for index, own in zip(products.alike, state.within, strict=True):
         np.testing.assert_allclose(own, left[index[:, :, None], index[:, None, :]], atol=1e-9)
 
 
@@ -121,7 +116,7 @@ def test_a_few_blocks_alone_have_the_same_likelihoods() -> None:
     products = problem()[3]
     few = products.of_blocks((1, 3, 4))
     one, other = few.state([(0, 0), (2, 2)]), products.state([(1, 0), (4, 2)])
-    assert few.ratio(one) == pytest.approx(products.ratio(other), abs=1e-10)
+    assert one.ratio == pytest.approx(other.ratio, abs=1e-10)
     assert few.limits.tolist() == [14, 14, 3]
 
 
@@ -133,12 +128,12 @@ def test_a_block_of_one_sign_has_twice_the_mass_on_its_side() -> None:
         rest = y + 9.0 * z[:, 0] - q @ (q.T @ (y + 9.0 * z[:, 0]))
         ends, limit = np.array([0, 1]), np.array([14])
         two, one = (Products.of(x, rest, N - 3, ends, np.array([s]), limit) for s in (False, True))
-        either, positive = (p.added(p.nothing)[0] for p in (two, one))
+        either, positive = (p.added(p.nothing.without())[0] for p in (two, one))
         fits = [two.state([(0, size)]) for size in range(14)]
         variances = [fit.covariance[0, 0] * fit.squares / two.freedom for fit in fits]
         above = [2.0 * norm.cdf(float(fit.mean[0] / np.sqrt(v))) for fit, v in zip(fits, variances, strict=True)]
         np.testing.assert_allclose(positive - either, np.log(above), atol=1e-6)
-        np.testing.assert_allclose([one.signed(one.state([(0, size)])) for size in range(14)], np.log(above), atol=1e-9)
+        np.testing.assert_allclose([one.state([(0, size)]).signed for size in range(14)], np.log(above), atol=1e-9)
 
 
 def test_estimates_are_ridge_regression() -> None:

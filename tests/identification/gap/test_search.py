@@ -43,7 +43,7 @@ def exact(search: Search) -> dict[tuple[int, ...], float]:
         if np.isfinite(prior := search.log_prior(blocks)):
             each = product(range(SIZES_OF_EACH), repeat=len(blocks))
             states = (search.products.state(list(zip(blocks, sizes, strict=True))) for sizes in each)
-            ratios = [search.products.ratio(state) for state in states]
+            ratios = [state.ratio for state in states]
             odds[blocks] = prior + logsumexp(ratios) - len(blocks) * np.log(SIZES_OF_EACH)
     total = logsumexp(list(odds.values()))
     return {blocks: float(np.exp(o - total)) for blocks, o in odds.items()}
@@ -118,3 +118,12 @@ def test_two_blocks_that_hide_each_other_are_found() -> None:
     search = Search(given, np.ones(12), np.zeros(12, dtype=bool))
     assert search.climb().blocks == (0, 1)
     assert search.walk(search.climb(), np.random.default_rng(1)).sets[0].blocks == (0, 1)
+
+
+def test_the_climb_ends_where_rows_are_fitted_exactly() -> None:
+    """Without noise every further block makes what is left smaller, in the ratio of rounding."""
+    rng = np.random.default_rng(7)
+    z = rng.normal(size=(12, 40)) / np.sqrt(12.0)
+    given = Products.of(z, z[:, :3] @ [40.0, -30.0, 20.0], 9, np.arange(41), np.zeros(40, dtype=bool), np.full(40, 14))
+    search = Search(given, np.ones(40), np.zeros(40, dtype=bool))
+    assert len(search.climb().blocks) <= 9
