@@ -343,8 +343,8 @@ def starts(problem: Problem) -> Array:
 
 
 def _with_instrument(problem: Problem, starts: Array, instrument: Instrument, numbers: list[int]) -> Array:
-    """(K, p) starts (K, p) with the parameters of the instrument, whose numbers are `numbers`, as they explain the readings
-    best, and all others as they fit best with those of them that the instrument holds first."""
+    """(K, p) starts (K, p) with the parameters of the instrument, by their numbers, as they explain the readings best,
+    and all others as they fit best with those of them that the instrument holds first."""
     least = problem.least_squares
     starts, held = instrument.settled(starts, problem.residuals, numbers)
 
