@@ -16,17 +16,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from doe.cli.stopping import stopped_by
+from identification import JobError
 from identification.document import picture_bytes
-from identification.errors import JobError
-from identification.files.io import PathLike, write_together
+from identification.files.io import write_together
 from identification.workflow import Folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from doe.jobs.running import Workers as Pool
-    from identification.arm import Arm
-    from identification.arrays import Array
+    from identification import Arm, Array
 
 Content = str | bytes | Callable[[], "Figure"]
 
@@ -91,7 +90,7 @@ def written(contents: Mapping[Path | None, Content], force: bool, what: str = ""
     contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
     """
     wanted = {path: content for path, content in contents.items() if path is not None}
-    files: dict[PathLike, str | bytes] = {}
+    files: dict[Path, str | bytes] = {}
     for path, content in wanted.items():
         if isinstance(content, str | bytes):
             files[path] = content

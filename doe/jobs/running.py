@@ -34,7 +34,6 @@ import numpy as np
 
 from doe.jobs.rows import Key, Row, RowTable, canonical, made
 from identification import InputError, JobError, Progress, silent
-from identification.files.io import PathLike
 from identification.threads import SINGLE_THREAD
 
 if TYPE_CHECKING:
@@ -152,7 +151,7 @@ class Job:
     @contextmanager
     def open(
         cls,
-        folder: PathLike | None,
+        folder: Path | str | None,
         names: Sequence[str],
         workers: Workers | None = None,
         *,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,7 +17,10 @@ from scipy.special import betaincinv, fdtrc, ncfdtr, nctdtr, stdtrit
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
+from identification.document import Document
+from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
+from identification.estimation.grouped import LEVEL
 from identification.gap.blocks import Linearized, linearized
 from identification.gap.evidence import SIZES, Index
 from identification.gap.fit import Fit, Rows, fit
@@ -28,7 +31,10 @@ from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.threads import single_thread
 
-POWER, LEVEL = 0.9, 0.05  # convention: what is "excluded" would have been found in nine cases of ten
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+POWER = 0.9  # convention: what is "excluded" would have been found in nine cases of ten
 # derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6
 NEAR = 0.9
 LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test, and is not linear
@@ -97,14 +103,21 @@ class Detectability:
             "never_visible": dict(self.aliases),
         }
 
+    def document(self) -> Document:
+        """Visible fraction, smallest size and look-alikes of every effect, and what cannot be tested."""
+        return detectability_document(self)
+
+    def figure(self) -> Figure:
+        """Heat map of the likeness of effects."""
+        from identification.documents.pictures import alias_figure  # deferred: matplotlib takes long to load
+
+        return alias_figure(self)
+
     def __str__(self) -> str:
-        lines = [
-            f"{self.freedom} residual degrees of freedom",
-            f"{'effect':32} fraction  smallest detectable size (90 % power)",
-        ]
-        for name, fraction in zip(self.names, self.norm_fractions, strict=True):
-            lines.append(f"{name:32} {fraction:8.2f}  {self.detectable[name]}")
-        return "\n".join(lines)
+        return str(self.document())
+
+    def _repr_html_(self) -> str:
+        return self.document()._repr_html_()
 
 
 @single_thread()  # the same bits, whatever the number of threads

@@ -94,7 +94,7 @@ def blind_study(
         score = scored_table(truth, diagnoses)
         if folder is not None:
             files = {folder / f"{name}.parquet": parquet(table) for name, table in score.tables.items()}
-            write_together(files, force=True)  # type: ignore[arg-type]
+            write_together(files, force=True)
     return score
 
 

@@ -33,7 +33,7 @@ from identification import (
 )
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
-from identification.files.io import PathLike, named_file, read_toml
+from identification.files.io import named_file, read_toml
 from identification.files.schema import StrictTable, validated
 from identification.kinematics.parameters import GEOMETRY
 
@@ -251,7 +251,7 @@ def parse_study(tables: dict[str, Any]) -> StudyFile:
     return validated(StudyFile, tables)
 
 
-def load_study(path: PathLike) -> Study:
+def load_study(path: Path | str) -> Study:
     """The study that a TOML file describes; names of files in it are beside it.
 
     Its keys: identification/files/README.md, "Study file".

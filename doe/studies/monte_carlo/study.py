@@ -45,7 +45,7 @@ from identification.estimation import estimate_batch, estimate_each
 from identification.estimation.batch import sessions
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
-from identification.files.io import PathLike, write_whole
+from identification.files.io import write_together
 from identification.information import covariance, covariances
 from identification.kinematics.counting import in_columns, in_joints
 from identification.kinematics.parameters import orientation_transform
@@ -75,7 +75,7 @@ class StudyResult:
 
 def run_study(
     study: Study,
-    folder: PathLike | None = None,
+    folder: Path | str | None = None,
     workers: Workers | None = None,
     *,
     seed: int = 0,
@@ -102,7 +102,7 @@ def run_study(
         blocks = job.run(replicate, [key for key, _ in tasks.values()], BLOCKS, lambda key: tasks[canonical(key)][1])
         cells = pooled_rows(blocks)
         if folder is not None:
-            write_whole(Path(folder) / CELLS, parquet(cells), force=True)
+            write_together({Path(folder) / CELLS: parquet(cells)}, force=True)
     return StudyResult(cells, blocks, plans)
 
 
