@@ -27,7 +27,6 @@ from identification.model import Model
 from identification.vectorize import vectorize
 
 # reasons: identification/README.md, "Constants"
-KEPT = 128  # effort: models compiled and formulas set up, of some arms
 WAVES = 30  # half periods of an error curve over the angles of its joint
 # an effect's class, joint, and names of its settings where they are scanned, else names and values
 Key = tuple[type[Effect], int | None, tuple[str, ...] | tuple[tuple[str, float], ...]]
@@ -162,7 +161,7 @@ def _symbols(arm: Arm, remembers: bool) -> Symbols:
     return Symbols(arm, remembers)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache
 def _formulas(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> Formulas:
     """Symbolic slopes of these effects, built once for equal arms."""
     effects, symbols = [], list[ca.SX]()

@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 from identification.arrays import Array
 from identification.estimation.outlying import together
 from identification.gap.blocks import Linearized, linearized
+from identification.gap.detectability import LEVEL
 from identification.gap.evidence import State
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import Block, Hypothesis, HypothesisSet, with_further_orders
@@ -23,11 +24,8 @@ from identification.progress import Tell, say_nothing
 MOST_ROWS = 1250  # that are searched for any effect
 PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
-UNLIKELY = 3.0  # log odds below the best, of a noise model that is not searched
 STRIKING = 3.0  # robust standard deviations of a row that may be outlying
-WRITTEN = 0.05  # probability of a block that is part of the model that is written
 MOST_WRONG = 30  # effort: rows that may be
-STAGES = PASSES + NOISES + 1  # that are told, at most
 
 
 @dataclass(frozen=True)
@@ -173,7 +171,7 @@ def _climbed(library: HypothesisSet, rows: Rows, passes: int, tell: Tell) -> Cli
 def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
     """The set of a sample, and the noises that are not unlikely there, in the problem of all rows."""
     tell("all rows")
-    chosen, least = sample.every[sample.noise], sample.scores.max() - UNLIKELY
+    chosen, least = sample.every[sample.noise], sample.scores.max() + np.log(LEVEL)
     names = {chosen.name, *(n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least)}
     at = fit(sample.at.model, rows, sample.at.by_name)
     every = [n for n in noises(rows, at) if n.name in names]
@@ -242,7 +240,7 @@ def _holds(block: Block) -> bool:
 def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: Tell) -> Posterior:
     """The posterior around a likely set, under each noise that is not unlikely."""
     order = [int(k) for k in np.argsort(-climbed.scores, kind="stable") if k != climbed.noise]
-    order = [k for k in order if climbed.scores[k] > climbed.scores.max() - UNLIKELY][: NOISES - 1]
+    order = [k for k in order if climbed.scores[k] > climbed.scores.max() + np.log(LEVEL)][: NOISES - 1]
     models = []
     for k in [climbed.noise, *order]:
         noise = climbed.every[k]
@@ -255,7 +253,7 @@ def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: 
         models.append((noise, *_near_walk(there, generator), float(climbed.offset[k])))
     found = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
     lacking = sum(one.probability for one in found.explanations if not all(map(_holds, one.blocks)))
-    if lacking < WRITTEN:
+    if lacking < LEVEL:
         return found
     alone = _writable(climbed)
     tell("what an arm file can have")
