@@ -20,14 +20,9 @@ from doe.design import Design
 from doe.plan.accuracy import TipError, TipErrors
 from doe.plan.plan import Plan
 from doe.plan.spacing import with_additions
-from doe.problem.problem import NEEDS_SIGMA, DesignProblem
+from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification.arm import SIGMA_RANGE, Arm
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.kinematics.parameters import LENGTH_ERROR
-from identification.progress import Progress, silent
-from identification.validate.origin import identified
+from identification import LENGTH_ERROR, NEEDS_SIGMA, Array, InputError, Progress, silent
 
 FRESH = 5  # random starts beside the plan of fewer runs, where a start climbs on gradients
 SHARE = 0.25  # of the time, at most, for the bounds
@@ -156,18 +151,6 @@ def advise(
             raise
     made = tuple(designs[m] for m in runs if m in designs)
     return Advice(made, target, () if errors is None else tuple(errors.of_plan(d.plan.postures) for d in made))
-
-
-def with_scatter(arm: Arm) -> tuple[Arm, str]:
-    """The arm with a sigma, where it has none the scatter that its calibration left; and where it comes from, or what
-    is missing without one."""
-    if arm.sigma is not None:
-        return arm, ""
-    scatter = identified(arm).get("scatter_mm")
-    if not isinstance(scatter, float) or not SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1]:
-        return arm, f"No standard deviations, no tip error: that {NEEDS_SIGMA}."
-    scatter_in_words = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
-    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is taken for it."
 
 
 def promised(problem: DesignProblem, postures: Array, errors: TipErrors | None) -> Array:

@@ -17,22 +17,15 @@ from doe.bounds.planar_theorem import table_1_max_residual
 from doe.criteria import D
 from doe.plan.accuracy import (
     ExpectedDeviations,
-    deviations_per_draw,
     error_at_poses,
     expected_deviations,
-    over_draws,
     plan_jacobians,
-    plan_spectrum,
 )
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.information import identifiability
-from identification.kinematics.parameters import PRISMATIC
-from identification.kinematics.turns import TURN, turned_into
-from identification.status import Status
+from identification import PRISMATIC, Array, InputError, Status, identifiability, spectrum
+from identification.kinematics.turns import turned_into
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
 SAME = 1e-9  # relative difference of Jacobians that counts as none
@@ -71,7 +64,8 @@ class Design:
     def identifies_all(self) -> bool:
         """True if every parameter is estimable, decided by the singular values as in `identify`; where the smallest is
         below about 1e-7 of the largest, M cannot tell it from none, and `value` is -inf all the same."""
-        return plan_spectrum(self.problem, self.plan.postures, self.plan.weights).rank == self.problem.parameters
+        jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
+        return spectrum(jacobians, np.ones(self.problem.parameters)).rank == self.problem.parameters
 
     @cached_property
     def not_identifiable(self) -> tuple[str, ...]:
@@ -144,17 +138,15 @@ class Design:
     @cached_property
     def deviations(self) -> ExpectedDeviations | None:
         """Expected standard deviations with the arm's sigma, the mean over the draws of an uncertain arm."""
-        if self.deviations_per_draw is not None:
-            return over_draws(self.deviations_per_draw, np.mean)
         return expected_deviations(self.problem, self.plan.postures, self.problem.model.sigma, self.plan.weights)
 
     @cached_property
-    def deviations_per_draw(self) -> tuple[ExpectedDeviations, ...] | None:
-        """Expected standard deviations for every draw of an uncertain arm; None for a known arm, or without sigma."""
+    def worst_deviations(self) -> ExpectedDeviations | None:
+        """The largest over the draws of an uncertain arm; None for a known arm, or without sigma."""
         model = self.problem.model
         if not isinstance(model, EnsembleModel):
             return None
-        return deviations_per_draw(self.problem, model, self.plan.postures, model.sigma, self.plan.weights)
+        return expected_deviations(self.problem, self.plan.postures, model.sigma, self.plan.weights, np.max)
 
     @property
     def expected_error(self) -> dict[str, float | None] | None:
@@ -167,7 +159,7 @@ class Design:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `design` and `score` (identification/files/README.md, "JSON keys"); None where unknown."""
-        worst = self.deviations_per_draw
+        worst = self.worst_deviations
         return {
             "criterion": self.problem.criterion.name,
             "runs": len(self.plan),
@@ -186,7 +178,7 @@ class Design:
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": _deviations_json(self.deviations),
             "expected_error_mm": self.expected_error,
-            **({} if worst is None else {"std_worst_draw": _deviations_json(over_draws(worst, np.max))}),
+            **({} if worst is None else {"std_worst_draw": _deviations_json(worst)}),
             "solver": self.solver,
             "status": self.status.name,
             "starts": self.starts,
@@ -206,7 +198,7 @@ class Design:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return self.plan.to_html(self, "run", map(str, range(1, len(self.plan) + 1)))
+        return self.plan.to_html(self)
 
 
 def optimality_in_words(optimality: str | None, bound: Mapping[str, Any] | None) -> str:
@@ -280,6 +272,6 @@ def whole_turns_aside(problem: DesignProblem, postures: Array) -> Array:
     """(m, n) joints that may take every angle moved into their limits by whole turns, unless the model sees it."""
     lower, upper = problem.lower, problem.upper
     moved = turned_into(postures, lower, upper, problem.model.joint_types, FITS)
-    moved = np.where(upper - lower >= TURN - FITS, moved, postures)
+    moved = np.where(upper - lower >= 2.0 * np.pi - FITS, moved, postures)
     same = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(postures)).max() < SAME
     return moved if same else postures

@@ -9,6 +9,8 @@ with what the values are of:
                        so, and what is a billion times less certain than the rest is of no use
     PRODUCT_TOLERANCE  eigenvalues of a product: normal matrix, covariance, correlations. They are the squares, but
                        rounded as the largest is: below this too few digits are left to divide by
+    VISIBLE            what can be seen at all: squares that a column adds beside others, with less of which it looks
+                       like the others whatever rounding says, and tables of slopes by differences or of splines
     rounding_share     either, where the question is whether a value is anything but rounding: what a prior holds, and
                        determinants, which do not divide
 """
@@ -25,6 +27,7 @@ from identification.arrays import Array, readonly
 
 RANK_TOLERANCE = 1e-9  # of the largest singular value
 PRODUCT_TOLERANCE = 1e-12  # of the largest eigenvalue: a rounding of 1e-15 of that leaves three digits
+VISIBLE = 1e-6  # of the largest
 ALONE = 1e-8  # of 1: rows with less than this left beside their leverage determine a combination by themselves
 CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
 EPS = float(np.finfo(float).eps)
@@ -68,37 +71,6 @@ def product_inverse(product: Array, tolerance: float = PRODUCT_TOLERANCE) -> Arr
     lengths = np.where(sizes > 0.0, sizes, 1.0)
     inverse = np.linalg.pinv(product / lengths / lengths[:, None], rcond=tolerance, hermitian=True)
     return np.asarray(inverse / lengths / lengths[:, None])
-
-
-def log_determinants(information: Array) -> Array:
-    """(...) log det of information matrices (..., p, p) of scaled parameters; -inf where the rule calls them singular.
-
-    The determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most matrices their
-    eigenvalues.
-    """
-    p = information.shape[-1]
-    sizes = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
-    usable = np.array(np.all(np.isfinite(information), axis=(-2, -1)))
-    lengths, zero = column_lengths(np.where(usable[..., None], sizes, 1.0), np.ones(p))
-    usable &= ~np.any(zero, axis=-1)
-    scaled = information / lengths[..., :, None] / lengths[..., None, :]
-    unit = np.where(usable[..., None, None], scaled, np.eye(p))
-    signs, logs = np.linalg.slogdet(unit)
-    usable &= signs > 0
-    close = usable & (logs <= 1.0 + np.log(p * rounding_share(p)))
-    if np.any(close):
-        usable[close] = np.all(significant(np.linalg.eigvalsh(unit[close]), rounding_share(p)), axis=-1)
-    return np.where(usable, logs + 2.0 * np.sum(np.log(lengths), axis=-1), -np.inf)
-
-
-def inverses(information: Array) -> Array:
-    """(..., p, p) inverses of information matrices of scaled parameters, infinite where `log_determinants` is -inf."""
-    p = information.shape[-1]
-    singular = np.isneginf(log_determinants(information))[..., None, None]
-    matrices = np.where(singular, np.eye(p), information)
-    lengths = np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
-    inverse = np.linalg.inv(matrices / lengths[..., :, None] / lengths[..., None, :])
-    return np.where(singular, np.inf, inverse / lengths[..., :, None] / lengths[..., None, :])
 
 
 def column_space(jacobian: Array, scales: Array) -> Array:
@@ -336,7 +308,7 @@ def _independent(vectors: list[Array], k: int) -> list[Array]:
     for vector in ordered:
         clean = np.where(np.abs(vector) > RANK_TOLERANCE, vector, 0.0)
         trial = np.array([v / np.linalg.norm(v) for v in (*chosen, clean)])
-        if np.linalg.svd(trial, compute_uv=False)[-1] > 1e-6:
+        if np.linalg.svd(trial, compute_uv=False)[-1] > VISIBLE:
             chosen.append(clean)
         if len(chosen) == k:
             break

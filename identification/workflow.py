@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 Written = NewType("Written", Path)  # a file that a verb writes
 Picture = NewType("Picture", Written)  # .png, .svg, .pdf
+Folder = NewType("Folder", Path)  # that a verb writes files into
 Names = Annotated[str, "NAMES"]
 PathLike = str | os.PathLike[str]
 
@@ -63,6 +64,69 @@ def _measured(path: Path, arm: Arm) -> Measurements:
     for sentence in data_warnings(measurements, arm):
         warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
     return measurements
+
+
+# -- the first files ---------------------------------------------------------------------------------------------------
+def init_files(
+    *,
+    links: Annotated[str, "N|LENGTHS"] | None = None,
+    robot: Annotated[Path, "--urdf"] | None = None,
+    dh: Annotated[int, range(1, 13), "N"] | None = None,
+    base_link: str | None = None,
+    tip_link: str | None = None,
+    instrument: Annotated[str, "KIND"] | None = None,
+    out: Folder = Folder(Path(".")),  # noqa: B008
+    force: bool = False,
+) -> Answer:
+    """Write the first files: arm, measurements, what to do.
+
+    An arm file with comments, the columns of a measurement file, and the steps of a calibration. One of --links, --urdf
+    and --dh says which arm; a planar one of three links without any of them.
+
+    links : A planar arm: how many links (a whole number, 1 to 12), or their lengths [mm]: 612,572.3 or, of one, 612.0
+    robot : A spatial arm from a URDF file.
+    dh : A spatial arm from N Denavit-Hartenberg rows.
+    base_link : Of the URDF file; left out: its root.
+    tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
+    instrument : Of a spatial arm without a tracker: distance (ball bar, draw wire), sphere, plane (touch probe).
+    out : Folder; made if missing.
+    force : Overwrite existing files.
+    """
+    from identification.errors import nearest
+    from identification.files.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
+    from identification.files.io import write_together
+    from identification.instruments import KINDS
+
+    sources = [name for name, value in (("--links", links), ("--urdf", robot), ("--dh", dh)) if value is not None]
+    if len(sources) > 1:
+        raise InputError(f"{sources[1]}: found with {sources[0]}, allowed: one of them")
+    for name, value in (("--base-link", base_link), ("--tip-link", tip_link)):
+        if value is not None and robot is None:
+            raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
+    if instrument is not None and robot is None and dh is None:
+        raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
+    if instrument is not None and instrument not in KINDS:
+        raise InputError(f"--instrument: found {instrument!r}, {nearest(instrument, KINDS)}")
+    if robot is not None:
+        files = urdf_files(robot, base_link, tip_link, instrument or "")
+    else:
+        files = planar_files(links or "3") if dh is None else dh_files(dh, instrument or "")
+    new: dict[PathLike, str | bytes] = {out / name: text for name, text in files.items()}
+    if robot is not None and (copy := out / robot.name).exists() and copy.samefile(robot):  # it stands there already
+        del new[copy]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out: {out} cannot be made ({error.strerror}), allowed: a folder") from None
+    write_together(new, force)
+    written = list(map(str, new))
+    first = ("armcal design", "armcal check")  # of touches there is no plan
+    step = next(line for word in first for line in files[STEPS].splitlines() if line.startswith(word))
+    made_up = ["replace what is marked EXAMPLE in " + str(out / ARM)] if "EXAMPLE" in files[ARM] else []
+    upright = "gravity: the masses of the URDF file, on a base that stands upright; if it does not, change [gravity]"
+    made_up += [upright] if "\n[gravity]" in files[ARM] else []
+    steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {step.partition('  #')[0].rstrip()}"]
+    return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
 
 
 # -- check, simulate ---------------------------------------------------------------------------------------------------
@@ -127,7 +191,8 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
         data = simulate(true_arm, wanted.postures, np.random.default_rng(seed), sigma=sigma, **wanted.conditions)
     except InputError as error:
         raise InputError(f"{truth}: {error}") from None
-    write_together({out: measurement_text(replace(data, fit=wanted.fit), loaded.joint_types)}, force=force)
+    text = measurement_text(replace(data, fit=wanted.fit), loaded.joint_types, loaded.chain.instrument)
+    write_together({out: text}, force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
     return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"])
 
@@ -658,6 +723,7 @@ def effects(name: str | None = None) -> Answer:
 # verb -> what it does, and an example of it
 VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = MappingProxyType(
     {
+        "init": (init_files, "armcal init --urdf robot.urdf --out calibration"),
         "simulate": (simulate_files, "armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv"),
         "check": (check_files, "armcal check arm.toml measurements.csv"),
         "identify": (identify_files, "armcal identify arm.toml data.csv --out calibrated.toml"),

@@ -8,8 +8,11 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+import identification
 
 ROOT = Path(__file__).parents[1]
 
@@ -50,12 +53,13 @@ LAYERS = {
     "identification.files.arm_text": 2,
     "identification.files.measurement": 2,
     "identification.files.plan": 2,
+    "identification.files.first_files": 2,
     "identification.files.measurement_columns": 2,
     "identification.files.target": 2,
     "identification.vectorize": 0,
     "identification.model.expressions": 3,
     "identification.model": 3,
-    "identification.information": 4,
+    "identification.information": 1,
     "identification.servo": 3,
     "identification.simulate": 4,
     "identification.model.placed": 4,
@@ -66,6 +70,7 @@ LAYERS = {
     "identification.validate.origin": 5,
     "identification.compensate": 6,
     "identification.workflow": 8,
+    "identification.campaign": 9,
     "identification.sessions": 5,
     "identification.validate": 6,
     "identification.gap": 6,
@@ -185,10 +190,29 @@ def test_imports_go_down_only() -> None:
     wrong = []
     for path in modules():
         name = name_of(path)
+        if name == "identification":  # the table of contents, for everybody else
+            continue
         for target in imported(path.read_text(), name):
             if (other := layer(target)) is not None and other > layer(name):
                 wrong.append(f"{name} (layer {layer(name)}) imports {target} (layer {other})")
     assert not wrong
+
+
+def test_identification_itself_does_not_use_its_table_of_contents() -> None:
+    """Through it a module could reach what stands above it."""
+    names = set(identification.__all__)
+    sources = [path for path in modules() if path.relative_to(ROOT).parts[0] == "identification"]
+    nodes = [(path, node) for path in sources for node in ast.walk(parsed(path.read_text()))]
+    taken = [(path, node) for path, node in nodes if isinstance(node, ast.ImportFrom)]
+    assert not [str(path) for path, node in taken if node.module == "identification" and names & of_import(node)]
+    for name in identification.__all__:
+        value = getattr(identification, name)
+        assert not isinstance(value, ModuleType), f"{name} is a module too"
+
+
+def of_import(node: ast.ImportFrom) -> set[str]:
+    """The names that it imports."""
+    return {alias.name for alias in node.names}
 
 
 def test_layer_test_sees_an_upward_import() -> None:
@@ -296,58 +320,38 @@ def test_code_is_clean(tool: list[str]) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def covering_tests(package: str) -> dict[str, str]:
-    """Module or folder -> test, from the table "Which test covers what" of a package's README."""
-    section = (ROOT / package / "README.md").read_text().split("## Which test covers what")[1].split("\n## ")[0]
-    rows = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| `")]
-    return {f"{package}/{name}": tests.strip() for names, tests in rows for name in re.findall(r"`([^`]+)`", names)}
-
-
-def reached(test: Path, links: dict[str, set[str]]) -> set[str]:
-    """Our modules that a test imports, and those that they import."""
-    todo = list(at_run_time(test.read_text(), set(links)))
-    found = set(todo)
+def reached(start: set[str], links: dict[str, set[str]]) -> set[str]:
+    """Modules of a set, and all that they import."""
+    todo, seen = list(start), set(start)
     while todo:
-        new = links[todo.pop()] - found
-        found |= new
+        new = links[todo.pop()] - seen
+        seen |= new
         todo += new
-    return found
+    return seen
 
 
 def test_every_module_has_a_test() -> None:
-    """One of its name in the mirrored place, or the one that the README of its package names, which must import it."""
-    links, wrong, named = graph(), [], set()
-    tables = covering_tests("doe") | covering_tests("identification")
+    """One of its name in the mirrored place, or one of its package, or a verb that the tests run, which imports it."""
+    links = graph()
+    tests = {package: list((ROOT / "tests" / package).rglob("test_*.py")) for package in ("doe", "identification")}
+    imports = {
+        name: {m for path in paths for m in at_run_time(path.read_text(), set(links))} for name, paths in tests.items()
+    }
+    commands = " ".join(path.read_text() for path in (ROOT / "tests/doe/cli").rglob("*.py"))
+    verbs = {name for name in links if name.startswith("doe.cli.") and f'"{name.rpartition(".")[2]}"' in commands}
+    covered = {package: reached(start | verbs, links) for package, start in imports.items()}
+    wrong = []
     for path in modules():
         place = path.relative_to(ROOT)
-        if path.name.startswith("__") or (ROOT / "tests" / place.parent / f"test_{path.name}").exists():
-            continue
-        rows = [str(place), *(f"{folder}/" for folder in place.parents)]
-        row = next((row for row in rows if row in tables), "")
-        named.add(row)
-        test = ROOT / tables.get(row, "no row")
-        by_command = test.is_relative_to(ROOT / "tests/doe/cli")  # through its conftest.py
-        if not test.exists() or not (by_command or name_of(path) in reached(test, links)):
-            wrong.append(f"{place}: {tables.get(row, 'no row')}")
-    assert not wrong, "no test of its name, and none in 'Which test covers what' that exists and imports it"
-    assert named <= set(tables) == named, f"rows for nothing: {sorted(set(tables) - named)}"
-
-
-def modules_listed(package: str) -> dict[str, set[str]]:
-    """Folder -> modules, from the table "Modules" of a package's README; several rows may be of one folder."""
-    section = (ROOT / package / "README.md").read_text().split("\n## Modules\n")[1].split("\n## ")[0]
-    found: dict[str, set[str]] = {}
-    for line in section.splitlines():
-        if line.startswith("| `"):
-            folder, _, names = line.strip("|").split("|")
-            found.setdefault(folder.strip(" `"), set()).update(re.findall(r"`([^`]+)`", names))
-    return found
+        by_name = (ROOT / "tests" / place.parent / f"test_{path.name}").exists()
+        if not path.name.startswith("__") and not by_name and name_of(path) not in covered[place.parts[0]]:
+            wrong.append(str(place))
+    assert not wrong, "no test of its name, and no test of its package imports it"
 
 
 @pytest.mark.parametrize("package", ["doe", "identification"])
-def test_the_readme_of_a_package_lists_its_modules(package: str) -> None:
-    there: dict[str, set[str]] = {}
-    for path in modules():
-        if not path.name.startswith("__") and path.relative_to(ROOT).parts[0] == package:
-            there.setdefault(f"{path.relative_to(ROOT).parent}/", set()).add(path.stem)
-    assert modules_listed(package) == there, "add the module to the table 'Modules' of the package's README"
+def test_the_readme_of_a_package_lists_its_folders(package: str) -> None:
+    section = (ROOT / package / "README.md").read_text().split("\n## Folders\n")[1].split("\n## ")[0]
+    listed = re.findall(r"^\| `([^`]+)/` \|", section, re.MULTILINE)
+    folders = {str(path.parent.relative_to(ROOT)) for path in modules() if not path.name.startswith("__")}
+    assert sorted(listed) == sorted(folder for folder in folders if folder.split("/")[0] == package)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from doe.report.first_files import urdf_files
 from doe.report.page import page
 from doe.studies.monte_carlo.specification import load_study
 from identification.document import Document, Section, Sheet
 from identification.errors import InputError
 from identification.files.arm import load_arm
+from identification.files.first_files import urdf_files
 from identification.files.urdf import parse_urdf
 
 ROOT = Path(__file__).parents[1]

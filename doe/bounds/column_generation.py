@@ -26,7 +26,6 @@ from doe.bounds.branch_and_bound import TrigonometricJacobian, maximum, trigonom
 from doe.bounds.certificate import (
     REMEMBERED,
     ApproximateDesign,
-    Bound,
     CandidateJacobians,
     largest_sensitivity,
     last_pass,
@@ -45,9 +44,7 @@ from doe.criteria import Criterion
 from doe.plan.ascent import PlanAscent
 from doe.problem.postures import Candidates, Grid, PostureList, grid, listed_candidates, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, never
-from identification.arrays import Array
-from identification.errors import InputError, JobError, nearest
-from identification.status import Status
+from identification import Array, InputError, JobError, Status, nearest
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
 # largest sensitivity of all that was visited
@@ -179,7 +176,10 @@ def continuous_design(
     stages = ascents(everything, tolerance, stop)
     if problem.many_parameters:
         stages = [Stage(stages[-1].price, tolerance)]
-        start = climbed(problem, runs, stop) if also is None else also
+        start = also
+        if start is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
+            anywhere = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
+            start = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop)
     else:
         starts = PostureList(everything.starts)
         stages = [Stage(CandidatePrice(problem, starts, prior), COARSE), *stages]
@@ -194,23 +194,6 @@ def continuous_design(
         design, largest, rigorous = prove(everything, jacobians, design, largest, stages, goal, stop)
     settings = {"rigorous": rigorous, "solver": "column_generation"}
     return design.certified(largest, 10.0 * goal, cut=stop(), seconds=perf_counter() - began, **settings)
-
-
-def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8) -> Bound:
-    """No design within limits and constraints is better: a theorem where `rigorous` is True, else numerical.
-
-    Raises JobError where the optimum was not reached.
-    """
-    design = continuous_design(problem, runs=runs, tolerance=tolerance, proof=tolerance)
-    if design.bound is None:
-        raise JobError(f"continuous bound: {design.status.name}, gap {design.gap:.2g}; {design.status.value}")
-    return design.bound
-
-
-def climbed(problem: DesignProblem, runs: int | None, stop: Stop = never) -> Array:
-    """(k, n) postures of a long plan that was climbed on gradients: nearly the support of the best weights."""
-    postures = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
-    return PlanAscent(problem, runs or len(postures))(postures, stop=stop)
 
 
 def ascents(everything: ContinuousSet, tolerance: float, stop: Stop = never) -> list[Stage]:

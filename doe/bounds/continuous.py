@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from doe.problem.postures import random_postures
 from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives, PriorInformation, Stop, never
-from identification.arrays import Array
-from identification.newton_ascent import Rows, newton_ascent
+from identification import Array
+from identification.newton_ascent import newton_ascent
 
 LANDMARKS = 2187  # 3^7: limits and middle of seven joints
 SAMPLES = 2000  # random postures beside the landmarks
@@ -115,7 +115,7 @@ class ContinuousSet:
     def _ascend(self, q: Array, gradient: Array, barrier: Array, stop: Stop) -> Array:
         """The climb of tr(G F(q)) + barrier * sum of log margins: (m,) barriers, all 0 without constraints."""
 
-        def height(postures: Array, rows: Rows) -> Array:
+        def height(postures: Array, rows: NDArray[np.intp]) -> Array:
             values = self.sensitivities(postures, gradient)
             if not barrier.any():
                 return values
@@ -124,7 +124,7 @@ class ContinuousSet:
             logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
             return np.where(inside, values + barrier[rows] * logarithms, -np.inf)
 
-        def slopes(postures: Array, rows: Rows) -> tuple[Array, Array]:
+        def slopes(postures: Array, rows: NDArray[np.intp]) -> tuple[Array, Array]:
             slope, hessian = self.slopes(postures, gradient)
             if not barrier.any():
                 return slope, hessian

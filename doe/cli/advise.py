@@ -39,10 +39,11 @@ def command(
     picture : Write the curve as .png, .svg or .pdf.
     force : Overwrite an existing file.
     """
-    from doe.advise import advise, with_scatter
+    from doe.advise import advise
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
     from identification.files.arm import load_arm
+    from identification.for_design import with_scatter
     from identification.model import Model
     from identification.validate.reuse import only as only_these
     from identification.validate.reuse import words_of

@@ -26,7 +26,7 @@ from doe.cli.stopping import stoppable, stopped_by
 from identification.document import Answer, check_picture
 from identification.errors import ArmcalError, InputError, JobError, in_one_line
 from identification.files.io import check_writable, provide_temporary_folder
-from identification.workflow import Picture, Written
+from identification.workflow import Folder, Picture, Written
 
 if TYPE_CHECKING:
     from identification.arm import Arm
@@ -44,6 +44,7 @@ FILES: dict[Any, click.ParamType] = {
     Path: FilePath(),
     Written: FilePath(written=True),
     Picture: FilePath(written=True, picture=True),
+    Folder: FOLDER,
 }
 
 
@@ -54,9 +55,9 @@ def verb(
     """Turn `function(argument, .., *, option, ..) -> Answer` into a click command of its module's name, or another.
 
     Positional parameters are arguments, the others options, those of a dataclass a group of them. Their types are those
-    of Python, with `Written` and `Picture` for files to write, or `Annotated` with a type of click, words of the option
-    (`--name`) or what it stands for in the help (`NAMES`). The docstring's first line stands in `armcal --help`; lines
-    `name : ..` say what an option is for.
+    of Python, with `Written` and `Picture` for files to write and `Folder` for where, or `Annotated` with a type of
+    click, words of the option (`--name`), a range of whole numbers, or what it stands for in the help (`NAMES`). The
+    docstring's first line stands in `armcal --help`; lines `name : ..` say what an option is for.
 
     Adds --json, --seed, --quiet and the example; errors become one line on standard error and an exit code. A function
     with a parameter `seed`, `progress`, `page` or `constraints` is given the seed, a callback for its progress, what
@@ -142,6 +143,7 @@ def _typed(hint: Any, default: Any) -> tuple[dict[str, Any], list[str], bool]:
     if several:
         inner, inner_extras = _unwrapped(get_args(inner)[0])
         extras = [*inner_extras, *extras]
+    extras += [click.IntRange(extra.start, extra.stop - 1) for extra in extras if isinstance(extra, range)]
     texts = [extra for extra in extras if isinstance(extra, str)]
     kind = click.Choice(get_args(inner)) if get_origin(inner) is Literal else FILES.get(inner, inner)
     kind = FileOrShare() if share else kind

@@ -7,12 +7,12 @@ from itertools import chain, count
 from pathlib import Path
 
 from doe.cli.common import verb, with_collisions
-from doe.cli.options import Folder
 from doe.cli.stopping import stopped_by
 from identification.document import Answer, Document, picture_bytes
 from identification.errors import InputError, JobError
 from identification.files.io import write_together
 from identification.progress import Progress, silent
+from identification.workflow import Folder
 
 
 @verb("armcal demo --spatial --out my-demo")

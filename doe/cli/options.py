@@ -18,7 +18,8 @@ import click
 from doe.cli.stopping import stopped_by
 from identification.document import picture_bytes
 from identification.errors import JobError
-from identification.files.io import PathLike, write_together
+from identification.files.io import write_together
+from identification.workflow import Folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,7 +78,6 @@ class WholeNumbersType(click.ParamType):
 
 
 FOLDER = FilePath("dir", written=True)
-Folder = Annotated[Path, FOLDER]
 Seconds = Annotated[float, SecondsRange(min=0, min_open=True)]
 Workers = Annotated[int, click.IntRange(1, 4096)]  # each is a process of about 100 MB
 Count = Annotated[int, click.IntRange(min=1)]
@@ -91,7 +91,7 @@ def written(contents: Mapping[Path | None, Content], force: bool, what: str = ""
     contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
     """
     wanted = {path: content for path, content in contents.items() if path is not None}
-    files: dict[PathLike, str | bytes] = {}
+    files: dict[Path, str | bytes] = {}
     for path, content in wanted.items():
         if isinstance(content, str | bytes):
             files[path] = content

@@ -28,12 +28,12 @@ def command(
     out : Write the page.
     force : Overwrite an existing file.
     """
-    from doe.report.campaign import Campaign
+    from doe.report.campaign import PlannedCampaign
     from doe.report.page import hashes
-    from identification.files.io import write_whole
+    from identification.files.io import write_together
 
-    campaign = Campaign.of(files)
-    write_whole(out, page(campaign.document(), files), force=force)
+    campaign = PlannedCampaign.of(files)
+    write_together({out: page(campaign.document(), files)}, force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
         for name, size, digest in hashes(files)

@@ -7,7 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from identification.arrays import Array
+from identification import Array
+from identification.information import column_lengths, rounding_share, significant
 
 RIDGE = 1e-9  # a plan that lacks one run may be singular; this part of the mean eigenvalue keeps the ranking right
 Factors = list[tuple[float, Array, Array]]  # number c, and symmetric (p, p) L and R
@@ -16,9 +17,9 @@ Factors = list[tuple[float, Array, Array]]  # number c, and symmetric (p, p) L a
 class Criterion(Protocol):
     """A concave function Phi of the (p, p) scaled information matrix per run, M = sum_i w_i B_i^T B_i, sum w = 1.
 
-    A singular M has the value -inf, not an error; `identification.information.log_determinants` says which are. What
-    gradient methods climb instead of a criterion that is not smooth is its attribute `smooth`, what many postures are
-    compared by instead of one that is slow to compute its `surrogate`.
+    A singular M has the value -inf, not an error; `log_determinants` says which are. What gradient methods climb
+    instead of a criterion that is not smooth is its attribute `smooth`, what many postures are compared by instead of
+    one that is slow to compute its `surrogate`.
     """
 
     @property
@@ -105,3 +106,34 @@ def woodbury(information: Array, jacobians: Array) -> tuple[Array, Array, Array]
     inverse = np.asarray(np.linalg.inv(ridged(information)), dtype=np.float64)
     seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)
     return inverse, seen, np.asarray(np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2))
+
+
+def log_determinants(information: Array) -> Array:
+    """(...) log det of information matrices (..., p, p) of scaled parameters; -inf where the rule calls them singular.
+
+    The determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most matrices their
+    eigenvalues.
+    """
+    p = information.shape[-1]
+    sizes = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
+    usable = np.array(np.all(np.isfinite(information), axis=(-2, -1)))
+    lengths, zero = column_lengths(np.where(usable[..., None], sizes, 1.0), np.ones(p))
+    usable &= ~np.any(zero, axis=-1)
+    scaled = information / lengths[..., :, None] / lengths[..., None, :]
+    unit = np.where(usable[..., None, None], scaled, np.eye(p))
+    signs, logs = np.linalg.slogdet(unit)
+    usable &= signs > 0
+    close = usable & (logs <= 1.0 + np.log(p * rounding_share(p)))
+    if np.any(close):
+        usable[close] = np.all(significant(np.linalg.eigvalsh(unit[close]), rounding_share(p)), axis=-1)
+    return np.where(usable, logs + 2.0 * np.sum(np.log(lengths), axis=-1), -np.inf)
+
+
+def inverses(information: Array) -> Array:
+    """(..., p, p) inverses of information matrices of scaled parameters, infinite where `log_determinants` is -inf."""
+    p = information.shape[-1]
+    singular = np.isneginf(log_determinants(information))[..., None, None]
+    matrices = np.where(singular, np.eye(p), information)
+    lengths = np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
+    inverse = np.linalg.inv(matrices / lengths[..., :, None] / lengths[..., None, :])
+    return np.where(singular, np.inf, inverse / lengths[..., :, None] / lengths[..., None, :])

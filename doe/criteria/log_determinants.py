@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.criterion import Factored, Factors, ridged
-from identification.arrays import Array
-from identification.information import log_determinants
+from doe.criteria.criterion import Factored, Factors, log_determinants, ridged
+from identification import Array
 
 Term = tuple[float, NDArray[np.intp]]  # sign, rows
 

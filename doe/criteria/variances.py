@@ -12,9 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.criterion import Factored, Factors, woodbury
-from identification.arrays import Array, readonly
-from identification.information import information_matrix, inverses
+from doe.criteria.criterion import Factored, Factors, inverses, woodbury
+from identification import Array, information_matrix, readonly
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm
 from identification.files.arm_chain import corrected_urdf
 from identification.files.arm_text import with_calibration, with_effects
-from identification.files.io import write_whole
+from identification.files.io import write_together
 from identification.files.measurement import load_measurements, measurement_text
 from identification.files.target import commands_text
 from identification.gap.diagnose import diagnose
@@ -163,7 +163,7 @@ def run_demo(
         progress(number, len(STEPS), name)
 
     def write(name: str, text: str) -> None:
-        write_whole(directory / name, text, force=force)
+        write_together({directory / name: text}, force=force)
         files.append(name)
 
     def measured(name: str, postures: Array) -> Measurements:

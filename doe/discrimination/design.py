@@ -21,35 +21,33 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, islice, takewhile
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria import D
-from doe.design import Design
+from doe.criteria.criterion import log_determinants
 from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound, effect_library
 from doe.plan.spacing import ROUNDING, allowed_value, neighbor_counts, spread_free_joints
 from doe.problem.postures import listed_candidates, random_postures
-from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, solve
 from doe.solvers.planar_theory import optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.gap.detectability import Detectability
-from identification.information import covariance, information_matrix, log_determinants
-from identification.kinematics.parameters import REVOLUTE
-from identification.progress import Progress, silent
-from identification.status import Status
+from identification import REVOLUTE, Array, InputError, Progress, Status, information_matrix, silent, spectrum
 
-# reasons: doe/README.md, "Misidentification"
-TURN = 2.0 * np.pi
+if TYPE_CHECKING:
+    from doe.design import Design
+    from doe.problem.problem import DesignProblem
+    from identification import Arm
+    from identification.gap.detectability import Detectability
+
+TURN = 2.0 * np.pi  # [rad]
+# effort: steps [rad] by which joints move off their limits, and tries of each
 MOVES, TRIES = np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10
-THEORY_PLANS, SHUFFLES = 64, 200
-MOST_SEEN = 10_000  # postures; of more, the columns of all effects take gigabytes
-ORDERING = 1.0  # [s] that the order of measurement has in any case
+THEORY_PLANS, SHUFFLES = 64, 200  # effort: plans of theory, and orders of runs, to choose from
+MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take gigabytes
+ORDERING = 1.0  # [s] effort: that the order of measurement has in any case
 
 
 @dataclass(frozen=True)
@@ -269,20 +267,21 @@ def best_order(library: EffectLibrary, postures: Array, generator: np.random.Gen
         jacobian = library.jacobian_by_order(postures[order])
         information = information_matrix(jacobian)
         cross = information[:base, base:]
-        explained = cross.T @ covariance(jacobian[..., :base], np.ones(base)) @ cross
+        explained = cross.T @ spectrum(jacobian[..., :base], np.ones(base)).covariance @ cross
         scores.append(float(log_determinants(information[base:, base:] - explained)))
     return np.asarray(postures[shuffles[int(np.argmax(scores))]])
 
 
 # -- swaps -------------------------------------------------------------------------------------------------------------
-# reasons: doe/README.md, "Misidentification"
-CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbors differ by this fraction of a joint's range
-OUTS, INS, MORE_OUTS = 4, 8, 50  # runs and postures that are tried per derivative; runs where those bring nothing
-MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is left to lose
-TIGHT = 0.1  # log det above the least that counts as little
-LEAST_GAIN, ROUNDS = 1e-3, 5  # of the criterion: smaller ones end the swaps, and less than ten of it the pools
-RANDOM_PLANS = 25  # whose median bound is shown beside a plan's
-RANDOM_RUNS = 100_000  # of all these plans: those of thousands of runs are much alike
+CLOUD, POOL, NEARBY = 512, 1500, 0.15  # effort: postures; neighbors differ by this fraction of a joint's range
+# effort: runs and postures that are tried per derivative; runs where those bring nothing
+OUTS, INS, MORE_OUTS = 4, 8, 50
+MULTIPLIERS = (2.0, 10.0)  # effort: of the derivative of log det where little of it is left to lose
+TIGHT = 0.1  # effort: log det above the least allowed that counts as little
+# effort: gain of the criterion below which the swaps end, ten of it for the pools; rounds of pools
+LEAST_GAIN, ROUNDS = 1e-3, 5
+RANDOM_PLANS = 25  # effort: whose median bound is shown beside a plan's
+RANDOM_RUNS = 100_000  # effort: of all these plans; those of thousands of runs are much alike
 
 
 @dataclass(frozen=True)

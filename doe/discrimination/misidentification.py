@@ -18,23 +18,25 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, groupby
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from doe.problem.model import DesignModel
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.for_design import ArmModel
-from identification.information import log_determinants
+from doe.criteria.criterion import log_determinants
+from identification import ArmModel, Array
 
-# reasons: doe/README.md, "Misidentification"
-LAMBDA = 8.0  # length on random postures at which plans differ
-UNSEEN = 1e-9  # fraction of its length off the base model below which no plan is judged by a direction
-RIDGE = 1e-12  # of a rival's length on random postures: keeps the inverse of a rival that a plan hides
-NEAR = 0.05  # the gradient is infinite where two effects are the same, d = 0
+if TYPE_CHECKING:
+    from doe.problem.model import DesignModel
+    from identification import Arm
+
+# length on random postures; any plan tells much larger effects apart, none much smaller ones
+LAMBDA = 8.0
+UNSEEN = 1e-9  # numerical: fraction of its length off the base model below which no plan is judged by a direction
+# numerical: of a rival's length on random postures; keeps the inverse of a rival that a plan hides
+RIDGE = 1e-12
+NEAR = 0.05  # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
 
 
 @dataclass(frozen=True)

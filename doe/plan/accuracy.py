@@ -15,15 +15,16 @@ is counted against the arm's true position, as root mean square over poses and o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from doe.criteria import A, Criterion, D, Ds, DStar, E, I
-from doe.problem.model import DesignModel, offers
+from doe.criteria.criterion import inverses
+from doe.problem.model import offers
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import (
@@ -34,9 +35,16 @@ from doe.problem.uncertain import (
     tip_jacobians,
     workspace,
 )
-from identification.arrays import Array, readonly
-from identification.information import Spectrum, information_matrix, inverses, spectrum
-from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
+from identification import (
+    EFFECT,
+    JOINT_OFFSET,
+    LENGTH_ERROR,
+    Array,
+    ParameterSet,
+    information_matrix,
+    readonly,
+    spectrum,
+)
 
 
 @dataclass(frozen=True)
@@ -105,14 +113,6 @@ def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | N
     return float(np.sqrt(max(-value, 0.0) / criterion.points / (runs + problem.prior.runs) * sigma**2 + problem.beyond))
 
 
-def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Spectrum:
-    """What is estimable from m runs and all that is known before: decomposition of their scaled Jacobians.
-
-    weights : (m,) shares of the m runs, None: one each. Its rank is right where det M is nothing but rounding.
-    """
-    return spectrum(plan_jacobians(problem, postures, weights), np.ones(problem.parameters))
-
-
 def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Array:
     """(m + k + r, d, p) scaled Jacobians of m runs, of the k measured already, and of what else is known beforehand.
 
@@ -121,98 +121,59 @@ def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | Non
     jacobians = problem.scaled_jacobians(postures)
     if weights is not None:
         jacobians = jacobians * np.sqrt(len(jacobians) * weights)[:, None, None]
-    return np.concatenate([jacobians, problem.scaled_jacobians(problem.kept), prior_rows(problem)])
-
-
-def prior_rows(problem: DesignProblem) -> Array:
-    """(r, d, p) rows whose B^T B sum to the information of `problem.deviations`, d at a time."""
     informed = np.flatnonzero(problem.precisions)
     d, p = problem.model.dimension, problem.parameters
     rows = np.zeros((-(-len(informed) // d) * d, p))
     rows[range(len(informed)), informed] = np.sqrt(problem.precisions[informed])
-    return rows.reshape(-1, d, p)
+    return np.concatenate([jacobians, problem.scaled_jacobians(problem.kept), rows.reshape(-1, d, p)])
 
 
 def expected_deviations(
-    problem: DesignProblem, postures: Array, sigma: float | None, weights: Array | None = None
+    problem: DesignProblem,
+    postures: Array,
+    sigma: float | None,
+    weights: Array | None = None,
+    judge: Callable[..., Array] = np.mean,
 ) -> ExpectedDeviations | None:
     """What the plan will give with `sigma` [mm] per coordinate; None without sigma or if the plan is not enough.
 
     weights : (m,) of an approximate design, for m runs shared out by them; None: one run per posture
+    judge : of several arms, each judged by its own block of the Jacobian, the mean, or the worst (`np.max`) of each
+        deviation
     """
     if sigma is None:
         return None
-    decomposed = plan_spectrum(problem, postures, weights)
-    if decomposed.rank < problem.parameters:
-        return None
-    return _deviations(decomposed, problem.model, problem.joints, sigma)
-
-
-def deviations_per_draw(
-    problem: DesignProblem, model: EnsembleModel, postures: Array, sigma: float | None, weights: Array | None = None
-) -> tuple[ExpectedDeviations, ...] | None:
-    """What the plan will give if the arm is that of draw 1, 2, ..., K; None as in `expected_deviations`.
-
-    model : the problem's own, of several arms: each is judged by its own block of the block-diagonal Jacobian
-    """
-    if sigma is None:
-        return None
-    stacked = plan_jacobians(problem, postures, weights)
-    d, p = model.model.dimension, len(model.model.parameters)
-    each = range(len(model.draws))
-    decomposed = [spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p)) for k in each]
-    if any(one.rank < p for one in decomposed):
-        return None
-    return tuple(_deviations(one, model.model, problem.joints, sigma) for one in decomposed)
-
-
-def over_draws(draws: Sequence[ExpectedDeviations], judge: Callable[..., Array]) -> ExpectedDeviations:
-    """Mean (`np.mean`) or worst (`np.max`) of each standard deviation over the draws."""
-    values, orientation = (judge([getattr(one, name) for one in draws], axis=0) for name in ("values", "orientation"))
-    return replace(draws[0], values=values, orientation=orientation)
-
-
-def _deviations(decomposed: Spectrum, model: DesignModel, joints: int, sigma: float) -> ExpectedDeviations:
-    parameters = model.parameters
-    per_scale = sigma / parameters.scales
-    matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
-    orientation = np.zeros(joints)
-    offsets = parameters.indices(JOINT_OFFSET).tolist()
-    sums = np.tri(len(offsets))  # dtheta_j = dq_1 + ... + dq_j
-    turned = sums @ matrix[np.ix_(offsets, offsets)] @ sums.T
-    orientation[[(parameters[k].joint or 0) - 1 for k in offsets]] = np.sqrt(np.diag(turned))
-    return ExpectedDeviations(parameters, np.sqrt(np.diag(matrix)), orientation)
+    several = problem.model if isinstance(problem.model, EnsembleModel) else None
+    one = problem.model if several is None else several.model
+    stacked, d, parameters = plan_jacobians(problem, postures, weights), one.dimension, one.parameters
+    p, offsets = len(parameters), parameters.indices(JOINT_OFFSET).tolist()
+    sums, values, orientations = np.tri(len(offsets)), [], []  # dtheta_j = dq_1 + ... + dq_j
+    for k in range(1 if several is None else len(several.draws)):
+        decomposed = spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p))
+        if decomposed.rank < p:
+            return None
+        per_scale = sigma / parameters.scales
+        matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
+        orientation = np.zeros(problem.joints)
+        turned = sums @ matrix[np.ix_(offsets, offsets)] @ sums.T
+        orientation[[(parameters[j].joint or 0) - 1 for j in offsets]] = np.sqrt(np.diag(turned))
+        values.append(np.sqrt(np.diag(matrix)))
+        orientations.append(orientation)
+    return ExpectedDeviations(parameters, judge(values, axis=0), judge(orientations, axis=0))
 
 
 # -- observability indices ---------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Observability:
-    """o1: (s_1 ... s_p)^(1/p) / sqrt(m);  o2: s_p / s_1;  o3: s_p;  o4: s_p^2 / s_1;  o5: 1 / sum(1 / s_i)."""
-
-    o1: float
-    o2: float
-    o3: float
-    o4: float
-    o5: float
-
-    def to_json(self) -> dict[str, float]:
-        """By name."""
-        return asdict(self)
-
-
-def observability(problem: DesignProblem, postures: Array) -> Observability:
-    """The five indices of a plan (m, n), measured postures (`kept`) included."""
+def observability(problem: DesignProblem, postures: Array) -> dict[str, float]:
+    """The five indices of a plan (m, n), measured postures (`kept`) included: `o1` (s_1 ... s_p)^(1/p) / sqrt(m), `o2`
+    s_p / s_1, `o3` s_p, `o4` s_p^2 / s_1, `o5` 1 / sum(1 / s_i)."""
     jacobians = plan_jacobians(problem, postures)
     values = np.linalg.svd(jacobians.reshape(-1, problem.parameters), compute_uv=False)
-    if plan_spectrum(problem, postures).rank < problem.parameters:
-        return Observability(0.0, 0.0, 0.0, 0.0, 0.0)
-    return Observability(
-        float(np.exp(np.mean(np.log(values))) / np.sqrt(len(postures) + len(problem.kept))),
-        float(values[-1] / values[0]),
-        float(values[-1]),
-        float(values[-1] ** 2 / values[0]),
-        float(1.0 / np.sum(1.0 / values)),
-    )
+    if spectrum(jacobians, np.ones(problem.parameters)).rank < problem.parameters:
+        return dict.fromkeys(("o1", "o2", "o3", "o4", "o5"), 0.0)
+    o1 = float(np.exp(np.mean(np.log(values))) / np.sqrt(len(postures) + len(problem.kept)))
+    largest, smallest = float(values[0]), float(values[-1])
+    o5 = float(1.0 / np.sum(1.0 / values))
+    return {"o1": o1, "o2": smallest / largest, "o3": smallest, "o4": smallest**2 / largest, "o5": o5}
 
 
 def criterion_values(problem: DesignProblem, postures: Array) -> dict[str, float | None]:
@@ -301,50 +262,23 @@ class TipErrors:
         """(P, P) mean of the squares of the tip's Jacobian."""
         return information_matrix(self._targets) / len(self._targets)
 
-    def with_prior(self, postures: Array) -> float:
-        """Of a plan (m, n) and the postures measured already, fitted with the effects and their prior."""
-        return self._with_prior(self._information(postures))
-
-    def missing(self, postures: Array) -> float:
-        """The same without the effects, which are there."""
-        return self._missing(self._information(postures))
-
-    def of_plan(self, postures: Array) -> TipError:
-        """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
-        p, information = self.problem.parameters, self._information(postures)
-        with_prior = self._with_prior(information)
-        if not self._identified(postures):
-            return TipError(np.inf, np.inf, with_prior)
-        posterior = inverses(information[:p, :p] + np.diag(self.problem.precisions))
-        targets = self._targets[..., :p]
-        right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
-        if self.wide.parameters == p:
-            return TipError(float(np.sqrt(right.mean())), np.inf, np.inf, float(np.sqrt(right.max())))
-        missing = self._missing(information)
-        return TipError(float(np.sqrt(right.mean())), missing, with_prior, float(np.sqrt(right.max())))
-
     def _information(self, postures: Array) -> Array:
         """(P, P) sum of B^T B of the plan and of what is measured already, without any prior."""
         every = np.concatenate([postures, self.problem.kept])
         return self.wide.weighted_information(every, np.ones(len(every)))
 
-    def _identified(self, postures: Array) -> bool:
-        p = self.problem.parameters
-        rows = self.problem.scaled_jacobians(np.concatenate([postures, self.problem.kept])).reshape(-1, p)
-        held = np.diag(np.sqrt(self.problem.precisions))
-        return bool(spectrum(np.concatenate([rows, held]), np.ones(p)).rank == p)
-
-    def _with_prior(self, information: Array) -> float:
-        posterior = inverses(information + np.diag(self.wide.precisions))
-        noise = float(self.wide.model.sigma or 0.0) ** 2
+    def with_prior(self, postures: Array) -> float:
+        """Of a plan (m, n) and the postures measured already, fitted with the effects and their prior."""
+        posterior = inverses(self._information(postures) + np.diag(self.wide.precisions))
         if np.isinf(posterior[0, 0]):
             return np.inf
-        return float(np.sqrt(noise * np.sum(posterior * self._weight) + self.wide.beyond))
+        return float(np.sqrt((self.wide.model.sigma or 0.0) ** 2 * np.sum(posterior * self._weight) + self.wide.beyond))
 
-    def _missing(self, information: Array) -> float:
-        """The fit takes up of each missing effect what the geometry can, and the tip lacks the rest; it takes the noise
-        for that of the instrument, which each posture's own error comes on top of."""
-        p, wide = self.problem.parameters, self.wide
+    def missing(self, postures: Array) -> float:
+        """The same without the effects, which are there: the fit takes up of each what the geometry can, and the tip
+        lacks the rest; it takes the noise for that of the instrument, which each posture's own error comes on top of.
+        """
+        p, wide, information = self.problem.parameters, self.wide, self._information(postures)
         posterior = inverses(information[:p, :p] + np.diag(self.problem.precisions))
         if np.isinf(posterior[0, 0]):
             return np.inf
@@ -354,6 +288,19 @@ class TipErrors:
         sizes = noise / wide.precisions[p:]  # squared, in scaled parameters
         bias = float(np.sum(np.einsum("ap,ab,bp->p", lacking, self._weight, lacking, optimize=True) * sizes))
         return float(np.sqrt(np.sum(spread * self._weight[:p, :p]) + bias + wide.beyond))
+
+    def of_plan(self, postures: Array) -> TipError:
+        """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
+        p = self.problem.parameters
+        if spectrum(plan_jacobians(self.problem, postures), np.ones(p)).rank < p:
+            return TipError(np.inf, np.inf, self.with_prior(postures))
+        posterior = inverses(self._information(postures)[:p, :p] + np.diag(self.problem.precisions))
+        targets = self._targets[..., :p]
+        right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
+        mean, largest = float(np.sqrt(right.mean())), float(np.sqrt(right.max()))
+        if self.wide.parameters == p:
+            return TipError(mean, np.inf, np.inf, largest)
+        return TipError(mean, self.missing(postures), self.with_prior(postures), largest)
 
 
 @dataclass(frozen=True)

@@ -8,21 +8,22 @@ smallest, while too many, take one where (n_i - 1) / w_i is largest. No rounding
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arrays import Array, ByValue, readonly
+from identification import Array, InputError, readonly
+from identification.arrays import ByValue
 from identification.data_frames import frame_of_columns
-from identification.document import html_lines, html_table
-from identification.errors import InputError
+from identification.files.measurement_columns import posture_columns
 from identification.files.plan import plan_file_text, read_plan
-from identification.kinematics.counting import counting_in, in_columns
-from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
+
+SUM = 1e-6  # by which weights may miss one
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,6 @@ class Plan(ByValue):
     fit: str = ""
 
     def __post_init__(self) -> None:
-        if set(self.joint_types) == {REVOLUTE} and counting_in(self.joint_types) is None:
-            object.__setattr__(self, "joint_types", ())
         object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
         if self.weights is not None:
             object.__setattr__(self, "weights", readonly(self.weights))
@@ -56,38 +55,34 @@ class Plan(ByValue):
         return int(self.postures.shape[1])
 
     @property
+    def shares(self) -> Array:
+        """(m,) weight of every posture; 1/m for an exact plan."""
+        return np.full(len(self), 1.0 / len(self)) if self.weights is None else self.weights
+
+    @property
     def units(self) -> tuple[str, ...]:
         """(n) units in which joints are shown: deg, or mm."""
-        return tuple(FILE_UNITS[unit][0] for unit in self._units)
+        return tuple(name.partition("_")[2] for name in posture_columns(self.postures, self.joint_types or None))
 
     @property
     def displayed(self) -> Array:
         """(m, n) postures in `units`, as the controller counts."""
-        return readonly(in_columns(self.postures, self.joint_types) * [FILE_UNITS[unit][1] for unit in self._units])
+        return readonly(np.column_stack([*posture_columns(self.postures, self.joint_types or None).values()]))
 
     def to_frame(self, kind: str = "polars") -> Any:
         """A row for each posture, as in a plan file; polars or pandas."""
-        columns = {f"q{j}_{unit}": q for j, (unit, q) in enumerate(zip(self.units, self.displayed.T, strict=True), 1)}
-        weight = {} if self.weights is None else {"weight": self.weights}
-        return frame_of_columns({"run": range(1, len(self) + 1), **columns, **weight}, kind)
+        columns = {"run": range(1, len(self) + 1)} | posture_columns(self.postures, self.joint_types or None)
+        return frame_of_columns(columns if self.weights is None else columns | {"weight": self.weights}, kind)
+
+    def to_html(self, caption: object) -> str:
+        """A caption and the postures, for notebooks."""
+        return f"<pre>{escape(str(caption))}</pre>\n{self._repr_html_()}"
 
     def _repr_html_(self) -> str:
-        return str(self.to_frame()._repr_html_())
+        from polars import Config
 
-    def to_html(self, caption: object, heading: str, labels: Iterable[str]) -> str:
-        """A caption and a table of the postures for notebooks, each row beginning with its label."""
-        head = (f"q{j} [{unit}]" for j, unit in enumerate(self.units, start=1))
-        rows = ([label, *(f"{q:.2f}" for q in row)] for label, row in zip(labels, self.displayed, strict=True))
-        return html_lines(str(caption).splitlines()) + html_table([heading, *head], rows)
-
-    @property
-    def _units(self) -> list[str]:
-        return [JOINT_UNITS[joint_type] for joint_type in self.joint_types or (REVOLUTE,) * self.links]
-
-    @property
-    def shares(self) -> Array:
-        """(m,) weight of every posture; 1/m for an exact plan."""
-        return np.full(len(self), 1.0 / len(self)) if self.weights is None else self.weights
+        with Config(tbl_rows=-1, tbl_cols=-1, tbl_hide_column_data_types=True):
+            return str(self.to_frame()._repr_html_())
 
 
 # -- files: CSV in degrees ---------------------------------------------------------------------------------------------
@@ -109,7 +104,6 @@ def plan_text(plan: Plan, joint_types: int | Sequence[str] | None = None) -> str
 
 
 # -- from weights to whole numbers of runs -----------------------------------------------------------------------------
-SUM = 1e-6  # by which the weights may miss one
 
 
 def apportion(weights: Array, runs: int) -> NDArray[np.int64]:

@@ -20,19 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.problem.model import Offers, offered
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.for_design import for_design
-from identification.kinematics.parameters import REVOLUTE
-from identification.workspace import (
-    ColumnLimits,
-    KeepOutCircle,
-    KeepOutCylinder,
-    LineOfSight,
-    PostureCondition,
-    WorkspaceBox,
-    distance_to_segment,
-)
+from identification import REVOLUTE, Array, InputError, design_model, workspace
 
 # every plan in space says this, in words and as the key `collisions_checked`, until collisions are looked at
 COLLISIONS = (
@@ -48,7 +36,7 @@ PART = 1000  # postures at a time, whose sections stay in the processor's cache
 FLAT = 1e-9  # [mm] lengths that divide nothing
 
 
-class Constraint(PostureCondition, Protocol):
+class Constraint(workspace.PostureCondition, Protocol):
     """A condition on one posture, satisfied where all margins are >= 0."""
 
     def symbolic(self, q: ca.SX) -> ca.SX:
@@ -58,19 +46,19 @@ class Constraint(PostureCondition, Protocol):
 
 def constraints_of(model: Any) -> tuple[Constraint, ...]:
     """The constraints that a model has, ready to be evaluated; none of one that has none."""
-    model, made = for_design(model), list[Constraint]()
+    model, made = design_model(model), list[Constraint]()
     for limit in getattr(model, "constraints", ()):
         space = offered(model, "space", "constraints")
-        if isinstance(limit, ColumnLimits):
+        if isinstance(limit, workspace.ColumnLimits):
             made.append(WithinColumn(limit, model.reach if model.joint_types[limit.joint - 1] == REVOLUTE else 1.0))
-        elif isinstance(limit, WorkspaceBox):
+        elif isinstance(limit, workspace.WorkspaceBox):
             sides = [limit.x, limit.y, limit.z or (-ANYWHERE, ANYWHERE)][:space]
             made.append(InsideBox(model, tuple(side[0] for side in sides), tuple(side[1] for side in sides)))
-        elif isinstance(limit, KeepOutCylinder):
+        elif isinstance(limit, workspace.KeepOutCylinder):
             made.append(OutsideCylinder(model, limit))
-        elif isinstance(limit, KeepOutCircle):
+        elif isinstance(limit, workspace.KeepOutCircle):
             made.append(OutsideSphere(model, limit.center, limit.radius))
-        elif isinstance(limit, LineOfSight):
+        elif isinstance(limit, workspace.LineOfSight):
             made.append(InSight(model, limit) if space == 2 else InView(model, limit))
     return tuple(made)
 
@@ -83,7 +71,7 @@ class WithinColumn:
     unit : [mm] that stands for one of the limits' unit
     """
 
-    limits: ColumnLimits
+    limits: workspace.ColumnLimits
     unit: float
     kind: str = "joint_limits"
 
@@ -130,7 +118,7 @@ class OutsideSphere:
     def margin(self, postures: Array) -> Array:
         """(m, k - 1) distance of every link from the sphere [mm]."""
         points = self.chain.points(postures)
-        return distance_to_segment(np.array(self.center), points[:, :-1], points[:, 1:]) - self.radius
+        return workspace.distance_to_segment(np.array(self.center), points[:, :-1], points[:, 1:]) - self.radius
 
     def symbolic(self, q: ca.SX) -> ca.SX:
         """(k - 1,) (distance^2 - radius^2) / (2 radius): smooth, and nearly the distance near the sphere."""
@@ -147,7 +135,7 @@ class InSight:
     """
 
     chain: Offers
-    sight: LineOfSight
+    sight: workspace.LineOfSight
     kind: str = "line_of_sight"
 
     def __post_init__(self) -> None:
@@ -178,7 +166,7 @@ class OutsideCylinder:
     """Every link stays outside a cylinder with flat ends [mm]."""
 
     model: Offers
-    cylinder: KeepOutCylinder
+    cylinder: workspace.KeepOutCylinder
     kind: str = "keep_out_cylinder"
 
     def margin(self, postures: Array) -> Array:
@@ -235,7 +223,7 @@ class InView:
     """
 
     model: Offers
-    sight: LineOfSight
+    sight: workspace.LineOfSight
     kind: str = "line_of_sight"
 
     @cached_property
@@ -308,7 +296,7 @@ class Expression:
 # -- geometry ----------------------------------------------------------------------------------------------------------
 def signed_gap(a: Array, b: Array, c: Array, d: Array) -> Array:
     """(...) distance between segments a-b and c-d of a plane; negative by how deep they cross: it is continuous."""
-    ends = [distance_to_segment(*points) for points in ((a, c, d), (b, c, d), (c, a, b), (d, a, b))]
+    ends = [workspace.distance_to_segment(*points) for points in ((a, c, d), (b, c, d), (c, a, b), (d, a, b))]
     one_across = cross(b - a, c - a) * cross(b - a, d - a) < 0.0
     other_across = cross(d - c, a - c) * cross(d - c, b - c) < 0.0
     return np.where(one_across & other_across, -1.0, 1.0) * np.minimum.reduce(ends)

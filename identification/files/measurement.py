@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from identification.arm import Arm
 from identification.files.csv import read_table
 from identification.files.io import PathLike
 from identification.files.measurement_columns import JointTypes, csv_text, measurement_columns, measurement_fields
 from identification.measurements import Measurements
+
+if TYPE_CHECKING:
+    from identification.instruments import Instrument
 
 
 def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measurements:
@@ -20,6 +25,11 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     return Measurements(**measurement_fields(read_table(path), links))
 
 
-def measurement_text(measurements: Measurements, joint_types: JointTypes = None) -> str:
-    """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad)."""
-    return csv_text(measurement_columns(measurements, joint_types), measurements.fit)
+def measurement_text(
+    measurements: Measurements, joint_types: JointTypes = None, instrument: Instrument | None = None
+) -> str:
+    """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad).
+
+    instrument : that measured; None: one of positions or lengths
+    """
+    return csv_text(measurement_columns(measurements, joint_types, instrument), measurements.fit)

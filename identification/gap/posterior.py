@@ -20,12 +20,11 @@ from identification.gap.scatter import NoiseModel, log_likelihoods, noises
 from identification.gap.search import ROUNDING, Moments, Search, Walked, Weighed
 from identification.progress import Tell, say_nothing
 
-# reasons: identification/README.md, "Constants"
-MOST_ROWS = 1250  # that are searched for any effect
+MOST_ROWS = 1250  # effort: rows that are searched for any effect
 PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
-STRIKING = 3.0  # robust standard deviations of a row that may be outlying
-MOST_WRONG = 30  # effort: rows that may be
+STRIKING = 3.0  # effort: robust standard deviations of a row that may be outlying
+MOST_WRONG = 30  # effort: rows that may be outlying
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from identification.gap.detectability import LEVEL
 from identification.gap.posterior import Explanation, Posterior
 from identification.gap.search import MOST, NEGLIGIBLE
 
-# reasons: identification/README.md, "Constants"
-CREDIBLE = 0.9  # probability of the credible set
+CREDIBLE = 0.9  # convention: probability of the credible set
 Names = tuple[str, ...]
 
 

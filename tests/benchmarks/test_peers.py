@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.bounds.column_generation import continuous_bound
+from doe.bounds.column_generation import continuous_design
 from doe.problem.problem import DesignProblem
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
@@ -46,7 +46,7 @@ def bound_of(name: str, runs: int) -> float:
     problem = DesignProblem.of(minimal(Model(SIX_AXIS)))
     plan = arm.random(runs, np.random.default_rng(0))
     constant = arm.log_det(plan) - problem.objective(plan)
-    return continuous_bound(problem, runs=runs, tolerance=1e-3).value + constant
+    return continuous_design(problem, runs=runs, tolerance=1e-3, proof=1e-3).bound.value + constant
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from doe.bounds.column_generation import column_generation, continuous_bound
+from doe.bounds.column_generation import column_generation, continuous_design
 from doe.problem.postures import PostureList, random_postures
 from doe.solvers import solve
 from identification.arrays import Array
@@ -103,7 +103,7 @@ def test_a_million_candidates_and_all_postures() -> None:
     problem = six_axis()
     postures = seeded().uniform(problem.lower, problem.upper, (MANY, 6))
     found, seconds = timed(lambda: column_generation(problem, PostureList(postures), runs=30))
-    bound, continuous = timed(lambda: continuous_bound(problem, runs=30, tolerance=1e-3))
+    bound, continuous = timed(lambda: continuous_design(problem, runs=30, tolerance=1e-3, proof=1e-3).bound)
     print(f"\n{MANY} candidates: gap {found.gap:.1e} in {seconds:.1f} s; all postures to 1e-3 in {continuous:.1f} s")
     assert found.bound is not None
     assert found.gap < 1e-4

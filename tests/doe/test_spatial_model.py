@@ -233,7 +233,7 @@ def test_postures_in_the_units_of_their_joints() -> None:
     np.testing.assert_allclose(data["postures"], expected)
     assert data["joint_units"] == ["deg", "deg", "mm", "deg"]
     assert "postures_deg" not in data
-    assert "q3 [mm]" in design._repr_html_()
+    assert "q3_mm" in design._repr_html_()
     shown = accuracy(design)[0]
     assert isinstance(shown, Sheet)
     names = [row[0] for row in shown.rows]

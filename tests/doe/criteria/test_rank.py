@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from doe.bounds.certificate import certify
 from doe.criteria import A, Criterion, D, Ds, DStar, E, I, PowerMean
+from doe.criteria.criterion import inverses, log_determinants
 from doe.criteria.log_determinants import Average, SoftWorst, Worst
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm
-from identification.information import information_matrix, inverses, log_determinants, spectrum
+from identification.information import information_matrix, spectrum
 from identification.model import Model
 
 HALF = 1e-6  # a share of the largest singular value that its square, in double precision, still shows

@@ -1,0 +1,344 @@
+"""Whatever files of a campaign are given, as one document: arms, measurements, joint commands, and output of commands
+with --json; and what another package adds of its own kinds (doe/report/campaign.py: plans)."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number
+from identification.documents.diagnosis import diagnosis_actions, diagnosis_sections, diagnosis_verdict, gap_in_words
+from identification.documents.identification import (
+    calibrated_actions,
+    corrected_section,
+    dh_sections,
+    expected_elsewhere,
+    identification_verdict,
+    identify_command,
+)
+from identification.documents.pictures import Compared, workspace_arrows
+from identification.documents.use import command_rows, rows_listed, validation_sections, validation_verdict
+from identification.errors import InputError
+from identification.estimation.corrected_values import Calibrated, CorrectedValue, corrected_values
+from identification.files.arm import load_arm
+from identification.files.csv import Table as CsvTable
+from identification.files.csv import read_table
+from identification.files.io import read_text
+from identification.files.measurement import load_measurements
+from identification.files.measurement_columns import UNITS
+from identification.instruments import TRACKER
+from identification.kinematics.parameters import REVOLUTE
+from identification.measurements import Measurements, distances
+from identification.model import Model
+from identification.validate import Validation, validate
+from identification.validate.origin import data_hashes, diagnosed, outside
+from identification.validate.reuse import same_drawing
+from identification.workflow import dh_table
+
+# a command -> keys that its JSON object alone has
+KEYS = {
+    "diagnose": ("verdict", "candidates", "gap", "trials"),
+    "validate": ("refit", "rows", "rms_nominal_mm"),
+    "identify": ("parameters", "rms_before_mm", "rms_after_mm"),
+}
+PLACED = (
+    "Everything stays as it is in the file but for where the arm stands, which is fitted to each set of measurements; "
+    "so it is for the drawing."
+)
+
+
+@dataclass
+class Campaign:
+    """Name -> content of the files of each kind, in the order given.
+
+    kinds : of every file, in words;  results : command -> name -> its JSON object
+    tests : measurements -> calibrated arm -> what it leaves of them
+
+    Of files of other kinds a subclass knows what they are (`read_other`), what they say, show and ask for.
+    """
+
+    KEYS: ClassVar[Mapping[str, Sequence[str]]] = KEYS
+    ALLOWED: ClassVar[str] = (
+        "arm files (.toml), measurements and joint commands (.csv), what identify, diagnose or validate --json said"
+    )
+
+    kinds: dict[str, str] = field(default_factory=dict)
+    arms: dict[str, Arm] = field(default_factory=dict)
+    measurements: dict[str, Measurements] = field(default_factory=dict)
+    commands: dict[str, CsvTable] = field(default_factory=dict)
+    results: dict[str, dict[str, Mapping[str, Any]]] = field(default_factory=lambda: defaultdict(dict))
+    tests: dict[str, dict[str, Validation]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, paths: Sequence[Path]) -> Self:
+        """Reads every file by its kind, tables by the first arm, and compares models and measurements.
+
+        Raises `InputError` for a file of another kind, one given twice, a table without an arm file, files of two arms.
+        """
+        campaign = cls()
+        for path in sorted(paths, key=lambda path: path.suffix.lower() != ".toml"):  # tables are read by the arm
+            if str(path) in campaign.kinds:
+                raise InputError(f"{path}: is given twice, allowed: each file once")
+            campaign.kinds[str(path)] = campaign.read(path)
+        for name in sorted(
+            campaign.measurements if campaign.calibrated else (), key=lambda n: bool(campaign.fitted(n))
+        ):
+            rows = campaign.measurements[name]
+            campaign.tests[name] = {model: validate(arm, rows) for model, arm in campaign.calibrated.items()}
+        return campaign
+
+    def read(self, path: Path) -> str:
+        """Reads a file and returns its kind."""
+        name, ending = str(path), path.suffix.lower()
+        if ending == ".toml":
+            self.arms[name] = arm = load_arm(path)
+            first, other = next(iter(self.arms.items()))
+            if not same_drawing(other, arm):
+                raise InputError(f"{name}: another arm than that of {first}, allowed: files of one arm")
+            return "arm with a calibration" if arm.calibration is not None else "arm"
+        if ending == ".json":
+            command, self.results[command][name] = self.said_by(path)
+            return f"armcal {command} --json"
+        if ending not in (".csv", ".tsv", ".txt"):
+            raise InputError(f"{name}: ending {path.suffix!r}, allowed: {self.ALLOWED}")
+        if not self.arms:
+            raise InputError(f"{name}: a table without its arm, allowed: the arm file (.toml) beside it")
+        arm, table = next(iter(self.arms.values())), read_table(path)
+        if all(column in table for column in ("error_mm", "reachable")):
+            self.commands[name] = table
+            return "joint commands"
+        instrument = arm.chain.instrument
+        read = ((c.name, c.quantity) for c in (*TRACKER.coordinates[:1], *instrument.coordinates[:1]))
+        columns = [f"{axis}_{unit}" for axis, quantity in read for unit in UNITS[quantity]]
+        if instrument.contact or any(column in table for column in columns):  # plans of contacts no command writes
+            self.measurements[name] = load_measurements(path, arm)
+            return "measurements"
+        return self.read_other(path, arm)
+
+    def said_by(self, path: Path) -> tuple[str, Mapping[str, Any]]:
+        """The command that wrote a JSON file, and its object. Raises `InputError` for any other file."""
+        try:
+            data = json.loads(read_text(path))
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{path}: not valid JSON: {error}, allowed: what a command said with --json") from None
+        for command, keys in self.KEYS.items():
+            if isinstance(data, dict) and all(key in data for key in keys):
+                return command, data
+        raise InputError(f"{path}: JSON of no command that is known here, allowed: {self.ALLOWED}")
+
+    # -- files of other kinds ------------------------------------------------------------------------------------------
+    def read_other(self, path: Path, arm: Arm) -> str:
+        """Reads a table that has neither measurements nor commands, of the first arm, and returns its kind."""
+        raise InputError(f"{path}: neither measurements nor joint commands of {arm.name}, allowed: {self.ALLOWED}")
+
+    def other_verdict(self) -> list[str]:
+        """What files of other kinds say, in sentences."""
+        return []
+
+    def other_sections(self) -> list[Section]:
+        """What they show."""
+        return []
+
+    def first_actions(self, arm: str) -> list[Action]:
+        """What to do where nothing has been measured yet;  arm : name of its file"""
+        return []
+
+    # -- models and measurements ---------------------------------------------------------------------------------------
+    @property
+    def calibrated(self) -> dict[str, Arm]:
+        """The arms that have a calibration."""
+        return {name: arm for name, arm in self.arms.items() if arm.calibration is not None}
+
+    def fitted(self, rows: str) -> list[str]:
+        """The calibrated arms that name these measurements as those that they were fitted to."""
+        hashes = set(data_hashes(self.measurements[rows].provenance))
+        return [model for model, arm in self.calibrated.items() if not hashes.isdisjoint(fitted_to(arm))]
+
+    @property
+    def chosen(self) -> str | None:
+        """The calibrated arm of which commands are made: that of the least error on measurements that none was fitted
+        to, of equal ones and without such measurements the last given; None without any."""
+        others = [tests for rows, tests in self.tests.items() if not self.fitted(rows)]
+        squares = {
+            model: sum(float(np.sum(distances(tests[model].residuals) ** 2)) for tests in others)
+            for model in reversed(self.calibrated)
+        }
+        return min(squares, key=squares.__getitem__) if squares else None
+
+    @property
+    def elsewhere(self) -> dict[str, Validation]:
+        """What the chosen model leaves on each set of measurements that it was not fitted to."""
+        chosen = self.chosen or ""
+        return {rows: tests[chosen] for rows, tests in self.tests.items() if chosen not in self.fitted(rows)}
+
+    # -- what is said --------------------------------------------------------------------------------------------------
+    @property
+    def verdict(self) -> list[str]:
+        """The verdict in sentences: errors on rows that no fit has seen, then the most advanced result first."""
+        model, diagnoses = self.chosen or "", [*self.results["diagnose"].values()]
+        lines = [validation_verdict(test.to_json(), model, rows) for rows, test in self.elsewhere.items()]
+        lines = lines or [validation_verdict(data) for data in self.results["validate"].values()]
+        lines = lines or [gap_in_words(data) for data in diagnoses if data["confirmation"] is not None]
+        lines += [sentence for data in diagnoses for sentence in diagnosis_verdict(data) if sentence not in lines]
+        seen = (rows for rows in self.tests if rows not in self.elsewhere)  # what other models leave is in the tables
+        lines += [validation_verdict(self.tests[rows][model].to_json(), model, rows, seen=True) for rows in seen]
+        if len(self.calibrated) > 1:
+            tested = " and ".join(rows for rows in self.tests if not self.fitted(rows))
+            why = f"it leaves the smallest error on {tested}" if tested else "it is the last given"
+            others = " and ".join(name for name in self.calibrated if name != model)
+            lines.append(f"Of the calibrations the next steps use {model}: {why}. {others} is shown beside it.")
+        lines += [identification_verdict(data) for data in self.results["identify"].values()]
+        lines += self.other_verdict()
+        lines += [commanded_in_words(name, table) for name, table in self.commands.items()]
+        return lines or [f"{name}: {kind}." for name, kind in self.kinds.items()]
+
+    @property
+    def actions(self) -> list[Action]:
+        """What to do next, from the farthest step that was reached."""
+        arm = next((name for name, one in self.arms.items() if one.calibration is None), None)
+        arm = arm or next(iter(self.arms), "arm.toml")
+        seen = {rows: self.fitted(rows) for rows in self.measurements}
+        data = sorted(seen, key=lambda rows: (self.chosen not in seen[rows], not seen[rows])) or ["data.csv"]
+        if worse := [
+            Action(f"Do not use {self.chosen} as it is: on {rows} it is no better than the drawing (see there).")
+            for rows, tests in self.tests.items()
+            if (test := tests[self.chosen or ""]).model.rms >= test.nominal.rms
+        ]:
+            pooled = " ".join(["armcal diagnose", arm, *data])
+            return [*worse, Action("See what all measurements together say, each file as a session:", pooled)]
+        if self.results["diagnose"]:
+            last = [*self.results["diagnose"].values()][-1]
+            model, *rows = last.get("files") or [arm, data[0]]  # of earlier versions the object has no names of files
+            return diagnosis_actions(last, model, rows)
+        look, hold, use = calibrated_actions(arm, data[0], self.chosen or "calibrated.toml")
+        if self.calibrated or self.results["identify"] or self.results["validate"]:
+            done = self.chosen is not None and diagnosed(self.calibrated[self.chosen])
+            tested = bool(self.elsewhere) or bool(self.results["validate"])
+            return [*self.beyond(), *([] if done else [look]), *([] if tested else [hold]), use]
+        if self.measurements:
+            fit = self.measurements[data[0]].fit
+            return [Action("Identify the arm:", identify_command(arm, data[0], fit)), look]
+        return self.first_actions(arm)
+
+    def beyond(self) -> list[Action]:
+        """What to measure where most rows of other measurements are at angles that the chosen model has not seen."""
+        actions = []
+        for rows, test in self.elsewhere.items():
+            out = outside(test.arm, self.measurements[rows].postures)
+            if out is not None and (share := float(np.mean(out.any(axis=1)))) > 0.5:
+                far = f"{100.0 * share:.0f} % of the rows of {rows} are beyond the angles that {self.chosen} has seen"
+                actions.append(Action(f"Measure over all angles that the robot will use, and identify again: {far}."))
+        return actions
+
+    def document(self) -> Document:
+        """All of it. Raises `InputError` for JSON that lacks what its command says."""
+        names = [arm.name for arm in self.arms.values() if arm.name]
+        title = f"Calibration report: {names[0]}" if names else "Calibration report"
+        doubtful = [*self.results["diagnose"].values(), *self.results["identify"].values()]
+        try:
+            warnings = [text for data in doubtful for text in data["warnings"]]
+            return Document(title, self.verdict, self.sections(), self.actions, warnings)
+        except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
+            files = ", ".join(name for files_data in self.results.values() for name in files_data)
+            if not files:
+                raise
+            why = f"{type(error).__name__} {error}"
+            raise InputError(
+                f"{files}: not as the command writes it ({why}), allowed: the whole of its JSON"
+            ) from error
+
+    def sections(self) -> list[Section]:
+        """The parts of the page."""
+        folded: list[Section] = []
+        sections: list[Section] = []
+        for data in self.results["diagnose"].values():
+            for part in diagnosis_sections(data):
+                (folded if part.folded else sections).append(part)
+        for name in sorted(self.calibrated, key=lambda name: name != self.chosen):
+            sections += calibrated_sections(self.calibrated[name], name, folded=name != self.chosen)
+        for name, data in ({} if self.calibrated else self.results["identify"]).items():
+            values, dh = (
+                [CorrectedValue(**row) for row in data.get(key, ())] for key in ("corrected_values", "dh_table")
+            )
+            title, expected = f"Corrected values: {name}", expected_elsewhere(data).strip()
+            if values:  # earlier versions have none
+                sections.append(corrected_section(title, values, "geometry" in data, expected))
+            sections += dh_sections(dh, data.get("dh_places", ()), name)
+        sections += [self.test_section(rows) for rows in self.tests]
+        sections += self.other_sections()
+        for name, table in self.commands.items():
+            sections.append(commands_section(name, table, next(iter(self.arms.values()))))
+        sections += [part for data in self.results["validate"].values() for part in validation_sections(data)]
+        return sections + folded
+
+    def test_section(self, rows: str) -> Section:
+        """The error of every model on some measurements, and its sign against each joint."""
+        tests, measured, fitted = self.tests[rows], self.measurements[rows], self.fitted(rows)
+        last, names = list(tests.values())[-1], ["drawing", *tests]
+        figures = [vars(last.nominal).values(), *(vars(test.model).values() for test in tests.values())]
+        cells = [[name, *map(number, values)] for name, values in zip(names, figures, strict=True)]
+        other = None if len(tests) == 1 else list(tests.values())[-2]
+        before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
+        earlier_labels = set() if other is None else {effect.label for effect in Model(other.arm).effects}
+        named = [effect.label for effect in Model(last.arm).effects if effect.label not in earlier_labels]
+        residuals = measured.postures, before, last.residuals, measured.conditions
+        signed = Compared(last.arm, *residuals, Model(last.arm), named).pictures(*pair)
+        used = f"Fitted to these rows: {', '.join(fitted)}." if fitted else ""
+        if not fitted and all(fitted_to(arm) for arm in self.calibrated.values()):
+            used = "No model given here names this file as what it was fitted to."
+        notes = [as_sentence(note) for note in last.notes if "identified from" not in note]
+        arrows = ((before, pair[0]), (last.residuals, pair[1]))
+        return Section(
+            f"Error on {rows}",
+            [
+                " ".join([f"{len(measured)} rows.", used, *notes]),
+                PLACED,
+                Sheet(["distance [mm]", "RMS", "mean", "95 % below", "largest"], cells),
+                Pictures(lambda: [workspace_arrows(last.arm, measured.positions, arrows)]),
+                signed,
+            ],
+        )
+
+
+def fitted_to(arm: Arm) -> list[str]:
+    """Hashes of the files that a calibrated arm was fitted to, empty: it does not say."""
+    return [] if arm.calibration is None else data_hashes(arm.calibration.provenance)
+
+
+def calibrated_sections(arm: Arm, name: str, *, folded: bool) -> list[Section]:
+    """Corrected values of a calibrated arm, and as numbers of its Denavit-Hartenberg table;  name : of its file"""
+    values, provenance = corrected_values(arm), getattr(arm.calibration, "provenance", {})
+    calibrated = Calibrated.of_arm(arm)
+    rows, lines = ((), []) if calibrated is None else dh_table(calibrated, values, Path(name))
+    expected, title = expected_elsewhere(provenance).strip(), f"Corrected values: {name}"
+    corrected = corrected_section(title, values, not arm.chain.planar, expected, folded=folded)
+    return [corrected, *(Section(part.title, part.parts, folded) for part in dh_sections(rows, lines, name))]
+
+
+def commanded_in_words(name: str, commands: CsvTable) -> str:
+    """How many targets a file of commands reaches;  name : of the file"""
+    reached = commands.floats("reachable") > 0.0
+    missing = (np.flatnonzero(~reached) + 1).tolist()
+    none = f"; {rows_listed(missing)} {'have' if len(missing) > 1 else 'has'} none" if missing else ""
+    return f"{name} has commands for {np.count_nonzero(reached)} of {len(commands)} targets{none}."
+
+
+def commands_section(name: str, commands: CsvTable, arm: Arm) -> Section:
+    """The part of a page about a file that `armcal compensate` wrote."""
+    joints = [f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(arm.joint_types, start=1)]
+    axes = [f"{axis}_mm" for axis in "xyz"[: arm.dimension]]
+    targets = np.column_stack([commands.floats(key) for key in axes])
+    angles = np.column_stack([commands.floats(key, empty=np.nan) for key in joints])
+    rows = command_rows(targets, angles, commands.floats("error_mm", empty=np.nan))
+    messages = commands.frame["message"].fill_null("").to_list() if "message" in commands else [""] * len(commands)
+    cells = [[*row, str(message)] for row, message in zip(rows, messages, strict=True)]
+    lead = f"{commanded_in_words(name, commands)} The miss is the calibrated model's, not the robot's accuracy."
+    table = Sheet(["row", *axes, *joints, "miss [mm]", "why there is none"], cells, "", 24, "the file has all")
+    return Section(f"Joint commands: {name}", [lead, table])
