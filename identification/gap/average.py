@@ -15,13 +15,14 @@ import numpy as np
 
 from identification.arm import EffectSpec
 from identification.arrays import Array
-from identification.gap.blocks import RANK, Linearized
+from identification.gap.blocks import Linearized
 from identification.gap.columns import WAVES, Where
 from identification.gap.curve import Curve
 from identification.gap.detectability import LEVEL
 from identification.gap.evidence import Index
 from identification.gap.hypotheses import Block
 from identification.gap.posterior import Posterior
+from identification.information import VISIBLE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.sessions import SESSIONS
@@ -207,7 +208,7 @@ def beside_known(covariance: Array, kept: Index, known: Index) -> Array:
     sizes = np.sqrt(np.diag(covariance)[known].clip(min=0.0))
     scale = np.where(sizes > 0.0, sizes, np.inf)
     values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(scale, scale))
-    seen = values > RANK
+    seen = values > VISIBLE
     across = covariance[np.ix_(kept, known)] / scale @ (vectors[:, seen] / np.sqrt(values[seen]))
     return covariance[np.ix_(kept, kept)] - across @ across.T
 
