@@ -30,7 +30,7 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "status": "Status",
     "progress": "Progress silent",
     "arrays": "Array readonly",
-    "threads": "single_thread",
+    "threads": "single_thread SINGLE_THREAD",
 }
 _PLACES = {name: f"identification.{module}" for module, names in _CONTENTS.items() for name in names.split()}
 __all__ = sorted(_PLACES)
@@ -70,7 +70,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.model import Model
     from identification.progress import Progress, silent
     from identification.status import Status
-    from identification.threads import single_thread
+    from identification.threads import SINGLE_THREAD, single_thread
     from identification.workflow import load_sessions
 
 
