@@ -12,8 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from doe.advise import Advice
 from doe.problem.problem import DesignProblem
-from identification import PRISMATIC, REVOLUTE, Arm, Array, Model
-from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
+from identification import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE, Arm, Array, Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox, circle_across
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
