@@ -13,8 +13,7 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "model.minimal": "practical",
     "effects": "library",
     "measurements": "Conditions Measurements rms_distance",
-    "kinematics.parameters": "EFFECT FILE_UNITS GEOMETRY JOINT_OFFSET JOINT_UNITS LENGTH_ERROR PRISMATIC REVOLUTE"
-    " Parameter ParameterSet",
+    "kinematics.parameters": "EFFECT GEOMETRY JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
     "kinematics.turns": "turned_into",
     "kinematics.spatial": "planar_chain",
     "kinematics.denavit_hartenberg": "DHRow chain_of",
@@ -23,6 +22,7 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "files.measurement": "load_measurements",
     "files.measurement_columns": "csv_text posture_columns",
     "files.plan": "plan_file_text read_plan",
+    "workflow": "load_sessions",
     # what data say
     "estimation": "Identification estimate estimate_batch estimate_each",
     "estimation.uncertainty": "freedom_of quantile_95",
@@ -30,7 +30,7 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "gap.result": "Diagnosis",
     "gap.detectability": "Detectability detectability",
     # what designs need
-    "for_design": "NEEDS_SIGMA ArmModel design_model refuse_contacts with_points with_scatter without_prior",
+    "for_design": "with_scatter NEEDS_SIGMA ArmModel design_model refuse_contacts with_points without_prior",
     "information": "identifiability information_matrix spectrum",
     # errors, progress, arrays
     "errors": "ArmcalError InputError JobError in_one_line nearest",
@@ -39,7 +39,7 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "progress": "Progress silent",
     "arrays": "Array ByValue readonly",
     "data_frames": "frame_of_columns",
-    "threads": "SINGLE_THREAD single_thread",
+    "threads": "single_thread SINGLE_THREAD",
 }
 _PLACES = {name: f"identification.{module}" for module, names in _CONTENTS.items() for name in names.split()}
 __all__ = sorted(_PLACES)
@@ -74,10 +74,8 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.kinematics.denavit_hartenberg import DHRow, chain_of
     from identification.kinematics.parameters import (
         EFFECT,
-        FILE_UNITS,
         GEOMETRY,
         JOINT_OFFSET,
-        JOINT_UNITS,
         LENGTH_ERROR,
         PRISMATIC,
         REVOLUTE,
@@ -92,6 +90,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.progress import Progress, silent
     from identification.status import Status
     from identification.threads import SINGLE_THREAD, single_thread
+    from identification.workflow import load_sessions
 
 
 def __getattr__(name: str) -> Any:
