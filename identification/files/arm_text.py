@@ -43,6 +43,8 @@ def dump_arm(arm: Arm) -> str:
     calibration = arm.calibration
     if arm.chain.planar:
         tables: Plain = {"name": arm.name, "links_mm": _in_file(arm.lengths)}
+        if arm.chain.instrument.kind:
+            tables["instrument"] = arm.chain.instrument.table()
         limits = np.stack(arm.column_limits)
         if np.all(np.isfinite(limits)):
             tables["joint_limits_deg"] = dict(zip(("lower", "upper"), _degrees(limits), strict=True))

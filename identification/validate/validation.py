@@ -358,7 +358,7 @@ def as_calibrated(arm: Arm) -> Arm:
 
 def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
     """Those that a refit may estimate, among others."""
-    if arm.chain.planar:
+    if arm.chain.positions_in_plane:
         return Model(with_base_offset(arm)).all_parameters
     chain = with_markers(one_unnamed(arm.chain, measurements), measurements)
     if chain.instrument.own_targets:
@@ -401,6 +401,11 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
     if refit == "none":
         return Model(arm, values), np.zeros(0)
     offsets = [f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)] if refit == "offsets" else []
+    if not arm.chain.positions_in_plane:  # its targets are where it stands
+        model = placed_model(Model(arm), measurements)
+        free = {*offsets, *(p.name for p in model.arm.chain.instrument.parameters)}
+        model = replace(model, known={k: v for k, v in model.best_known.items() if k not in free})
+        return model, model.values
     model = Model(with_base_offset(arm), {k: value for k, value in values.items() if k not in (*PLANAR_BASE, *offsets)})
     start = model.parameters.vector(values)
     computed = model.position(measurements.postures, start, conditions)
