@@ -304,6 +304,9 @@ def _check_needs(file: ArmFile, effects: Iterable[tuple[EffectSpec, Effect]]) ->
     known = KINDS if file.links_mm is None else IN_PLANE
     offers = frozenset[str]() if kind is None else known[kind].offers
     for spec, effect in effects:
+        if effect.of_positions and kind is not None:
+            state = f"found an [instrument] of kind {kind}"
+            raise InputError(f"effects: {spec.key} is of measured positions, {state}, allowed: without it")
         if "distance" in effect.needs - offers:
             state = "no [instrument] table" if kind is None else f"an [instrument] of kind {kind}"
             raise InputError(f"effects: {spec.key} needs measured distances, found {state}, allowed: kind distance")

@@ -186,6 +186,7 @@ def _calibration_table(arm: Arm, calibration: Calibration) -> Plain:
             raise InputError(f"calibration: unknown parameter {name!r}, {nearest(name, by_api)}")
     in_file = {name: _in_file(value, by_api[name].factor) for name, value in values.items()}
     if chain.planar:
+        calibration = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
         tables: Plain = {
             "length_errors_mm": _in_file(calibration.length_errors),
             "joint_offsets_deg": _degrees(calibration.joint_offsets),
