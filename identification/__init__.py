@@ -13,10 +13,11 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "effects": "library",
     "measurements": "Conditions Measurements",
     "kinematics.parameters": "EFFECT JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
-    "files.arm": "load_arm",
+    "files.arm": "arm_from_tables load_arm",
+    "files.arm_text": "dump_arm with_effects",
     "files.measurement": "load_measurements",
     # what data say
-    "estimation": "Identification estimate",
+    "estimation": "Identification estimate estimate_batch estimate_each",
     "gap.diagnose": "diagnose",
     "gap.result": "Diagnosis",
     # what designs need
@@ -37,8 +38,9 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.arrays import Array, readonly
     from identification.effects import library
     from identification.errors import InputError, JobError, nearest
-    from identification.estimation import Identification, estimate
-    from identification.files.arm import load_arm
+    from identification.estimation import Identification, estimate, estimate_batch, estimate_each
+    from identification.files.arm import arm_from_tables, load_arm
+    from identification.files.arm_text import dump_arm, with_effects
     from identification.files.measurement import load_measurements
     from identification.for_design import (
         NEEDS_SIGMA,

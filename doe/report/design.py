@@ -15,10 +15,8 @@ from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
-from identification.arrays import Array
+from identification import EFFECT, Array, Model
 from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
-from identification.kinematics.parameters import EFFECT
-from identification.model import Model
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -26,9 +24,7 @@ if TYPE_CHECKING:
     from doe.discrimination.design import DiscriminationDesign
     from doe.discrimination.t_optimal import NextPostures
     from doe.plan.plan import Plan
-    from identification.arm import Arm
-    from identification.gap.result import Diagnosis
-    from identification.measurements import Measurements
+    from identification import Arm, Diagnosis, Measurements
 
 Data = Mapping[str, Any]  # what a command says with --json
 

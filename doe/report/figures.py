@@ -12,10 +12,8 @@ from matplotlib.ticker import MaxNLocator
 
 from doe.advise import Advice
 from doe.problem.problem import DesignProblem
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
-from identification.model import Model
+from identification import PRISMATIC, REVOLUTE, Arm, Array, Model
+from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox, circle_across
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"

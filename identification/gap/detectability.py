@@ -20,6 +20,7 @@ from identification.arrays import Array, readonly
 from identification.document import Document
 from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
+from identification.estimation.grouped import LEVEL
 from identification.gap.blocks import Linearized, linearized
 from identification.gap.evidence import SIZES, Index
 from identification.gap.fit import Fit, Rows, fit
@@ -33,7 +34,7 @@ from identification.threads import single_thread
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-POWER, LEVEL = 0.9, 0.05  # convention: what is "excluded" would have been found in nine cases of ten
+POWER = 0.9  # convention: what is "excluded" would have been found in nine cases of ten
 # derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6
 NEAR = 0.9
 LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test, and is not linear

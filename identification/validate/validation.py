@@ -23,13 +23,13 @@ from identification.documents.use import FITTED, HARDLY, validation_sections, va
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.expected_tip import left_out_residuals
+from identification.estimation.grouped import LEVEL, gained_squares
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
-from identification.gap.confirmation import LEVEL, Offered, gained_squares
 from identification.information import spectrum
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
 from identification.kinematics.frames import own_axes_angles
-from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, of_effects
+from identification.kinematics.parameters import JOINT_OFFSET, of_effects
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
@@ -39,6 +39,7 @@ from identification.sessions import placing, start_at_bases, with_base_offset, w
 from identification.validate.origin import check_calibrated, comes_from, extrapolated, identified, outside
 
 if TYPE_CHECKING:  # a diagnosis imports this package
+    from identification.gap.confirmation import Confirmation
     from identification.gap.result import Diagnosis
 
 REFITS = (*DRAWN,)
@@ -136,7 +137,11 @@ class Validation:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `validate` (identification/files/README.md, "JSON keys")."""
-        parameters = {p.name: p for p in refit_parameters(self.arm, self.measurements)}
+        if self.arm.chain.planar:
+            every = Model(with_base_offset(self.arm)).all_parameters
+        else:
+            every = with_markers(one_unnamed(self.arm.chain, self.measurements), self.measurements).every_parameter
+        parameters = {p.name: p for p in every}
         refitted = [
             {"session": session, "name": name, "unit": (p := parameters[name]).file_unit, "value": value * p.to_file}
             for session, values in zip(self.measurements.sessions or (None,), self.refitted, strict=True)
@@ -224,10 +229,10 @@ def _refitted(
     open."""
     refitted, residuals, left_open = [], np.empty_like(measurements.positions), 0
     for rows in measurements.session_rows:
-        session, there = measurements.rows(rows), conditions.rows(rows)
-        model, start = refit_model(arm, session, there, refit)
+        session, session_conditions = measurements.rows(rows), conditions.rows(rows)
+        model, start = refit_model(arm, session, session_conditions, refit)
         weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
-        problem = Problem(model, session.postures, there, session.positions[None], weights)
+        problem = Problem(model, session.postures, session_conditions, session.positions[None], weights)
         values = start
         if refit != "none":
             if session.positions.size < (p := len(start)):
@@ -297,6 +302,61 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
 
 
 # -- judged before it is offered ---------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Offered:
+    """Distances [mm] that the model offered and the geometry alone leave, each as `identify` and `validate` have it.
+
+    by : `holdout` or `cross-validation` (each posture by a fit to others);  rows : how many
+    rms, largest : of the model;  rms_geometry, largest_geometry : of the geometry, identified on the same rows
+    p_value : one-sided, of no gain
+    """
+
+    by: str
+    rows: int
+    rms: float
+    largest: float
+    rms_geometry: float
+    largest_geometry: float
+    p_value: float
+
+    @classmethod
+    def of(cls, by: str, geometry: Array, model: Array, measurements: Measurements) -> Offered:
+        """From residuals (m, d) [mm] of the same rows."""
+        before, after = distances(geometry), distances(model)
+        rms, rms_geometry = rms_distance(model), rms_distance(geometry)
+        p_value = gained_squares(before, after, measurements).p_above()
+        return cls(by, len(after), rms, float(after.max()), rms_geometry, float(before.max()), p_value)
+
+    @classmethod
+    def of_test(cls, test: Confirmation) -> Offered:
+        """From a test of a model against the base model."""
+        figures = (test.after, test.largest_after, test.before, test.largest_before)
+        return cls(test.by, test.rows, *figures, 1.0 if test.p_shrinks is None else test.p_shrinks)
+
+    @property
+    def better(self) -> bool:
+        """Whether the model predicts better beyond chance, as `validate` judges it."""
+        return self.rms < self.rms_geometry and self.p_value <= LEVEL / 2.0
+
+    @property
+    def sentence(self) -> str:
+        """How the model compares with the geometry."""
+        which = "held-out rows" if self.by == "holdout" else "rows, each predicted by a fit to other postures"
+        with_effects, geometry = f"{self.rms:.3g} mm RMS (largest {self.largest:.3g})", f"{self.rms_geometry:.3g} mm"
+        figures = f"{with_effects} against {geometry} (largest {self.largest_geometry:.3g}) in {self.rows} {which}"
+        if self.better:
+            return f"better than the geometry alone: {figures}"
+        if self.rms >= self.rms_geometry:
+            return f"no better than the geometry alone: {figures}"
+        return f"better than the geometry alone only within chance: {figures}, p = {self.p_value:.2g}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Key `offered` (identification/files/README.md, "JSON keys")."""
+        lengths = {"rms_mm": self.rms, "max_mm": self.largest}
+        lengths |= {"rms_geometry_mm": self.rms_geometry, "max_geometry_mm": self.largest_geometry}
+        return {"by": self.by, "rows": self.rows, **lengths, "p_value": self.p_value, "better": self.better}
+
+
 def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:
     """The diagnosis with what its extended model is worth beside the geometry (`Diagnosis.offered`).
 
@@ -354,16 +414,6 @@ def as_calibrated(arm: Arm) -> Arm:
             spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
         effects.append(spec)
     return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
-
-
-def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
-    """Those that a refit may estimate, among others."""
-    if arm.chain.positions_in_plane:
-        return Model(with_base_offset(arm)).all_parameters
-    chain = with_markers(one_unnamed(arm.chain, measurements), measurements)
-    if chain.instrument.own_targets:
-        chain = placed_model(Model(replace(arm, chain=chain)), measurements).arm.chain
-    return chain.every_parameter
 
 
 def check_names(chain: SpatialChain, measurements: Measurements) -> None:

@@ -318,7 +318,7 @@ def test_bad_input_is_one_line(tmp_path: Path, text: str, old: str, new: str, na
 def test_examples_of_the_page_load(tmp_path: Path) -> None:
     page = Path(__file__).parents[3] / "identification/files/README.md"
     section = page.read_text().split("### Spatial arms")[1].split("\n## ")[0]
-    by_urdf, by_table, by_lengths, sockets, joints = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    by_urdf, by_table, by_lengths, joints = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
     shutil.copy(URDF, tmp_path / "robot.urdf")
     arm = load_arm(saved(tmp_path, by_urdf))
     assert arm.chain is not None
@@ -330,5 +330,3 @@ def test_examples_of_the_page_load(tmp_path: Path) -> None:
     bar = load_arm(saved(tmp_path, f"{by_urdf}\n{by_lengths}")).chain
     assert bar is not None
     assert bar.coordinates == 1
-    cups = load_arm(saved(tmp_path, f"{by_urdf}\n{sockets}")).chain.instrument
-    assert [*cups.targets] == ["A", "B"]

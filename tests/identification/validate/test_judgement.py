@@ -9,14 +9,13 @@ import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.estimation import estimate, estimate_with_prior
-from identification.gap.confirmation import Offered
 from identification.gap.diagnose import diagnose
 from identification.gap.library.library_prior import given_by, library_prior
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements, distances
 from identification.model import Model
 from identification.validate import validate
-from identification.validate.validation import identified_geometry, judged, prior_judged
+from identification.validate.validation import Offered, identified_geometry, judged, prior_judged
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
 
 ARM = Arm([300.0, 200.0, 150.0], effects=(EffectSpec("base_offset"),), sigma=0.05)
@@ -112,7 +111,9 @@ def test_a_prior_of_further_effects_is_judged_beside_the_geometry(compliant: boo
     rng, arm = np.random.default_rng(6), drawn_arm()
     truth = small_arm(rng, compliance=np.array([0.0, 2e-4, 1e-4, 0.0, 0.0, 0.0]) * compliant)
     data = measured(truth, random_postures(24, rng), rng)
-    library = library_prior(arm, given_by(data))
+    library = library_prior(
+        arm, given_by(data), names=["joint_compliance", "backlash", "encoder_eccentricity", "gear_ratio"]
+    )
     found = estimate_with_prior(Model(library.arm), data, library.prior)
     offered = prior_judged(lambda: estimate(Model(arm), data), found, data)
     assert offered is not None
