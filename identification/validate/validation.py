@@ -137,7 +137,9 @@ class Validation:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `validate` (identification/files/README.md, "JSON keys")."""
-        if self.arm.chain.planar:
+        if self.arm.chain.instrument.own_targets:
+            every = placed_model(Model(self.arm), self.measurements).arm.chain.every_parameter
+        elif self.arm.chain.planar:
             every = Model(with_base_offset(self.arm)).all_parameters
         else:
             every = with_markers(one_unnamed(self.arm.chain, self.measurements), self.measurements).every_parameter
