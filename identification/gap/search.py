@@ -33,8 +33,8 @@ TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
 REST_ODDS = 0.1  # prior odds of the rest of the library: many small effects beside what can be named
 NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out, and of a set not listed
-MOVES = 700  # effort: of the walk
-THIN = 32  # effort: columns of a set for each move of the walk that is not counted among the draws
+MOVES = 1000  # effort: of the walk
+THIN = 64  # effort: columns of a set for each move of the walk that is not counted among the draws
 MOST = 10  # effort: pairs of blocks, candidates, and explanations cross-validated
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
