@@ -144,8 +144,8 @@ class Search:
                 best = self._likeliest(self._each(single.without()), every)
                 pair = single if best is None else single.without().put(*best)
                 tops += [single, self._up(pair, ~every)]  # its sizes alone
-        best = max(tops, key=lambda one: round(self.log_odds(one), 9))
-        return self._up(self._up(self._up(best, others), others), every)
+        top = max(tops, key=lambda one: round(self.log_odds(one), 9))
+        return self._up(self._up(self._up(top, others), others), every)
 
     def _up(self, state: State, allowed: NDArray[np.bool_]) -> State:
         """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each.
