@@ -41,8 +41,7 @@ def command(
     from doe.advise import advise
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification import Model, load_arm
-    from identification.for_design import with_scatter
+    from identification import Model, load_arm, with_scatter
     from identification.validate.reuse import only as only_these
     from identification.validate.reuse import words_of
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from doe.cli.common import verb, with_collisions
 from doe.cli.options import Count, Seconds, written
-from identification import InputError, Progress, silent
+from identification import InputError, Progress, load_sessions, silent
 from identification.document import Answer
-from identification.workflow import Written, load_sessions
+from identification.workflow import Written
 
 if TYPE_CHECKING:
     from identification import Arm, Measurements

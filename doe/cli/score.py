@@ -17,8 +17,7 @@ from identification.workflow import Names, Picture
 if TYPE_CHECKING:
     from doe.design import Design
     from doe.plan.plan import Plan
-    from identification import Arm
-    from identification.gap.detectability import Detectability
+    from identification import Arm, Detectability
 
 
 ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
@@ -96,8 +95,7 @@ def _scored(arm: Arm, plan: Plan, path: Path, criterion: CriterionOptions, secon
 
 def _preflight(arm: Arm, plan: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
     """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
-    from identification import without_prior
-    from identification.gap.detectability import detectability
+    from identification import detectability, without_prior
 
     try:
         sees = detectability(without_prior(arm), plan.postures)

@@ -24,6 +24,8 @@ from identification import (
     EffectSpec,
     InputError,
     Model,
+    arm_from_tables,
+    dump_arm,
     library,
     load_arm,
     nearest,
@@ -31,8 +33,6 @@ from identification import (
     with_points,
     without_prior,
 )
-from identification.files.arm import arm_from_tables
-from identification.files.arm_text import dump_arm
 from identification.files.io import named_file, read_toml
 from identification.files.schema import StrictTable, validated
 from identification.kinematics.parameters import GEOMETRY
