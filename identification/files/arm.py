@@ -31,7 +31,7 @@ from identification.files.schema import (
     require_count,
     validated_arm,
 )
-from identification.instruments import KINDS
+from identification.instruments import IN_PLANE, KINDS
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.parameters import (
     FILE_UNITS,
@@ -43,7 +43,7 @@ from identification.kinematics.parameters import (
     REVOLUTE,
     Parameter,
 )
-from identification.kinematics.spatial import SpatialChain, planar_chain
+from identification.kinematics.spatial import SpatialChain
 from identification.workspace import (
     ColumnLimits,
     KeepOutCircle,
@@ -85,7 +85,7 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
     folder : where the files are that the tables name
     """
     file = validated_arm(tables)
-    chain = arm_chain.nominal_chain(file, folder) if file.links_mm is None else planar_chain(file.links_mm)
+    chain = arm_chain.nominal_chain(file, folder) if file.links_mm is None else arm_chain.of_links(file)
     n, kinds = len(chain), chain.joint_types
     file.require_counts(n)
     constraints = [_constraint(table) for table in file.constraints]
@@ -301,8 +301,12 @@ def _check_needs(file: ArmFile, effects: Iterable[tuple[EffectSpec, Effect]]) ->
     """Raises `InputError` for an effect of gravity on an arm without gravity, and for one of measured distances where
     something else is measured."""
     kind = None if file.instrument is None else file.instrument.kind
-    offers = frozenset[str]() if kind is None else KINDS[kind].offers
+    known = KINDS if file.links_mm is None else IN_PLANE
+    offers = frozenset[str]() if kind is None else known[kind].offers
     for spec, effect in effects:
+        if effect.of_positions and kind is not None:
+            state = f"found an [instrument] of kind {kind}"
+            raise InputError(f"effects: {spec.key} is of measured positions, {state}, allowed: without it")
         if "distance" in effect.needs - offers:
             state = "no [instrument] table" if kind is None else f"an [instrument] of kind {kind}"
             raise InputError(f"effects: {spec.key} needs measured distances, found {state}, allowed: kind distance")

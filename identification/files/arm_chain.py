@@ -17,12 +17,12 @@ from identification.errors import InputError
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import ArmFile, CalibrationTable, MeasurementTable, PoseTable
 from identification.files.urdf import BASE_LINK, TIP, Urdf, parse_urdf, read_urdf, urdf_text, with_origins
-from identification.instruments import KINDS
+from identification.instruments import IN_PLANE, KINDS
 from identification.kinematics.corrected import before_errors, standing_in
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
-from identification.kinematics.spatial import BASE, TOOL, SpatialChain
+from identification.kinematics.spatial import BASE, TOOL, SpatialChain, planar_chain
 
 FREE = (-np.pi, np.pi)
 
@@ -61,6 +61,14 @@ def nominal_chain(file: ArmFile, folder: PathLike) -> SpatialChain:
         turn = rotation_to_z(normal / np.linalg.norm(normal)).T
         chain = replace(chain, base=pose(-turn @ np.array(table.center_mm), turn))
     return replace(chain, instrument=instrument)
+
+
+def of_links(file: ArmFile) -> SpatialChain:
+    """The planar arm as drawn, with what is measured of it."""
+    chain = planar_chain(file.links_mm or ())
+    if (table := file.instrument) is None:
+        return chain
+    return replace(chain, instrument=IN_PLANE[table.kind].of_table(table.model_dump(exclude_none=True)))
 
 
 def with_limits(chain: SpatialChain, lower: Array, upper: Array) -> SpatialChain:

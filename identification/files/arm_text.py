@@ -43,6 +43,8 @@ def dump_arm(arm: Arm) -> str:
     calibration = arm.calibration
     if arm.chain.planar:
         tables: Plain = {"name": arm.name, "links_mm": _in_file(arm.lengths)}
+        if arm.chain.instrument.kind:
+            tables["instrument"] = arm.chain.instrument.table()
         limits = np.stack(arm.column_limits)
         if np.all(np.isfinite(limits)):
             tables["joint_limits_deg"] = dict(zip(("lower", "upper"), _degrees(limits), strict=True))
@@ -184,6 +186,7 @@ def _calibration_table(arm: Arm, calibration: Calibration) -> Plain:
             raise InputError(f"calibration: unknown parameter {name!r}, {nearest(name, by_api)}")
     in_file = {name: _in_file(value, by_api[name].factor) for name, value in values.items()}
     if chain.planar:
+        calibration = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
         tables: Plain = {
             "length_errors_mm": _in_file(calibration.length_errors),
             "joint_offsets_deg": _degrees(calibration.joint_offsets),

@@ -232,7 +232,7 @@ def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> 
 def _misfit(measurements: Measurements, arm: Arm, turned: Array, unit: float) -> float:
     """Median distance [mm] from the nominal arm, with joints times factors (n,), positions times a `unit`."""
     read = replace(measurements, postures=measurements.postures * turned, positions=measurements.positions * unit)
-    if arm.chain.planar:
+    if arm.chain.positions_in_plane:
         drawn = _drawn_tips(arm, read.postures)
         tip, seen = ((a - a.mean(axis=0)) @ np.array([1.0, 1.0j]) for a in (drawn, read.positions))
         return float(np.median(np.abs(seen - tip * np.exp(1j * np.angle(np.vdot(tip, seen))))))

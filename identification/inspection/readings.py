@@ -354,7 +354,7 @@ def _few(arm: Arm, rows: Measurements) -> bool:
 def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], float]:
     """Root mean square distance [mm] of the drawing from the positions of a reading, its place fitted; of lengths
     roughly, where it is `hopeless`."""
-    if (chain := arm.chain).planar:
+    if (chain := arm.chain).positions_in_plane:
 
         def in_plane(reading: Reading) -> float:
             tip, measured = _in_plane(arm, rows, reading)
@@ -377,7 +377,7 @@ def _in_plane(arm: Arm, rows: Measurements, reading: Reading) -> tuple[NDArray[n
 
 def _turned(arm: Arm, rows: Measurements, reading: Reading) -> Reading:
     """The reading with the turn of the base, in the plane."""
-    if not arm.chain.planar:
+    if not arm.chain.positions_in_plane:
         return reading
     return replace(reading, turn=float(np.angle(np.vdot(*_in_plane(arm, rows, reading)))))
 
