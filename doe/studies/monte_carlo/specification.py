@@ -19,6 +19,7 @@ from pydantic import Field
 from doe.plan.plan import Plan, load_plan
 from doe.solvers import SOLVERS
 from identification import (
+    GEOMETRY,
     Arm,
     Calibration,
     EffectSpec,
@@ -35,7 +36,6 @@ from identification import (
 )
 from identification.files.io import named_file, read_toml
 from identification.files.schema import StrictTable, validated
-from identification.kinematics.parameters import GEOMETRY
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
