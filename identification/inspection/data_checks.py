@@ -24,7 +24,6 @@ from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, tip_frames
 
-PLACED = 6  # numbers of a center, or a plane with three turns, and a measured point
 STANDS = 6  # numbers of where an arm stands, of each session
 IN_PLANE = 3  # numbers of where a planar arm stands
 SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
@@ -67,7 +66,7 @@ def _bare(arm: Arm, measurements: Measurements) -> Arm:
 def _few(measurements: Measurements, arm: Arm) -> bool:
     """Whether base and measured points alone might explain the data in any unit."""
     points = 1 if measurements.marker is None else len(measurements.marker_names)
-    fitted = PLACED if measurements.dimension == 1 else STANDS + arm.dimension * points
+    fitted = STANDS - len(arm.chain.instrument.hidden(np.eye(4))) + arm.dimension * points
     unknowns = IN_PLANE if arm.chain.planar else fitted * len(measurements.session_rows)
     return measurements.positions.size < 4 * unknowns
 
@@ -150,7 +149,7 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     if CLEARLY * misfits[best] >= misfits[1.0, 1.0]:
         return _Units(huge)
     turned, factor = best
-    axes = ("distance",) if measurements.dimension == 1 else "xyz"[: arm.dimension]
+    axes = [coordinate.name for coordinate in arm.chain.instrument.coordinates][: measurements.dimension]
     sentences = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
     sentences += huge
     if factor != 1.0:
