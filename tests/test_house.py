@@ -45,7 +45,6 @@ LAYERS = {
     "identification.measurements": 2,
     "identification.measurement_values": 2,
     "identification.files.schema": 2,
-    "identification.files.arm_chain": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names
     "identification.files.arm_text": 2,
     "identification.files.measurement": 2,

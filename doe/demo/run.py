@@ -19,8 +19,7 @@ from identification.arrays import Array
 from identification.compensate import compensate
 from identification.compensate.compensation import Compensation
 from identification.estimation import Identification, estimate
-from identification.files.arm import load_arm
-from identification.files.arm_chain import corrected_urdf
+from identification.files.arm import corrected_urdf, load_arm
 from identification.files.arm_text import with_calibration, with_effects
 from identification.files.io import write_whole
 from identification.files.measurement import load_measurements, measurement_text
