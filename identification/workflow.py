@@ -166,8 +166,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     from identification.effects import build_all
     from identification.files.arm import load_arm
     from identification.files.io import write_together
-    from identification.files.measurement import measurement_text
-    from identification.files.plan import read_plan
+    from identification.files.measurement import measurement_text, read_plan
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)
@@ -678,7 +677,7 @@ def compensate_files(
     from identification.compensate import compensate
     from identification.files.arm import load_arm
     from identification.files.io import write_together
-    from identification.files.target import commands_text, load_targets
+    from identification.files.measurement import commands_text, load_targets
     from identification.model import Model
     from identification.validate.origin import check_calibrated
 

@@ -87,7 +87,7 @@ def design_problem(
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem
-    from identification.files.plan import read_plan
+    from identification.files.measurement import read_plan
     from identification.model import Model
 
     name, missing = wanted.name, wanted.effects

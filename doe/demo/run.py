@@ -22,8 +22,7 @@ from identification.estimation import Identification, estimate
 from identification.files.arm import corrected_urdf, load_arm
 from identification.files.arm_text import with_calibration, with_effects
 from identification.files.io import write_whole
-from identification.files.measurement import load_measurements, measurement_text
-from identification.files.target import commands_text
+from identification.files.measurement import commands_text, load_measurements, measurement_text
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements, rms_distance

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from identification.arrays import Array, ByValue, readonly
 from identification.data_frames import frame_of_columns
 from identification.errors import InputError
+from identification.files.measurement import plan_file_text, read_plan
 from identification.files.measurement_columns import posture_columns
-from identification.files.plan import plan_file_text, read_plan
 
 SUM = 1e-6  # by which weights may miss one
 

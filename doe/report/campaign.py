@@ -12,7 +12,7 @@ from doe.report.design import design_verdict, plan_actions, plan_section
 from identification.arm import Arm
 from identification.campaign import Campaign
 from identification.document import Action, Section
-from identification.files.plan import read_plan
+from identification.files.measurement import read_plan
 
 
 @dataclass

@@ -49,7 +49,7 @@ def dump_arm(arm: Arm) -> str:
     That of a spatial arm has its drawing in it, as the text of a URDF file.
     Raises `InputError` for a spatial arm with a chosen set of parameters, which no file can say.
     """
-    tables = {"name": arm.name} | _chain_tables(arm, arm.chain)
+    tables: Plain = {"name": arm.name} | _chain_tables(arm, arm.chain)
     limits, sliding = np.stack(arm.column_limits), np.array(arm.joint_types) == PRISMATIC
     for unit, joints, factor in (("deg", ~sliding, math.degrees(1.0)), ("mm", sliding, 1.0)):
         if joints.any() and np.all(np.isfinite(limits[:, joints])):  # else those of the drawing

@@ -11,7 +11,7 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.compensate import compensate
 from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.errors import InputError
-from identification.files.target import commands_text
+from identification.files.measurement import commands_text
 from identification.measurements import Conditions, directions_from_order
 from identification.model import Model
 
