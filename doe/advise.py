@@ -22,11 +22,7 @@ from doe.plan.plan import Plan
 from doe.plan.spacing import with_additions
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.for_design import NEEDS_SIGMA
-from identification.kinematics.parameters import LENGTH_ERROR
-from identification.progress import Progress, silent
+from identification import LENGTH_ERROR, NEEDS_SIGMA, Array, InputError, Progress, silent
 
 FRESH = 5  # random starts beside the plan of fewer runs, where a start climbs on gradients
 SHARE = 0.25  # of the time, at most, for the bounds

@@ -12,8 +12,7 @@ from doe.bounds.planar_theorem import closed_form_bound
 from doe.design import Design
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification.errors import JobError
-from identification.status import Status
+from identification import JobError, Status
 
 LEAST = 0.01  # [s] of the exact plan, where the weights took all the time: its first start
 

@@ -24,12 +24,8 @@ from doe.plan.accuracy import (
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.information import identifiability, spectrum
-from identification.kinematics.parameters import PRISMATIC
+from identification import PRISMATIC, Array, InputError, Status, identifiability, spectrum
 from identification.kinematics.turns import turned_into
-from identification.status import Status
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
 SAME = 1e-9  # relative difference of Jacobians that counts as none

@@ -1,25 +1,70 @@
-"""From measurements to parameters, and to the effect that is missing (imported on first use)."""
+# ruff: noqa: F401 - what type checkers read
+"""From measurements to parameters, and to the effect that is missing: the table of contents, imported on first use."""
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-_PLACES = {  # `simulate` and `compensate` are modules of that name: from identification.simulate import simulate
-    "Arm": "identification.arm",
-    "Calibration": "identification.arm",
-    "Conditions": "identification.measurements",
-    "EffectSpec": "identification.arm",
-    "Gravity": "identification.arm",
-    "Identification": "identification.estimation",
-    "Measurements": "identification.measurements",
-    "Model": "identification.model",
-    "diagnose": "identification.gap.diagnose",
-    "estimate": "identification.estimation",
-    "load_arm": "identification.files.arm",
-    "load_measurements": "identification.files.measurement",
+_CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from identification.simulate import simulate
+    # an arm, its model, its measurements
+    "arm": "Arm Calibration EffectSpec Gravity",
+    "model": "Model",
+    "effects": "library",
+    "measurements": "Conditions Measurements",
+    "kinematics.parameters": "EFFECT JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
+    "files.arm": "load_arm",
+    "files.measurement": "load_measurements",
+    # what data say
+    "estimation": "Identification estimate",
+    "gap.diagnose": "diagnose",
+    "gap.result": "Diagnosis",
+    # what designs need
+    "for_design": "NEEDS_SIGMA ArmModel design_model refuse_contacts with_points without_prior",
+    "information": "identifiability information_matrix spectrum",
+    # errors, progress, arrays
+    "errors": "InputError JobError nearest",
+    "status": "Status",
+    "progress": "Progress silent",
+    "arrays": "Array readonly",
+    "threads": "single_thread",
 }
+_PLACES = {name: f"identification.{module}" for module, names in _CONTENTS.items() for name in names.split()}
 __all__ = sorted(_PLACES)
+
+if TYPE_CHECKING:  # the same for type checkers
+    from identification.arm import Arm, Calibration, EffectSpec, Gravity
+    from identification.arrays import Array, readonly
+    from identification.effects import library
+    from identification.errors import InputError, JobError, nearest
+    from identification.estimation import Identification, estimate
+    from identification.files.arm import load_arm
+    from identification.files.measurement import load_measurements
+    from identification.for_design import (
+        NEEDS_SIGMA,
+        ArmModel,
+        design_model,
+        refuse_contacts,
+        with_points,
+        without_prior,
+    )
+    from identification.gap.diagnose import diagnose
+    from identification.gap.result import Diagnosis
+    from identification.information import identifiability, information_matrix, spectrum
+    from identification.kinematics.parameters import (
+        EFFECT,
+        JOINT_OFFSET,
+        LENGTH_ERROR,
+        PRISMATIC,
+        REVOLUTE,
+        Parameter,
+        ParameterSet,
+    )
+    from identification.measurements import Conditions, Measurements
+    from identification.model import Model
+    from identification.progress import Progress, silent
+    from identification.status import Status
+    from identification.threads import single_thread
 
 
 def __getattr__(name: str) -> Any:

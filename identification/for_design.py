@@ -30,6 +30,7 @@ from identification.kinematics.frames import pose
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import directions_from_order, past_from_order, session_time
 from identification.model import Model
+from identification.model.contacts import led_to_contact
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.positions import of_positions, tip_jacobian
 from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
@@ -48,8 +49,6 @@ AHEAD = 0.5  # of the reach: where the center of measured distances is assumed
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
 CHOICES = 2000  # postures that touch to choose from, as for robust designs
 BATCH, BATCHES = 4000, 10  # effort: random postures that are led to the surface at once, and how often
-STEPS = 30  # effort: Newton's method doubles the digits once it is near
-LONGEST = 0.5  # [rad] of a step; of a prismatic joint that share of its range / (2 pi)
 TOUCHES = 1e-6  # [mm] how near is on the surface
 FEWEST = 100  # with fewer a plan has no choice
 
@@ -177,14 +176,16 @@ class ArmModel:
         (`UserWarning`) of what plans and bounds are of.
         """
         chain = self.arm.chain
-        if unknown := [p for p in chain.instrument.parameters if self.model.best_known.get(p.name, 0.0) <= 0.0]:
-            key = unknown[0].toml_key
+        if key := chain.instrument.unknown(self.model.best_known):
             reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
             raise InputError(f"instrument: {reason}, allowed for plans: with {key}, or a calibrated arm")
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         for _ in range(BATCHES):
-            q = self._led_to_surface(generator.uniform(lower, upper, (BATCH, len(chain))), units)
-            q = q[np.all((q >= lower) & (q <= upper), axis=1) & (np.abs(self.heights(q)) < TOUCHES)]
+            anywhere = generator.uniform(lower, upper, (BATCH, len(chain)))
+            targets = len(chain.instrument.targets)  # as many postures for each
+            target = np.arange(BATCH, dtype=float) % targets if targets else None
+            q = led_to_contact(self.model, anywhere, chain.instrument.touched, units, target)
+            q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
             if len(kept) == CHOICES:
@@ -196,21 +197,9 @@ class ArmModel:
         warnings.warn(f"instrument: plans are chosen from {what}, and bounds are over these", stacklevel=2)
         return kept
 
-    def heights(self, postures: Array) -> Array:
-        """(m,) how far the measured point is above the surface [mm] at postures (m, n)."""
-        return np.asarray(self.model.position(postures)[:, 0] - self.arm.chain.instrument.touched)
-
-    def _led_to_surface(self, postures: Array, units: Array) -> Array:
-        """Postures (m, n) led to the surface by the shortest steps, most of them; limits apart."""
-        q, touched, model = np.array(postures), self.arm.chain.instrument.touched, self.model
-        for _ in range(STEPS):
-            conditions = model.condition_table(q, Conditions())
-            distance, slopes = model.expressions.posture_jacobian(q, conditions, model.values[None])
-            slope = slopes[:, 0] * units
-            gap = (distance[:, 0, 0] - touched) / np.maximum(np.sum(slope**2, axis=1), 1e-300)
-            steps = -slope * gap[:, None]
-            q = q + steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / LONGEST, 1.0) * units
-        return q
+    def gaps(self, postures: Array) -> Array:
+        """(m,) how far the measured point is from what it is to touch [mm] at postures (m, n)."""
+        return np.asarray(np.linalg.norm(self.model.position(postures) - self.arm.chain.instrument.touched, axis=1))
 
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the
@@ -220,8 +209,7 @@ class ArmModel:
         # of a segment the nearest point to a sphere is that to its center, to a plane an end
         points = np.concatenate([points, nearest_on_segment(np.zeros(3), points[:, :-1], points[:, 1:])], axis=1)
         own = np.array([self.model.best_known[p.name] for p in chain.instrument.parameters])
-        above = chain.instrument.linearized(points, own, np.zeros(1))[0][..., 0] - chain.instrument.touched
-        return np.asarray(np.all(above > -2.0 * TOUCHES, axis=1))
+        return chain.instrument.clear(points, own, 2.0 * TOUCHES)
 
     # -- what accuracy is about ------------------------------------------------------------------------------------
     @property
@@ -313,7 +301,8 @@ class ArmModel:
             time = session_time(np.arange(len(postures), dtype=float))
             past = past_from_order(postures) if ordered.remembers else None
             conditions = Conditions(time=time, directions=directions_from_order(postures), past=past)
-            each = (replace(conditions, marker=np.full(len(postures), k)) for k in range(self.points_read))
+            points = [None] if self.points_read == 1 else [np.full(len(postures), k) for k in range(self.points_read)]
+            each = (replace(conditions, marker=point) for point in points)
             return np.concatenate([ordered.jacobian(postures, conditions=at) for at in each], axis=1) / ordered.scales
 
         def preflight(postures: Array) -> Detectability:
@@ -342,7 +331,7 @@ class ArmModel:
         return self.model.arm
 
 
-def for_design(model: Any) -> Any:
+def design_model(model: Any) -> Any:
     """The `ArmModel` of the model of an arm; any other model as it is."""
     return ArmModel(model) if isinstance(model, Model) else model
 
@@ -384,12 +373,15 @@ def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
     """
     if chain.instrument.reads_positions:
         return chain
-    stands = BASE in chain.known or not np.array_equal(chain.base, np.eye(4))
+    stands = BASE in chain.known or chain.instrument.stands(chain.base)
     if not contacts:
         refuse_contacts(chain)
     if chain.instrument.contact and not stands:
-        reason = f"kind {chain.instrument.kind} without center_mm: where it is touched is not known"
-        how = " and ".join(sorted(chain.instrument.keys & {"center_mm", "normal"}))
+        keys = sorted(chain.instrument.keys & {"center_mm", "normal", "cups"})
+        reason, how = (
+            f"kind {chain.instrument.kind} without {keys[0]}: where it is touched is not known",
+            " and ".join(keys),
+        )
         raise InputError(f"instrument: found {reason}, allowed for plans: with {how}, or a calibrated arm")
     if stands:
         return chain

@@ -9,6 +9,8 @@ with what the values are of:
                        so, and what is a billion times less certain than the rest is of no use
     PRODUCT_TOLERANCE  eigenvalues of a product: normal matrix, covariance, correlations. They are the squares, but
                        rounded as the largest is: below this too few digits are left to divide by
+    VISIBLE            what can be seen at all: squares that a column adds beside others, with less of which it looks
+                       like the others whatever rounding says, and tables of slopes by differences or of splines
     rounding_share     either, where the question is whether a value is anything but rounding: what a prior holds, and
                        determinants, which do not divide
 """
@@ -25,6 +27,7 @@ from identification.arrays import Array, readonly
 
 RANK_TOLERANCE = 1e-9  # of the largest singular value
 PRODUCT_TOLERANCE = 1e-12  # of the largest eigenvalue: a rounding of 1e-15 of that leaves three digits
+VISIBLE = 1e-6  # of the largest
 ALONE = 1e-8  # of 1: rows with less than this left beside their leverage determine a combination by themselves
 CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
 EPS = float(np.finfo(float).eps)
@@ -305,7 +308,7 @@ def _independent(vectors: list[Array], k: int) -> list[Array]:
     for vector in ordered:
         clean = np.where(np.abs(vector) > RANK_TOLERANCE, vector, 0.0)
         trial = np.array([v / np.linalg.norm(v) for v in (*chosen, clean)])
-        if np.linalg.svd(trial, compute_uv=False)[-1] > 1e-6:
+        if np.linalg.svd(trial, compute_uv=False)[-1] > VISIBLE:
             chosen.append(clean)
         if len(chosen) == k:
             break

@@ -182,7 +182,7 @@ class Measurements(ByValue):
         return int(self.positions.shape[1])
 
     @property
-    def given(self) -> frozenset[str]:
+    def optional_columns(self) -> frozenset[str]:
         """Names of the optional columns the data has: those of order, sigma and so on, session and marker."""
         columns = {*OPTIONAL, "session", "marker"} - {"gaps"}
         return frozenset(name for name in columns if getattr(self, name) is not None)

@@ -14,6 +14,7 @@ import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
+from identification.information import RANK_TOLERANCE
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements
 
@@ -60,7 +61,7 @@ def following_errors(measurements: Measurements, kinds: Sequence[str]) -> tuple[
     of_joints = []
     for j, (kind, error, sign) in enumerate(zip(kinds, errors.T, signs.T, strict=True), start=1):
         columns = np.column_stack([np.ones(len(error)), sign])
-        (offset, reversal), *_ = np.linalg.lstsq(columns, error, rcond=1e-9)
+        (offset, reversal), *_ = np.linalg.lstsq(columns, error, rcond=RANK_TOLERANCE)
         rest = error - columns @ [offset, reversal]
         figures = np.sqrt(np.mean(error**2)), np.max(np.abs(error)), np.sqrt(np.mean(rest**2))
         of_joints.append(FollowingError(j, kind, float(offset), float(reversal), *map(float, figures)))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.instruments import KINDS
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.kinematics.spatial import BASE as STAND
 from identification.kinematics.spatial import TOOL
@@ -50,8 +51,8 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
         if (part.links, part.dimension) != (first.links, first.dimension):
             counted = f"found {part.links} joints and {part.dimension} coordinates"
             raise InputError(f"{name}: {counted}, allowed: {first.links} and {first.dimension} as in the other data")
-    columns_of_all = frozenset.intersection(*(part.given for part in parts))
-    if missing := sorted(frozenset.union(*(part.given for part in parts)) - columns_of_all):
+    columns_of_all = frozenset.intersection(*(part.optional_columns for part in parts))
+    if missing := sorted(frozenset.union(*(part.optional_columns for part in parts)) - columns_of_all):
         warnings.warn(f"not in all of the data, and left out: {', '.join(missing)}", UserWarning, stacklevel=2)
     columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *columns_of_all)}
     if "repeats" in columns_of_all:
@@ -89,12 +90,15 @@ def of_these_sessions(holdout: Measurements, measurements: Measurements) -> Meas
 
 # -- the arm with a base for each session ------------------------------------------------------------------------------
 def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
-    """The arm with a base offset, and a base for each session after the first, where the data name several.
+    """The arm with a base offset, and a base for each session after the first, where the data name several; or with a
+    target for each, where these stand in the frame of the base.
 
     Best known values of the bases are those that bring the best known arm nearest to each session's positions. In space
     reflectors of one name are shared by the sessions, those of other names are not.
     """
     count = len(measurements.session_names)
+    if arm.chain.instrument.own_targets:
+        return placed_model(Model(arm), measurements).arm
     if count < 2:
         return arm
     spec = EffectSpec(SESSIONS, values={"sessions": float(count)})
@@ -146,12 +150,14 @@ def base_of_each_session(arm: Arm, measurements: Measurements) -> list[dict[str,
 
 
 def without_sessions(calibration: Calibration) -> Calibration:
-    """A calibration without the bases of later sessions: the arm stands as in the first."""
-    keep = [k for k, name in enumerate(calibration.parameter_names) if not name.startswith(f"{SESSIONS}.")]
+    """A calibration without the bases of later sessions, and without targets that stand in the frame of the base: the
+    arm stands as in the first."""
+    dropped = (f"{SESSIONS}.", *(f"{kind.target}[" for kind in KINDS.values() if kind.own_targets))
+    keep = [k for k, name in enumerate(calibration.parameter_names) if not name.startswith(dropped)]
     covariance = calibration.covariance
     return replace(
         calibration,
-        values={name: value for name, value in calibration.values.items() if not name.startswith(f"{SESSIONS}.")},
+        values={name: value for name, value in calibration.values.items() if not name.startswith(dropped)},
         parameter_names=tuple(calibration.parameter_names[k] for k in keep),
         covariance=None if covariance is None else covariance[np.ix_(keep, keep)],
     )

@@ -7,14 +7,18 @@ from dataclasses import replace
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import Array
+from identification.arrays import Array, rows_in_words
 from identification.effects import build, build_all
 from identification.effects.noise import NoiseEffect, Scene
 from identification.errors import InputError
 from identification.kinematics.orientations import turned
 from identification.measurements import Conditions, Measurements, directions_from_order
 from identification.model import Model
+from identification.model.contacts import led_to_contact
+from identification.model.positions import of_positions
 from identification.servo import servo_shift
+
+TOUCHES = 1e-6  # [mm] how near to a target is in it
 
 
 def simulate(
@@ -39,7 +43,8 @@ def simulate(
     directions : (m, n) of approach, +1 or -1; left out: they follow from the order
     """
     q = np.atleast_2d(np.asarray(postures, dtype=float))
-    if truth.chain.instrument.contact:
+    seated = truth.chain.instrument.own_targets
+    if truth.chain.instrument.contact and not seated:
         kind = f"kind {truth.chain.instrument.kind}: at which postures a surface is touched no plan says"
         raise InputError(f"instrument: found {kind}, allowed: distance, or no [instrument]")
     noise, model, order = _noise(truth, sigma), Model(truth), np.arange(len(q), dtype=float)
@@ -55,6 +60,8 @@ def simulate(
         points, rows = tuple(truth.chain.tools), len(session)
         every = session.rows(np.repeat(np.arange(rows), len(points)))  # each row once for each measured point
         session = replace(every, marker=np.tile(points, rows), marker_names=points)
+    if seated:
+        return _seated(model, session, noise, generator)
     q = session.postures
     exact = model.position(q, conditions=session.conditions)
     errors = noise * generator.standard_normal(exact.shape)
@@ -64,6 +71,30 @@ def simulate(
         return replace(session, positions=exact + errors)
     seen = turned(errors[:, 3:] / scale) @ model.orientations(q, session.conditions)
     return replace(session, positions=(exact + errors)[:, :3], orientations=seen)
+
+
+def _seated(model: Model, session: Measurements, noise: float, generator: np.random.Generator) -> Measurements:
+    """Rows whose postures are led to the nearest targets, which are their sessions: where the joints then stand is all
+    that is read, and the measured point is beside the target by the noise.
+
+    Raises `InputError` for a truth that does not say where targets are, and where one cannot be reached.
+    """
+    chain = model.arm.chain
+    assert chain is not None
+    targets = chain.instrument.targets
+    if not targets:
+        keys = ", ".join(sorted(chain.instrument.keys))
+        raise InputError(f"instrument: found none of {keys}, allowed: with the places of what is touched")
+    goals = noise * generator.standard_normal((len(session), chain.instrument.dimension))
+    q = led_to_contact(model, session.postures, goals, np.ones(session.links))
+    left = np.linalg.norm(model.position(q) - goals, axis=1)
+    if (lost := ~(left < TOUCHES)).any():
+        state = f"plan: from {rows_in_words(lost)} no {chain.instrument.target} can be reached"
+        raise InputError(f"{state}, allowed: postures near to one")
+    points = of_positions(model).position(q)
+    apart = [np.linalg.norm(points - place, axis=1) for place in targets.values()]
+    names = np.array([*targets])[np.argmin(apart, axis=0)]
+    return replace(session, postures=q, marker=names, marker_names=tuple(targets))
 
 
 def _noise(truth: Arm, sigma: float | None) -> float:

@@ -189,7 +189,8 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
         data = simulate(true_arm, wanted.postures, np.random.default_rng(seed), sigma=sigma, **wanted.conditions)
     except InputError as error:
         raise InputError(f"{truth}: {error}") from None
-    write_together({out: measurement_text(replace(data, fit=wanted.fit), loaded.joint_types)}, force=force)
+    text = measurement_text(replace(data, fit=wanted.fit), loaded.joint_types, loaded.chain.instrument)
+    write_together({out: text}, force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
     return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"])
 

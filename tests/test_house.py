@@ -8,8 +8,11 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+import identification
 
 ROOT = Path(__file__).parents[1]
 
@@ -53,7 +56,7 @@ LAYERS = {
     "identification.vectorize": 0,
     "identification.model.expressions": 3,
     "identification.model": 3,
-    "identification.information": 4,
+    "identification.information": 1,
     "identification.servo": 3,
     "identification.simulate": 4,
     "identification.model.placed": 4,
@@ -184,10 +187,29 @@ def test_imports_go_down_only() -> None:
     wrong = []
     for path in modules():
         name = name_of(path)
+        if name == "identification":  # the table of contents, for everybody else
+            continue
         for target in imported(path.read_text(), name):
             if (other := layer(target)) is not None and other > layer(name):
                 wrong.append(f"{name} (layer {layer(name)}) imports {target} (layer {other})")
     assert not wrong
+
+
+def test_identification_itself_does_not_use_its_table_of_contents() -> None:
+    """Through it a module could reach what stands above it."""
+    names = set(identification.__all__)
+    sources = [path for path in modules() if path.relative_to(ROOT).parts[0] == "identification"]
+    nodes = [(path, node) for path in sources for node in ast.walk(parsed(path.read_text()))]
+    taken = [(path, node) for path, node in nodes if isinstance(node, ast.ImportFrom)]
+    assert not [str(path) for path, node in taken if node.module == "identification" and names & of_import(node)]
+    for name in identification.__all__:
+        value = getattr(identification, name)
+        assert not isinstance(value, ModuleType), f"{name} is a module too"
+
+
+def of_import(node: ast.ImportFrom) -> set[str]:
+    """The names that it imports."""
+    return {alias.name for alias in node.names}
 
 
 def test_layer_test_sees_an_upward_import() -> None:
@@ -324,9 +346,7 @@ def test_every_module_has_a_test() -> None:
     assert not wrong, "no test of its name, and no test of its package imports it"
 
 
-@pytest.mark.parametrize("package", ["doe", "identification"])
-def test_the_readme_of_a_package_lists_its_folders(package: str) -> None:
-    section = (ROOT / package / "README.md").read_text().split("\n## Folders\n")[1].split("\n## ")[0]
-    listed = re.findall(r"^\| `([^`]+)/` \|", section, re.MULTILINE)
-    folders = {str(path.parent.relative_to(ROOT)) for path in modules() if not path.name.startswith("__")}
-    assert sorted(listed) == sorted(folder for folder in folders if folder.split("/")[0] == package)
+def test_the_picture_of_the_layers_shows_every_folder() -> None:
+    picture = (ROOT / "README.md").read_text().split("## Architecture")[1].split("```")[1]
+    folders = {path.relative_to(ROOT).parts[1] for path in modules() if len(path.relative_to(ROOT).parts) > 2}
+    assert set(re.findall(r"\b(\w+)/", picture)) == folders

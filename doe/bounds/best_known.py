@@ -24,10 +24,7 @@ from doe.bounds.planar_theorem import closed_form_bound
 from doe.bounds.weights import POWERS
 from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never
-from identification.arrays import Array
-from identification.errors import JobError
-from identification.information import information_matrix
-from identification.threads import single_thread
+from identification import Array, JobError, information_matrix, single_thread
 
 BEATEN = 1e-8  # relative excess over a bound that is not rounding
 EXACT = 1e-8  # relative gap of a bound over all postures

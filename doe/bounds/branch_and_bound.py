@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.problem.problem import DesignProblem, Stop, never
-from identification.arrays import Array
+from identification import Array
 
 BATCH = 2048  # boxes examined together
 UNIT = float(np.finfo(float).eps)

@@ -28,9 +28,7 @@ from doe.criteria import D
 from doe.plan.plan import Plan
 from doe.problem.postures import CHUNK, Candidates, chunks
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, never
-from identification.arrays import Array
-from identification.kinematics.parameters import PRISMATIC
-from identification.status import Status
+from identification import PRISMATIC, Array, Status
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
 REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter

@@ -44,9 +44,7 @@ from doe.criteria import Criterion
 from doe.plan.ascent import PlanAscent
 from doe.problem.postures import Candidates, Grid, PostureList, grid, listed_candidates, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, never
-from identification.arrays import Array
-from identification.errors import InputError, JobError, nearest
-from identification.status import Status
+from identification import Array, InputError, JobError, Status, nearest
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
 # largest sensitivity of all that was visited

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from doe.problem.postures import random_postures
 from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives, PriorInformation, Stop, never
-from identification.arrays import Array
+from identification import Array
 from identification.newton_ascent import newton_ascent
 
 LANDMARKS = 2187  # 3^7: limits and middle of seven joints

@@ -20,8 +20,7 @@ from doe.bounds.certificate import Bound
 from doe.criteria import D
 from doe.problem.model import offered, offers
 from doe.problem.problem import DesignProblem
-from identification.arrays import Array
-from identification.errors import InputError
+from identification import Array, InputError
 
 
 def applies(problem: DesignProblem) -> bool:

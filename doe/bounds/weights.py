@@ -35,8 +35,8 @@ from doe.criteria import Criterion, E
 from doe.criteria.criterion import Factored, log_determinants, smooth
 from doe.criteria.variances import InverseTrace
 from doe.problem.problem import PriorInformation, Stop, never
-from identification.arrays import Array
-from identification.errors import InputError, JobError
+from identification import Array, InputError, JobError
+from identification.information import CLEAR, PRODUCT_TOLERANCE, significant
 from identification.vectorize import PART
 
 ITERATIONS = 100
@@ -45,7 +45,6 @@ SHRINK = 0.1  # of the complementarity asked for per step
 STALLS = 5  # steps without a smaller gap: rounding is reached
 STEPS = 2000  # of the multiplicative algorithm
 POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
-CLEAR = 1e-8  # smallest eigenvalue of scalar products of unit vectors that are independent without a closer look
 
 
 def interior_point_weights(
@@ -168,7 +167,8 @@ def sparsest(jacobians: Array, weights: Array) -> Array:
     posture_information = (np.swapaxes(carried, 1, 2) @ carried)[:, upper[0], upper[1]]
     w, alive = weights[support].copy(), np.ones(len(support), dtype=bool)
     nothing = null_space(
-        np.vstack([posture_information.T / np.abs(posture_information).max(), np.ones(len(support))]), rcond=1e-12
+        np.vstack([posture_information.T / np.abs(posture_information).max(), np.ones(len(support))]),
+        rcond=PRODUCT_TOLERANCE,
     )
     while nothing.shape[1]:
         direction = nothing[:, 0] if nothing[:, 0].min() < 0.0 else -nothing[:, 0]
@@ -270,10 +270,10 @@ def _coordinates(rows: Array) -> tuple[Array, Array]:
     """Basis (t, r) of the span of the rows (N, t), and the rows' coordinates (N, r) in it."""
     if len(rows) < rows.shape[1]:  # by the smaller of the two normal matrices
         values, vectors = np.linalg.eigh(rows @ rows.T)
-        seen = values > 1e-12 * values[-1]
+        seen = significant(values, PRODUCT_TOLERANCE)
         return rows.T @ (vectors[:, seen] / np.sqrt(values[seen])), vectors[:, seen] * np.sqrt(values[seen])
     values, vectors = np.linalg.eigh(rows.T @ rows)
-    basis = vectors[:, values > 1e-12 * values[-1]]
+    basis = vectors[:, significant(values, PRODUCT_TOLERANCE)]
     return basis, rows @ basis
 
 

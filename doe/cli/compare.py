@@ -100,9 +100,9 @@ def write_results(out: Path, rows: polars.DataFrame) -> None:
     from doe.report.page import svg
     from doe.report.studies import profile_figure, time_figure
     from doe.studies.comparison import summary
-    from identification.files.io import PathLike, write_together
+    from identification.files.io import write_together
 
-    files: dict[PathLike, str | bytes] = {
+    files: dict[Path, str | bytes] = {
         out / "summary.parquet": parquet(summary(rows)),
         out / "profile.svg": svg(profile_figure(rows)),
         out / "time.svg": svg(time_figure(rows)),

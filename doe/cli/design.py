@@ -76,7 +76,6 @@ def command(
     from doe.plan.plan import plan_text
     from doe.problem.uncertain import with_choices
     from doe.report.design import design_document, missing_lines
-    from identification.documents.identification import identify_command
     from identification.files.arm import load_arm
 
     for option, needed in (("loss", search.discriminating), ("draws", postures.uncertain)):
@@ -100,7 +99,7 @@ def command(
     text = plan_text(design.plan, loaded.joint_types)
     extra += written({out: text, picture: lambda: plan_drawing(loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
-    then = f"; then {identify_command(str(arm), 'DATA', problem.fit)}" if problem.fit else ""
+    then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
     return with_collisions(Answer(design.to_json() | data, [design_document(design).plus(*extra)]), loaded)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from errno import ENOSPC
@@ -12,8 +13,7 @@ import click
 
 from doe.cli.common import WORDS, PriorOrFile, no_output, verb
 from doe.cli.options import one_thread_each
-from identification.errors import in_one_line, nearest, suggestion
-from identification.spelling import close_names
+from identification.errors import in_one_line, nearest
 from identification.workflow import VERBS as IDENTIFICATION
 
 VERBS = (  # in the order of the work; each has a module here or is a function of identification
@@ -66,8 +66,9 @@ def unknown_option(error: click.NoSuchOption) -> str:
     parameters = [] if error.ctx is None else error.ctx.command.params
     options = (option for parameter in parameters for option in (*parameter.opts, *parameter.secondary_opts))
     names = [option.removeprefix("--") for option in options if option.startswith("--")]
-    close = close_names(error.option_name.removeprefix("--"), names, OTHER_OPTIONS)
-    return f"{error.message.rstrip('.')}, {suggestion([f'--{name}' for name in close])}".rstrip(", ")
+    close, question, _ = nearest(error.option_name.removeprefix("--"), names, OTHER_OPTIONS).partition("? ")
+    meant = re.sub("'(.+?)'", r"'--\1'", close)
+    return f"{error.message.rstrip('.')}, {meant}?" if question else error.message.rstrip(".")
 
 
 class Verbs(click.Group):

@@ -18,7 +18,7 @@ import click
 from doe.cli.stopping import stopped_by
 from identification.document import picture_bytes
 from identification.errors import JobError
-from identification.files.io import PathLike, write_together
+from identification.files.io import write_together
 from identification.workflow import Folder
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def written(contents: Mapping[Path | None, Content], force: bool, what: str = ""
     contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
     """
     wanted = {path: content for path, content in contents.items() if path is not None}
-    files: dict[PathLike, str | bytes] = {}
+    files: dict[Path, str | bytes] = {}
     for path, content in wanted.items():
         if isinstance(content, str | bytes):
             files[path] = content

@@ -30,10 +30,10 @@ def command(
     """
     from doe.report.campaign import PlannedCampaign
     from doe.report.page import hashes
-    from identification.files.io import write_whole
+    from identification.files.io import write_together
 
     campaign = PlannedCampaign.of(files)
-    write_whole(out, page(campaign.document(), files), force=force)
+    write_together({out: page(campaign.document(), files)}, force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
         for name, size, digest in hashes(files)

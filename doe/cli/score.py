@@ -15,8 +15,6 @@ from identification.errors import InputError
 from identification.workflow import Names, Picture
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from doe.design import Design
     from doe.plan.plan import Plan
     from identification.arm import Arm
@@ -74,15 +72,9 @@ def command(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
-    written(pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)}, force)
+    written(pictures if sees is None else pictures | {aliases: sees.figure}, force)
     document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
     return with_collisions(Answer(data, [document]), loaded)
-
-
-def _alias_drawing(sees: Detectability) -> Figure:
-    from identification.documents.pictures import alias_figure  # deferred: matplotlib takes longer to load than a score
-
-    return alias_figure(sees)
 
 
 def _scored(arm: Arm, plan: Plan, path: Path, criterion: CriterionOptions, seconds: float) -> Design:
@@ -105,7 +97,6 @@ def _scored(arm: Arm, plan: Plan, path: Path, criterion: CriterionOptions, secon
 
 def _preflight(arm: Arm, plan: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
     """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
-    from doe.report.design import preflight_parts
     from identification.for_design import without_prior
     from identification.gap.detectability import detectability
 
@@ -115,4 +106,4 @@ def _preflight(arm: Arm, plan: Plan, path: Path, aliases: Path | None) -> tuple[
         if aliases is not None:
             raise InputError(f"--aliases: {path}: {error}") from error
         return None, [f"missing effects: {error}"]
-    return sees, preflight_parts(sees)
+    return sees, [*sees.document().parts]

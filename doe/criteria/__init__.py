@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from doe.criteria.criterion import Criterion
 from doe.criteria.log_determinants import D, Ds, DStar
 from doe.criteria.variances import A, E, I, PowerMean
-from identification.arrays import Array
-from identification.errors import InputError, nearest
+from identification import Array, InputError, nearest
 
 __all__ = ["NAMES", "A", "Criterion", "D", "DStar", "Ds", "E", "I", "PowerMean", "criterion"]
 

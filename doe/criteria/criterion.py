@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from identification.arrays import Array
+from identification import Array
 from identification.information import column_lengths, rounding_share, significant
 
 RIDGE = 1e-9  # a plan that lacks one run may be singular; this part of the mean eigenvalue keeps the ranking right

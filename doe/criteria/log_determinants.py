@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria.criterion import Factored, Factors, log_determinants, ridged
-from identification.arrays import Array
+from identification import Array
 
 Term = tuple[float, NDArray[np.intp]]  # sign, rows
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria.criterion import Factored, Factors, inverses, woodbury
-from identification.arrays import Array, readonly
-from identification.information import information_matrix
+from identification import Array, information_matrix, readonly
 
 
 @dataclass(frozen=True)

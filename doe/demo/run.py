@@ -21,7 +21,7 @@ from identification.compensate.compensation import Compensation
 from identification.estimation import Identification, estimate
 from identification.files.arm import corrected_urdf, load_arm
 from identification.files.arm_text import with_calibration, with_effects
-from identification.files.io import write_whole
+from identification.files.io import write_together
 from identification.files.measurement import commands_text, load_measurements, measurement_text
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
@@ -161,7 +161,7 @@ def run_demo(
         progress(number, len(STEPS), name)
 
     def write(name: str, text: str) -> None:
-        write_whole(directory / name, text, force=force)
+        write_together({directory / name: text}, force=force)
         files.append(name)
 
     def measured(name: str, postures: Array) -> Measurements:

@@ -34,25 +34,20 @@ from doe.problem.postures import listed_candidates, random_postures
 from doe.solvers import Solver, solve
 from doe.solvers.planar_theory import optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.information import information_matrix, spectrum
-from identification.kinematics.parameters import REVOLUTE
-from identification.progress import Progress, silent
-from identification.status import Status
+from identification import REVOLUTE, Array, InputError, Progress, Status, information_matrix, silent, spectrum
 
 if TYPE_CHECKING:
     from doe.design import Design
     from doe.problem.problem import DesignProblem
-    from identification.arm import Arm
+    from identification import Arm
     from identification.gap.detectability import Detectability
 
-# reasons: doe/README.md, "Misidentification"
-TURN = 2.0 * np.pi
+TURN = 2.0 * np.pi  # [rad]
+# effort: steps [rad] by which joints move off their limits, and tries of each
 MOVES, TRIES = np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10
-THEORY_PLANS, SHUFFLES = 64, 200
-MOST_SEEN = 10_000  # postures; of more, the columns of all effects take gigabytes
-ORDERING = 1.0  # [s] that the order of measurement has in any case
+THEORY_PLANS, SHUFFLES = 64, 200  # effort: plans of theory, and orders of runs, to choose from
+MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take gigabytes
+ORDERING = 1.0  # [s] effort: that the order of measurement has in any case
 
 
 @dataclass(frozen=True)
@@ -278,14 +273,15 @@ def best_order(library: EffectLibrary, postures: Array, generator: np.random.Gen
 
 
 # -- swaps -------------------------------------------------------------------------------------------------------------
-# reasons: doe/README.md, "Misidentification"
-CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbors differ by this fraction of a joint's range
-OUTS, INS, MORE_OUTS = 4, 8, 50  # runs and postures that are tried per derivative; runs where those bring nothing
-MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is left to lose
-TIGHT = 0.1  # log det above the least that counts as little
-LEAST_GAIN, ROUNDS = 1e-3, 5  # of the criterion: smaller ones end the swaps, and less than ten of it the pools
-RANDOM_PLANS = 25  # whose median bound is shown beside a plan's
-RANDOM_RUNS = 100_000  # of all these plans: those of thousands of runs are much alike
+CLOUD, POOL, NEARBY = 512, 1500, 0.15  # effort: postures; neighbors differ by this fraction of a joint's range
+# effort: runs and postures that are tried per derivative; runs where those bring nothing
+OUTS, INS, MORE_OUTS = 4, 8, 50
+MULTIPLIERS = (2.0, 10.0)  # effort: of the derivative of log det where little of it is left to lose
+TIGHT = 0.1  # effort: log det above the least allowed that counts as little
+# effort: gain of the criterion below which the swaps end, ten of it for the pools; rounds of pools
+LEAST_GAIN, ROUNDS = 1e-3, 5
+RANDOM_PLANS = 25  # effort: whose median bound is shown beside a plan's
+RANDOM_RUNS = 100_000  # effort: of all these plans; those of thousands of runs are much alike
 
 
 @dataclass(frozen=True)

@@ -25,18 +25,18 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from doe.criteria.criterion import log_determinants
-from identification.arrays import Array
-from identification.for_design import ArmModel
+from identification import ArmModel, Array
 
 if TYPE_CHECKING:
     from doe.problem.model import DesignModel
-    from identification.arm import Arm
+    from identification import Arm
 
-# reasons: doe/README.md, "Misidentification"
-LAMBDA = 8.0  # length on random postures at which plans differ
-UNSEEN = 1e-9  # fraction of its length off the base model below which no plan is judged by a direction
-RIDGE = 1e-12  # of a rival's length on random postures: keeps the inverse of a rival that a plan hides
-NEAR = 0.05  # the gradient is infinite where two effects are the same, d = 0
+# length on random postures; any plan tells much larger effects apart, none much smaller ones
+LAMBDA = 8.0
+UNSEEN = 1e-9  # numerical: fraction of its length off the base model below which no plan is judged by a direction
+# numerical: of a rival's length on random postures; keeps the inverse of a rival that a plan hides
+RIDGE = 1e-12
+NEAR = 0.05  # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
 
 
 @dataclass(frozen=True)

@@ -26,23 +26,26 @@ from scipy.special import ndtr
 from doe.plan.plan import Plan
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification.arrays import Array, readonly
-from identification.errors import InputError
+from identification import (
+    NEEDS_SIGMA,
+    Array,
+    Conditions,
+    InputError,
+    Measurements,
+    Model,
+    Status,
+    readonly,
+    refuse_contacts,
+)
 from identification.files.measurement_columns import posture_columns
-from identification.for_design import NEEDS_SIGMA, refuse_contacts
-from identification.measurements import Conditions, Measurements
-from identification.model import Model
-from identification.status import Status
 
 if TYPE_CHECKING:
-    from identification.arm import Arm
-    from identification.gap.result import Diagnosis
+    from identification import Arm, Diagnosis
 
-# reasons: doe/README.md, "T-optimality"
-POOL = 1500  # random postures to choose from
-SWEEPS = 2  # exchange passes after the greedy choice
-WINDOW = 6.0  # -2 log odds, within which a rival is left: odds of 20
-NUDGE = 1e-2  # weight of the smooth part of the merit, which leads where the probability is still flat
+POOL = 1500  # effort: random postures to choose from
+SWEEPS = 2  # effort: exchange passes after the greedy choice
+WINDOW = 6.0  # convention: -2 log odds within which a rival is left, odds of 20
+NUDGE = 1e-2  # effort: weight of the smooth part of the merit, which leads where the probability is still flat
 
 
 @dataclass(frozen=True)

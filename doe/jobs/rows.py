@@ -19,8 +19,8 @@ from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from identification.errors import InputError, JobError
-from identification.files.io import PathLike, provide_temporary_folder, sync_folder, write_whole
+from identification import InputError, JobError
+from identification.files.io import provide_temporary_folder, sync_folder, write_together
 
 if TYPE_CHECKING:
     import polars
@@ -52,7 +52,7 @@ class RowTable:
 
     @classmethod
     @contextmanager
-    def open(cls, path: PathLike | None, *, resume: bool = False, force: bool = False) -> Iterator[RowTable]:
+    def open(cls, path: Path | str | None, *, resume: bool = False, force: bool = False) -> Iterator[RowTable]:
         """A table to add rows to, Parquet file written on the way out (also after Ctrl-C or an error).
 
         path : the Parquet file; None keeps the rows in memory only
@@ -114,7 +114,7 @@ class RowTable:
 
     def _finish(self) -> None:
         if self.rows:
-            write_whole(self.path, parquet(self.frame()), force=True)
+            write_together({self.path: parquet(self.frame())}, force=True)
             sync_folder(self.path.parent)  # before the journal goes
         journal_of(self.path).unlink(missing_ok=True)
 
@@ -141,7 +141,7 @@ def with_columns(frame: polars.DataFrame, types: Mapping[str, Any]) -> polars.Da
     return frame.with_columns(empty).cast(types)  # type: ignore[arg-type]
 
 
-def read_rows(path: PathLike) -> polars.DataFrame:
+def read_rows(path: Path | str) -> polars.DataFrame:
     """The rows of a table, also of one that is being written or was interrupted. Raises `InputError` if none."""
     target, journal = Path(path), journal_of(Path(path))
     if not target.exists() and not journal.exists():
@@ -153,7 +153,7 @@ def read_rows(path: PathLike) -> polars.DataFrame:
     return frame_of([row for of_key in rows.values() for row in of_key])
 
 
-def made(folder: PathLike) -> Path:
+def made(folder: Path | str) -> Path:
     """The folder, created if it does not exist. Raises `InputError` if that fails."""
     try:
         Path(folder).mkdir(exist_ok=True)

@@ -33,9 +33,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from doe.jobs.rows import Key, Row, RowTable, canonical, made
-from identification.errors import InputError, JobError
-from identification.files.io import PathLike
-from identification.progress import Progress, silent
+from identification import InputError, JobError, Progress, silent
 
 if TYPE_CHECKING:
     import polars
@@ -152,7 +150,7 @@ class Job:
     @contextmanager
     def open(
         cls,
-        folder: PathLike | None,
+        folder: Path | str | None,
         names: Sequence[str],
         workers: Workers | None = None,
         *,

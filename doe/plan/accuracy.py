@@ -35,9 +35,16 @@ from doe.problem.uncertain import (
     tip_jacobians,
     workspace,
 )
-from identification.arrays import Array, readonly
-from identification.information import information_matrix, spectrum
-from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
+from identification import (
+    EFFECT,
+    JOINT_OFFSET,
+    LENGTH_ERROR,
+    Array,
+    ParameterSet,
+    information_matrix,
+    readonly,
+    spectrum,
+)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ import numpy as np
 
 from doe.criteria.criterion import smooth
 from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives, Stop, never
-from identification.arrays import Array
-from identification.information import information_matrix
+from identification import Array, information_matrix
+from identification.information import VISIBLE
 
 STEPS = 400
 FIRST = 0.1  # of half the ranges, length of the first step: a longer one ends on limits
@@ -121,7 +121,7 @@ class PlanAscent:
             if not len(outside):
                 break
             slopes = np.where(missing[outside, :, None] > 0.0, slopes[outside] / self.steepness[:, None], 0.0)
-            steps = (np.linalg.pinv(slopes, rcond=1e-6) @ missing[outside, :, None])[..., 0]
+            steps = (np.linalg.pinv(slopes, rcond=VISIBLE) @ missing[outside, :, None])[..., 0]
             steps *= np.minimum(1.0, CORRECTION / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-300))
             moved = inside[outside]
             moved[:, self.joints] += steps

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.plan.plan import Plan
-from identification.arrays import Array
-from identification.errors import InputError, nearest
+from identification import Array, InputError, nearest
 
 ORDERS = ("given", "random", "travel")
 EXACT = 40  # postures up to which the path is proven shortest

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arrays import Array, ByValue, readonly
+from identification import Array, InputError, readonly
+from identification.arrays import ByValue
 from identification.data_frames import frame_of_columns
-from identification.errors import InputError
 from identification.files.measurement import plan_file_text, read_plan
 from identification.files.measurement_columns import posture_columns
 

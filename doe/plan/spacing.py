@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from doe.criteria.criterion import surrogate, values_after_adding
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
-from identification.arrays import Array
-from identification.information import information_matrix
+from identification import Array, information_matrix
 
 ROUNDING = 1.0 + 1e-9
 CHUNK = 10_000_000  # pairs of rows to compare one by one

@@ -20,11 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.problem.model import Offers, offered
-from identification import workspace
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.for_design import for_design
-from identification.kinematics.parameters import REVOLUTE
+from identification import REVOLUTE, Array, InputError, design_model, workspace
 
 # every plan in space says this, in words and as the key `collisions_checked`, until collisions are looked at
 COLLISIONS = (
@@ -50,7 +46,7 @@ class Constraint(workspace.PostureCondition, Protocol):
 
 def constraints_of(model: Any) -> tuple[Constraint, ...]:
     """The constraints that a model has, ready to be evaluated; none of one that has none."""
-    model, made = for_design(model), list[Constraint]()
+    model, made = design_model(model), list[Constraint]()
     for limit in getattr(model, "constraints", ()):
         space = offered(model, "space", "constraints")
         if isinstance(limit, workspace.ColumnLimits):

@@ -16,9 +16,7 @@ from typing import Any, Protocol
 import casadi as ca
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.kinematics.parameters import ParameterSet
+from identification import Array, InputError, ParameterSet
 
 
 class DesignModel(Protocol):

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from doe.problem.constraints import Constraint
 from doe.problem.problem import DesignProblem
-from identification.arrays import Array, readonly
-from identification.errors import InputError
+from identification import Array, InputError, readonly
 
 Index = NDArray[np.int64]
 CHUNK = 8192  # postures; the Jacobians of a chunk stay in the processor's cache, which is fastest

@@ -28,11 +28,17 @@ from numpy.typing import ArrayLike, NDArray
 from doe.criteria import Criterion, D
 from doe.problem.constraints import Constraint, constraints_of
 from doe.problem.model import DesignModel, check_model, offers
-from identification.arrays import Array, readonly
-from identification.errors import InputError
-from identification.for_design import NEEDS_SIGMA, for_design
-from identification.information import information_matrix
-from identification.kinematics.parameters import EFFECT, PRISMATIC, ParameterSet
+from identification import (
+    EFFECT,
+    NEEDS_SIGMA,
+    PRISMATIC,
+    Array,
+    InputError,
+    ParameterSet,
+    design_model,
+    information_matrix,
+    readonly,
+)
 from identification.vectorize import PART, vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
@@ -130,7 +136,7 @@ class DesignProblem:
     beyond: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "model", for_design(self.model))
+        object.__setattr__(self, "model", design_model(self.model))
         check_model(self.model)
         if not callable(getattr(self.criterion, "value", None)):
             allowed = "an object with value(), such as doe.criteria.criterion('A', ...)"
@@ -159,7 +165,7 @@ class DesignProblem:
     def of(cls, model: Any, **changes: Any) -> DesignProblem:
         """The problem of a model within its own limits and constraints, with its prior; of an arm's model with its
         measured points in place, and of one that touches a surface with postures at which it does, to choose from."""
-        model = for_design(model)
+        model = design_model(model)
         check_model(model)
         if offers(model, "placed"):
             model = model.placed()
@@ -290,7 +296,9 @@ class DesignProblem:
     @cached_property
     def without_effect(self) -> tuple[str, ...]:
         """Names of free parameters that move the tip at no posture, as thermal growth at the mean temperature."""
-        cloud = np.random.default_rng(0).uniform(self.lower, self.upper, (16, self.joints))
+        cloud = self.choices
+        if cloud is None:
+            cloud = np.random.default_rng(0).uniform(self.lower, self.upper, (16, self.joints))
         still = ~np.any(self.scaled_jacobians(cloud), axis=(0, 1)) & (self.precisions == 0.0)
         return tuple(name for name, zero in zip(self.model.parameters.names, still, strict=True) if zero)
 

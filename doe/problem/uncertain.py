@@ -31,10 +31,7 @@ from doe.criteria.log_determinants import Average, Worst
 from doe.problem.model import DesignModel, offered, offers
 from doe.problem.postures import listed_candidates, random_and_at_limits, random_postures
 from doe.problem.problem import DesignProblem
-from identification.arrays import Array, readonly
-from identification.errors import InputError, nearest
-from identification.for_design import NEEDS_SIGMA, for_design
-from identification.kinematics.parameters import ParameterSet
+from identification import NEEDS_SIGMA, Array, InputError, ParameterSet, design_model, nearest, readonly
 
 # -- several arms ------------------------------------------------------------------------------------------------------
 KINDS = ("average", "worst")
@@ -48,7 +45,7 @@ class EnsembleModel:
     draws: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "model", for_design(self.model))
+        object.__setattr__(self, "model", design_model(self.model))
         draws = readonly(np.atleast_2d(self.draws))
         p = len(self.model.parameters)
         if draws.shape[1] != p or not np.all(np.isfinite(draws)):
@@ -113,7 +110,7 @@ def prior_draws(model: Any, count: int, generator: np.random.Generator) -> Array
     With a calibration that has a covariance of the same parameters, from it; else independent normal deviations of the
     sizes of its machining, see `deviated_draws`, where an angle of unknown place turns a link of mean length.
     """
-    model = for_design(model)
+    model = design_model(model)
     if (covariance := offered(model, "covariance", "uncertain")) is not None:
         return generator.multivariate_normal(model.values, covariance, count, method="eigh")
     return deviated_draws(model, count, generator, *offered(model, "machining", "uncertain"))

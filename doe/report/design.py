@@ -17,8 +17,6 @@ from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
 from identification.arrays import Array
 from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
-from identification.documents.identification import identify_command
-from identification.estimation.corrected_values import NARROWED
 from identification.kinematics.parameters import EFFECT
 from identification.model import Model
 
@@ -29,12 +27,12 @@ if TYPE_CHECKING:
     from doe.discrimination.t_optimal import NextPostures
     from doe.plan.plan import Plan
     from identification.arm import Arm
-    from identification.gap.detectability import Detectability
     from identification.gap.result import Diagnosis
     from identification.measurements import Measurements
 
 Data = Mapping[str, Any]  # what a command says with --json
 
+HELD = 0.5  # of its standard deviation before, above which the prior says more of a parameter than the plan
 NEAR = 0.9  # of the bound, which a plan of whole runs should reach where it determines every parameter
 WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
     "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
@@ -146,7 +144,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
     weak = [
         p.name
         for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
-        if not mean.planar and p.kind != EFFECT and std > NARROWED * problem.deviations.get(p.name, np.inf)
+        if not mean.planar and p.kind != EFFECT and std > HELD * problem.deviations.get(p.name, np.inf)
     ]
     hidden = {*missing, *weak}
     names = ["" if p.name in hidden else f"{p.name} [{p.file_unit}]" for p in mean.parameters]
@@ -211,7 +209,7 @@ def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv", fit: str = "") -
     return [
         Action(f"Measure the postures of {plan}, and write the positions beside the angles (armcal help formats)."),
         Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
-        Action(f"Identify the arm{why}:", identify_command(arm, "data.csv", fit)),
+        Action(f"Identify the arm{why}:", f"armcal identify {arm} data.csv{fit and f' --{fit}'} --out calibrated.toml"),
     ]
 
 
@@ -398,27 +396,12 @@ def cross_check_table(compared: CrossCheck) -> Sheet:
 
 
 # -- missing effects ---------------------------------------------------------------------------------------------------
-def preflight_parts(sees: Detectability) -> list[Sheet | str]:
-    """Visible fraction, smallest size and look-alikes of every effect."""
-    from identification.documents.diagnosis import untested
-
-    rows = []
-    for name, visible in zip(sees.names, sees.norm_fractions, strict=True):
-        alike = [f"{other} ({likeness:.2f})" for one, other, likeness in sees.pairs() if one == name]
-        rest = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
-        rows.append([name, f"{visible:.2f}", str(sees.detectable[name]), ",\n".join(alike[:2]) + rest])
-    title = "What this plan can show of missing effects (smallest: with 90 % power)"
-    table = Sheet(("effect", "visible", "smallest found", "looks like"), rows, title)
-    never = [f"never identifiable: {key}: equivalent to {why}" for key, why in sees.aliases.items()]
-    return [table, f"{sees.freedom} residual degrees of freedom", *untested(sees.skipped), *never]
-
-
-def discriminating_parts(result: DiscriminationDesign) -> list[Sheet | str]:
+def discriminating_parts(result: DiscriminationDesign) -> list[Any]:
     """The efficiency that the plan gives up, and what it can detect in return."""
     from doe.discrimination.design import MOST_SEEN
     from doe.discrimination.misidentification import LAMBDA
 
-    parts: list[Sheet | str] = [
+    parts: list[Any] = [
         f"D-efficiency relative to the best plan found: {result.relative_efficiency:.4f}",
         f"probability that a missing effect gets a wrong name: at most {result.wrong:.3f} "
         f"(the best plan: {result.best_wrong:.3f}, random postures: {result.random_wrong:.3f})",
@@ -428,7 +411,7 @@ def discriminating_parts(result: DiscriminationDesign) -> list[Sheet | str]:
     if result.sees is not None and result.best_sees is not None:
         data = result.to_json()
         clear, blind = (", ".join(data[f"not_visible{which}"]) or "none" for which in ("", "_in_best_plan"))
-        return [*parts, f"effects it cannot see: {clear} (the best plan: {blind})", *preflight_parts(result.sees)]
+        return [*parts, f"effects it cannot see: {clear} (the best plan: {blind})", *result.sees.document().parts]
     if len(result.design.plan) > MOST_SEEN:
         parts.append(f"what a plan of more than {MOST_SEEN:,} runs can detect is not worked out")
     return parts

@@ -11,6 +11,7 @@ import hashlib
 import io
 import platform
 import re
+import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -20,7 +21,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from identification.document import Document, PlanSteps, Section, Sheet, html
-from identification.files.io import read_bytes, read_toml
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ class Origin:
         """The last part of a page: files with their hashes, URDF files that arm files name too, versions, command."""
         paths = dict.fromkeys(self.files)
         for path in self.files:
-            urdf = read_toml(path).get("urdf") if path.suffix == ".toml" else None
+            urdf = tomllib.loads(path.read_text("utf-8-sig")).get("urdf") if path.suffix == ".toml" else None
             if isinstance(urdf, str) and not urdf.lstrip().startswith("<"):
                 paths[path.parent / urdf] = None
         versions = [f"{name} {version(name)}" for name in ("armcal", "numpy", "scipy", "casadi")]
@@ -55,7 +55,7 @@ class Origin:
 
 def hashes(paths: Iterable[Path]) -> list[tuple[str, int, str]]:
     """Name, size and SHA-256 of each file."""
-    contents = ((path, read_bytes(path)) for path in paths)
+    contents = ((path, path.read_bytes()) for path in paths)
     return [(str(path), len(content), hashlib.sha256(content).hexdigest()) for path, content in contents]
 
 

@@ -22,7 +22,7 @@ from doe.studies.monte_carlo.study import StudyResult
 from doe.studies.paper.study import PaperStudy
 from identification.arrays import Array
 from identification.document import Part, Sheet, picture_bytes
-from identification.files.io import write_whole
+from identification.files.io import write_together
 
 Setting = tuple[str, int]  # solver and starts
 Curve = tuple[Array, Array]  # x and y of a step function
@@ -257,8 +257,8 @@ def figure_2_picture(data: pl.DataFrame) -> Figure:
 
 def paper_pictures(folder: Path, result: PaperStudy) -> None:
     """figure_1.svg and figure_2.svg in the folder."""
-    write_whole(folder / "figure_1.svg", svg(figure_1_picture(result.tables["figure_1"])), force=True)
-    write_whole(folder / "figure_2.svg", svg(figure_2_picture(result.tables["figure_2"])), force=True)
+    write_together({folder / "figure_1.svg": svg(figure_1_picture(result.tables["figure_1"]))}, force=True)
+    write_together({folder / "figure_2.svg": svg(figure_2_picture(result.tables["figure_2"]))}, force=True)
 
 
 # -- armcal study blind ------------------------------------------------------------------------------------------------
@@ -345,7 +345,7 @@ def blind_pictures(folder: Path, result: BlindStudy) -> None:
     for name, rows in (("confusion.png", result.confusion), ("reliability.png", result.reliability)):
         if len(rows):
             figure = confusion_figure(rows) if name == "confusion.png" else reliability_figure(rows)
-            write_whole(folder / name, picture_bytes(figure, folder / name), force=True)
+            write_together({folder / name: picture_bytes(figure, folder / name)}, force=True)
 
 
 def reliability_figure(rows: pl.DataFrame) -> Figure:

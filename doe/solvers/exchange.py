@@ -29,9 +29,7 @@ from doe.problem.postures import listed_candidates, random_grid, random_postures
 from doe.problem.problem import MANY, DesignProblem, information_of_each
 from doe.solvers.ipopt import Climber, Ipopt, polishes
 from doe.solvers.solver import Budget, Offer
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.information import information_matrix
+from identification import Array, InputError, information_matrix
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 SWEEPS = 60

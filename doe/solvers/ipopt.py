@@ -29,9 +29,7 @@ from doe.plan.spacing import free_values
 from doe.problem.postures import random_postures
 from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives
 from doe.solvers.solver import Budget, Offer
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.information import information_matrix
+from identification import Array, InputError, information_matrix
 
 MOST = 5000  # variables, whose second derivatives are dense: 0.2 GB, and 10 s for each step
 POLISHED = 1500  # variables, beyond which what other solvers found is left as it is

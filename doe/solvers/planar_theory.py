@@ -31,8 +31,7 @@ from doe.plan.spacing import free_values, neighbor_counts, replicates_allowed, t
 from doe.problem.problem import DesignProblem, Stop, never
 from doe.solvers.exchange import Exchange
 from doe.solvers.solver import Budget, Offer
-from identification.arrays import Array
-from identification.errors import JobError
+from identification import Array, JobError
 
 Columns = NDArray[np.complex128]
 Pattern = tuple[Array, Array]  # (b, J) angles above the lower limits [rad] and (J,) their free phase [rad]

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from doe.problem.problem import DesignProblem
-from identification.arrays import Array
+from identification import Array
 
 LONG_PLAN = 100  # runs above which a search has a time limit of its own
 LONG_PLAN_SECONDS = 30.0

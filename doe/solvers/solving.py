@@ -34,13 +34,18 @@ from doe.solvers.exchange import Exchange, ExchangeIpopt, Fedorov, Gradient, Rel
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic, nearly_optimal, optimal_plans
 from doe.solvers.solver import LONG_PLAN, Budget, Offer, Solver, time_limit
-from identification.arrays import Array
-from identification.errors import InputError, JobError, nearest
-from identification.information import identifiability
+from identification import (
+    Array,
+    InputError,
+    JobError,
+    Progress,
+    Status,
+    identifiability,
+    nearest,
+    silent,
+    single_thread,
+)
 from identification.installed import additions
-from identification.progress import Progress, silent
-from identification.status import Status
-from identification.threads import single_thread
 
 
 # -- solvers by name ---------------------------------------------------------------------------------------------------

@@ -21,13 +21,9 @@ from doe.jobs.rows import Key, Row, RowTable, short_hash, with_columns
 from doe.jobs.running import Workers, call, run_tasks
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
-from identification.arm import Arm
-from identification.errors import InputError, nearest
+from identification import Arm, InputError, Model, Progress, nearest, refuse_contacts, silent
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
-from identification.for_design import refuse_contacts
-from identification.model import Model
-from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
     from doe.design import Design

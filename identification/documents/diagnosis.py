@@ -28,12 +28,11 @@ from identification.estimation.corrected_values import corrected_values
 from identification.model import Model
 
 if TYPE_CHECKING:
-    from identification.gap.detectability import OrderRange
+    from identification.gap.detectability import Detectability, OrderRange
     from identification.gap.result import Diagnosis
 
 Data = Mapping[str, Any]  # what `armcal diagnose --json` says
 MOST = 4  # kinds of effects that a verdict spells out
-# reason: identification/README.md, "Constants"
 SHORT = 60  # characters of names that a verdict spells out; the tables have all of them
 
 
@@ -395,6 +394,20 @@ def untested(skipped: Mapping[str, str]) -> list[str]:
         f"not tested, {words.get(why, why)}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
         for why in dict.fromkeys(skipped.values())
     ]
+
+
+def detectability_document(sees: Detectability) -> Document:
+    """Visible fraction, smallest size and look-alikes of every effect."""
+    rows = []
+    for name, visible in zip(sees.names, sees.norm_fractions, strict=True):
+        alike = [f"{other} ({likeness:.2f})" for one, other, likeness in sees.pairs() if one == name]
+        rest = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
+        rows.append([name, f"{visible:.2f}", str(sees.detectable[name]), ",\n".join(alike[:2]) + rest])
+    title = "What this plan can show of missing effects (smallest: with 90 % power)"
+    table = Sheet(("effect", "visible", "smallest found", "looks like"), rows, title)
+    never = [f"never identifiable: {key}: equivalent to {why}" for key, why in sees.aliases.items()]
+    freedom = f"{sees.freedom} residual degrees of freedom"
+    return Document("Missing effects", [], [table, freedom, *untested(sees.skipped), *never])
 
 
 def scatter_in_words(finding: Data) -> str:

@@ -18,6 +18,7 @@ class MeasurementScale(Effect):
     alias = "a common factor of all link lengths"
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: as of `axes_skew`
         return (self.parameter("s", "1", scale=self.reach, typical=5e-5),)
 
     def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX:
@@ -34,6 +35,7 @@ class ToolOffset(Effect):
     dimensions = (2,)  # in space the tool is part of the geometry
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: adapter of a target, not measured
         return tuple(self.parameter(short, "mm", scale=1.0, typical=1.0) for short in ("x", "y"))
 
     def tool(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -50,6 +52,7 @@ class BaseRotation(Effect):
     dimensions = (2,)  # in space the base is part of the geometry
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: as `base_offset`, 1 mm at 1 m
         return (self.parameter("angle", "rad", scale=float(self.chain.levers[0]), typical=1e-3),)
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:

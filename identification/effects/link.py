@@ -26,6 +26,7 @@ class LinkBending(Effect):
     def define(self) -> tuple[Parameter, ...]:
         # one unit of 1/(EI) under some 100 N at the end of links of some length: L^3 / 3 [m^3] * 100 N * 1000 mm/m
         scale = float(sum((length / 1000.0) ** 3 for length in self.chain.lengths)) / 3.0 * 1e5
+        # typical: EI = 1e5 N m^2, an aluminium tube of 90 mm with walls of 6 mm
         return (self.parameter("flexibility", "1/(N m^2)", scale=scale, lower=0.0, typical=1e-5),)
 
     def bending(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -50,6 +51,7 @@ class ThermalGrowth(Effect):
     needs = frozenset({"temperature"})
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: steel 12e-6, aluminium 23e-6
         return (self.parameter("a", "1/K", scale=self.reach, typical=2e-5),)
 
     def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:

@@ -22,6 +22,7 @@ class BaseOffset(Effect):
     dimensions = (2,)  # in space the base is part of the geometry
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: a base set up with dowels or by touching off
         return tuple(self.parameter(short, "mm", scale=1.0, typical=1.0) for short in ("x0", "y0"))
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -39,6 +40,7 @@ class BaseDrift(Effect):
 
     def define(self) -> tuple[Parameter, ...]:
         shorts = (f"v{axis}" for axis in self.chain.axes)
+        # typical: creep of tripods, floors and warming frames in an hour or two
         return tuple(self.parameter(short, "mm/session", scale=1.0, typical=0.05) for short in shorts)
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -56,6 +58,7 @@ class BaseRotationDrift(Effect):
 
     def define(self) -> tuple[Parameter, ...]:
         names = self.chain.turn_names
+        # typical: as of `base_drift`, at 1 m
         return tuple(self.parameter(short, "rad/session", scale=self.reach, typical=5e-5) for short in names)
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -80,6 +83,7 @@ class SessionBase(Effect):
 
     def define(self) -> tuple[Parameter, ...]:
         """Parameters of each session after the first, in order."""
+        # typical: arm or instrument anywhere in the cell, turned by any angle
         shifts = [(short, "mm", 1.0, 1000.0) for short in self.chain.axes]
         turns = [(short, "rad", self.reach, 3.0) for short in self.chain.turn_names]
         return tuple(

@@ -48,6 +48,7 @@ class JointNoise(NoiseEffect):
     per_joint = "required"
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: repeatability of 0.05 mm at 1 m (ISO 9283)
         return (self.parameter("std", "rad", scale=self.link_length, lower=0.0, typical=5e-5),)
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
@@ -63,6 +64,7 @@ class ReachNoise(NoiseEffect):
     summary = "scatter grows with the distance from the base"
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: error half constant, half proportional to the distance: sqrt(2) at full reach
         return (self.parameter("g", "1", scale=1.0, lower=0.0, typical=1.0),)
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
@@ -78,6 +80,7 @@ class TimeNoise(NoiseEffect):
     summary = "scatter changes during the session"
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: scatter changes by exp(0.5) = 1.6 over the session
         return (self.parameter("g", "1", scale=1.0, typical=0.5),)
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
@@ -94,6 +97,7 @@ class Outliers(NoiseEffect):
 
     def define(self) -> tuple[Parameter, ...]:
         return (
+            # typical: arm not at rest, target turned away; well beyond the scatter, as a broken beam is
             self.parameter("share", "1", scale=1.0, lower=0.0, upper=1.0, typical=0.02),
             self.parameter("size", "1", scale=1.0, lower=0.0, typical=10.0),
         )
@@ -123,6 +127,7 @@ class SerialCorrelation(NoiseEffect):
     summary = "serially correlated errors"
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: air and temperature change over minutes, rows follow faster
         return (self.parameter("rho", "1", scale=1.0, lower=-0.99, upper=0.99, typical=0.5),)
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:

@@ -93,7 +93,8 @@ def position_and_state(
     measured = tip + additions["instrument"] + sum(e.instrument(tip, v) for e, v in parts)
     instrument = chain.geometry.instrument
     own = geometry[geometry.numel() - len(instrument.parameters) :]
-    return ca.vertcat(instrument.reading(measured, own, chain.session), turned), ca.vertcat(loads, plain, tip)
+    target = ca.SX(0) if chain.marker is None else chain.marker
+    return ca.vertcat(instrument.reading(measured, own, target), turned), ca.vertcat(loads, plain, tip)
 
 
 def _loads(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:

@@ -38,6 +38,7 @@ class ThermalTransient(_Rare):
 
     def define(self) -> tuple[Parameter, ...]:
         scale = self.reach if self.joint is None else self.link_length
+        # typical: aluminium that warms by 4 K
         return (self.parameter("a", "1", scale=scale, typical=1e-4),)
 
     def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:
@@ -65,6 +66,7 @@ class JointStep(_Step, JointAngle):
 
     name = "joint_step"
     summary = "zero of a joint jumps during the session"
+    # typical: a few encoder counts lost, or a light collision
     number = ("b", "rad", 2e-4)
 
     def shape(self, chain: Chain) -> ca.SX:
@@ -80,6 +82,7 @@ class LinkStep(_Step):
     per_joint = "required"
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: a flange remounted without dowels
         return (self.parameter("d", "mm", scale=1.0, typical=0.1),)
 
     def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:
@@ -98,6 +101,7 @@ class BaseStep(_Step):
     settings = MappingProxyType({"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)})
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: as of `link_step`
         return tuple(self.parameter(short, "mm", scale=1.0, typical=0.1) for short in self.chain.axes)
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -119,6 +123,7 @@ class PayloadError(_Load):
     summary = "payload is not what the file says"
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: cables and adapters that nobody weighed
         return (self.parameter("d", "kg", scale=1.0, typical=0.5),)
 
     def payload(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -135,6 +140,7 @@ class PayloadPlace(_Load):
     dimensions = (3,)
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: grippers are 100 mm long, targets sit on their rims
         return tuple(self.parameter(short, "mm", scale=1.0, typical=50.0) for short in "xyz")
 
     def payload_shift(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -156,6 +162,7 @@ class ToolMass(_Load):
     nuisance = True
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: grippers and adapters of targets
         return (self.parameter("m", "kg", scale=1.0, lower=0.0, typical=2.0, start=2.0),)
 
     def payload(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -171,6 +178,7 @@ class GravityTilt(_Load):
 
     def define(self) -> tuple[Parameter, ...]:
         shorts = {1: ("angle",), 3: ("x", "y")}[len(self.chain.turning)]
+        # typical: floors are level to some mm per m
         return tuple(self.parameter(short, "rad", scale=1.0, typical=5e-3) for short in shorts)
 
     def gravity_turn(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -194,6 +202,7 @@ class AxisTilt(_Rare):
 
     def define(self) -> tuple[Parameter, ...]:
         scale = float(np.sum(self.chain.lengths[self.joint_index :]))
+        # typical: alpha^2 / 4 with alpha = 0.02 rad, bearings 1 mm out of line on 50 mm
         return tuple(self.parameter(short, "1", scale=scale, typical=1e-4) for short in ("a", "b"))
 
     def _along_and_across(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -236,6 +245,7 @@ class JointHysteresis(_Rare, JointAngle):
     name = "joint_hysteresis"
     summary = "friction winds the gear up, with a memory of earlier motions"
     needs = frozenset({"past"})
+    # typical: as of `backlash`: catalogs give 1 arcmin, too
     number = ("b", "rad", 1.5e-4)
     settings = MappingProxyType({"width_deg": Setting(0.01, 1000.0, hysteresis_widths)})
 

@@ -27,6 +27,7 @@ class BearingCompliance(Effect):
 
     def define(self) -> tuple[Parameter, ...]:
         scale = self.link_length * NOMINAL_MOMENT
+        # typical: output bearings of strain-wave gears, 4e4 to 4e6 N m/rad across the axis
         return (self.parameter("c", "rad/(N m)", scale=scale, lower=0.0, typical=3e-6),)
 
     def frame_errors(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX | float]:
@@ -50,6 +51,7 @@ class AxisRunout(Effect):
     dimensions = (3,)
 
     def define(self) -> tuple[Parameter, ...]:
+        # typical: runout of such bearings 5 to 15 um from peak to peak
         return tuple(self.parameter(short, "mm", scale=1.0, typical=3e-3) for short in ("a", "b"))
 
     def frame_errors(self, chain: Chain, values: ca.SX) -> tuple[ca.SX | float, ca.SX]:

@@ -215,10 +215,8 @@ def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[st
             axis, _, unit = key.rpartition("_")
             value = value if nominal is None else _nearest(value, nominal, key)
             yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, _convention(place, table))
-    for p in chain.instrument.parameters:
-        name, convention = chain.instrument.names(p)
-        value = values.get(p.name, 0.0) * p.to_file
-        yield _Quantity(name, p.name, None, value, {p.name: p.to_file}, p.file_unit, convention)
+    for name, parameter, value, by_name, unit, convention in chain.instrument.own_values(values):
+        yield _Quantity(name, parameter, None, value, dict(by_name), unit, convention)
 
 
 def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:

@@ -174,11 +174,14 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> SpatialChain:
         chain = replace(_with_tools(chain, file.tool), known=chain.known | {TOOL})
     if (table := file.instrument) is None:
         return replace(chain, angle_scale=_angle_scale(file.measurement))
+    instrument = KINDS[table.kind].of_table(table.model_dump(exclude_none=True))
+    if file.base is not None and instrument.own_targets:
+        raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")
     if table.center_mm is not None:
         normal = np.array([0.0, 0.0, 1.0] if table.normal is None else table.normal, dtype=float)
         turn = rotation_to_z(normal / np.linalg.norm(normal)).T
         chain = replace(chain, base=pose(-turn @ np.array(table.center_mm), turn))
-    return replace(chain, instrument=KINDS[table.kind].of_table(table.model_dump(exclude_none=True)))
+    return replace(chain, instrument=instrument)
 
 
 def _urdf(name: str, folder: PathLike) -> Urdf:

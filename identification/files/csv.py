@@ -29,11 +29,11 @@ WITH_COMMA, WITH_POINT = r"^[+-]?\d+,\d+([eE][+-]?\d+)?$", r"^[+-]?\d*\.\d*([eE]
 THOUSANDS = r"^[+-]?[1-9]\d{0,2},\d{3}$"
 WHOLE = re.compile(r"\s*[+-]?\d+\s*")
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-NAMES = ("session", "marker", "surface")  # columns of texts
+NAMES = ("session", "marker", "surface", "cup")  # columns of texts
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
-    r"|marker|surface|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
+    r"|marker|surface|cup|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
 )
 FIT = re.compile(r"#\s*fit\s*:\s*(.*)")
 FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal identify`

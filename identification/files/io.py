@@ -13,11 +13,12 @@ import tomllib
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from identification.errors import InputError
 
 PathLike = str | os.PathLike[str]
+AnyPath = TypeVar("AnyPath", bound=PathLike)
 DESCRIPTORS = "/proc/self/fd"
 PARTS = 100  # of a dotted key; the library keeps every prefix of one, so that its memory grows with their square
 # Each part is looked at once from each of the `PARTS` before it; from inside a word or a text no search begins.
@@ -108,7 +109,7 @@ def write_whole(path: PathLike, content: str | bytes, force: bool = False) -> No
     write_together({path: content}, force)
 
 
-def write_together(contents: Mapping[PathLike, str | bytes], force: bool = False) -> None:
+def write_together(contents: Mapping[AnyPath, str | bytes], force: bool = False) -> None:
     """Writes all files or none: every one is complete beside its target before the first target is touched, and if a
     later one cannot take its place the earlier ones are put back.
 

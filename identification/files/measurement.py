@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,9 @@ from identification.files.measurement_columns import (
 )
 from identification.measurements import Measurements
 
+if TYPE_CHECKING:
+    from identification.instruments import Instrument
+
 SUM_TOLERANCE = 1e-6
 DECIMAL = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
 
@@ -47,9 +50,14 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     return Measurements(**measurement_fields(read_table(path), links))
 
 
-def measurement_text(measurements: Measurements, joint_types: JointTypes = None) -> str:
-    """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad)."""
-    return csv_text(measurement_columns(measurements, joint_types), measurements.fit)
+def measurement_text(
+    measurements: Measurements, joint_types: JointTypes = None, instrument: Instrument | None = None
+) -> str:
+    """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad).
+
+    instrument : that measured; None: one of positions or lengths
+    """
+    return csv_text(measurement_columns(measurements, joint_types, instrument), measurements.fit)
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------

@@ -59,7 +59,10 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     n = postures.shape[1]
     poses = chain.angle_scale is not None
     names = [table.texts(column) for column in labels if column in table]
-    session = np.array(["/".join(parts) for parts in zip(*names, strict=True)]) if names else None
+    targets = np.array(["/".join(parts) for parts in zip(*names, strict=True)]) if names else None
+    session, marker = targets, table.texts("marker") if in_space and "marker" in table else None
+    if instrument.own_targets:
+        session, marker = table.texts("session") if "session" in table else None, targets
     commanded = [column for column in table.columns if _COMMANDED.match(column)]
     has_sigma = any(f"sigma_{unit}" in table for unit in UNITS[LENGTH])
     fields: dict[str, Any] = {
@@ -71,7 +74,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         "repeats": _repeats(table),
         "session": session,
         "gaps": _gaps(table, session) if "order" in table else None,
-        "marker": table.texts("marker") if in_space and "marker" in table else None,
+        "marker": marker,
         "orientations": read_orientations(table) if poses else None,
         "commanded": _joints(table, "commanded", n, types) if commanded else None,
         "fit": table.fit,
@@ -80,7 +83,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     used = [f"{name}_{unit}" for name, quantity in (*read, ("sigma", LENGTH)) for unit in UNITS[quantity]]
     used += ["order", "time_s", "temperature_C", "payload_kg", "posture", "run", *labels]
     used += [*joint_columns(table, types), *(f"direction{j}" for j in range(1, n + 1)), *commanded]
-    used += ["marker"] if in_space else []
+    used += ["marker"] if in_space and not instrument.own_targets else []
     used += orientation_columns_of(table) if poses else []
     hint = ""
     if not instrument.reads_positions and "x_mm" in table:
@@ -91,16 +94,27 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     return fields
 
 
-def measurement_columns(measurements: Measurements, joint_types: JointTypes = None) -> dict[str, NDArray[np.generic]]:
+def measurement_columns(
+    measurements: Measurements, joint_types: JointTypes = None, instrument: Instrument | None = None
+) -> dict[str, NDArray[np.generic]]:
     """The columns of a measurement table; `measurement_fields` reads the same from it, to rounding (1e-14 rad).
 
+    instrument : that measured; None: one of positions or lengths
     Raises `InputError` for positions that a file cannot have.
     """
     if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST_LENGTH:
         raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST_LENGTH:g}")
     columns = posture_columns(measurements.postures, joint_types)
-    axes = ("distance",) if measurements.dimension == 1 else "xyz"
-    columns |= {f"{axis}_mm": column for axis, column in zip(axes, measurements.positions.T, strict=False)}
+    names = ["distance_mm"] if measurements.dimension == 1 else ["x_mm", "y_mm", "z_mm"]
+    session, marker, target = "session", "marker", measurements.marker
+    if instrument is not None and not instrument.reads_positions:
+        names = [f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in instrument.coordinates]
+        if instrument.own_targets:
+            marker = instrument.target
+            target = None if target is None else np.array([name.rpartition("/")[2] for name in target.tolist()])
+        else:
+            session = instrument.target or session
+    columns |= dict(zip(names, measurements.positions.T, strict=False))
     if measurements.commanded is not None:
         asked = posture_columns(measurements.commanded, joint_types)
         columns |= {name.replace("q", "commanded", 1): column for name, column in asked.items()}
@@ -114,8 +128,8 @@ def measurement_columns(measurements: Measurements, joint_types: JointTypes = No
         "payload_kg": measurements.payload,
         **{f"direction{j}": column for j, column in enumerate(() if directions is None else directions.T, start=1)},
         "posture": measurements.repeats,
-        "session": measurements.session,
-        "marker": measurements.marker,
+        session: measurements.session,
+        marker: target,
         "sigma_mm": measurements.sigma,
     }
     return columns | {name: values for name, values in optional.items() if values is not None}

@@ -105,6 +105,9 @@ Angle = Annotated[float, Field(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE, description=
 Length = Annotated[float, Field(ge=LENGTH_RANGE[0], le=LENGTH_RANGE[1])]
 Mass = Annotated[float, Field(ge=0, le=LARGEST_MASS, description=f"a number >= 0 [kg], up to {LARGEST_MASS:g}")]
 Acceleration = Annotated[float, Field(ge=-LARGEST_ACCELERATION, le=LARGEST_ACCELERATION)]
+Distance = Annotated[
+    tuple[str, str, Length], Field(strict=False, description="[cup, other cup, mm between their centers]")
+]
 Radius = Annotated[float, Field(gt=0, description="a number > 0 [mm]")]
 HalfTurn = Annotated[float, Field(gt=0, le=180, description="a number > 0 and <= 180 [deg]")]
 Point = Annotated[list[float], UPON_AXES, Field(description="COORDINATES [mm]")]
@@ -217,12 +220,22 @@ class InstrumentTable(StrictTable):
     radius_mm: Radius | None = None
     center_mm: Point | None = None
     normal: Direction | None = None
+    cups: dict[str, Point] | None = Field(None, description="COORDINATES [mm] for each cup")
+    distances_mm: list[Distance] | None = Field(
+        None, description="a list of [cup, other cup, mm between their centers]"
+    )
 
     @model_validator(mode="after")
     def _keys_of_the_kind(self) -> Self:
         keys = KINDS[self.kind].keys
         if self.radius_mm is not None and "radius_mm" not in keys:
             raise ValueError(f"radius_mm: found for kind {self.kind}, allowed: for sphere, left out where unknown")
+        for key in ("cups", "distances_mm"):
+            if getattr(self, key) is not None and key not in keys:
+                owners = " or ".join(name for name, kind in KINDS.items() if key in kind.keys)
+                raise ValueError(f"{key}: found for kind {self.kind}, allowed: for {owners}")
+        if self.center_mm is not None and "center_mm" not in keys:
+            raise ValueError(f"center_mm: found for kind {self.kind}, allowed: left out")
         if (self.normal is None) != (self.center_mm is None or "normal" not in keys):
             state = "is missing beside center_mm" if self.normal is None else "found"
             raise ValueError(f"normal: {state}, allowed: of a plane, with center_mm")

@@ -25,10 +25,10 @@ from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.sessions import SESSIONS
 
-# reasons: identification/README.md, "Constants"
-LIKELY = 0.5  # of the rest of the library, below which the average is over the sets without it
-VARIES = 1e-8  # least eigenvalue of correlations that is not rounding
-TIDY = 7  # decimals of a value in degrees, in files
+# convention: of the rest of the library; if less likely, the average is over the sets without it
+LIKELY = 0.5
+VARIES = 1e-8  # least eigenvalue of correlations; numerical: those of the average have rounding of 1e-9
+TIDY = 7  # decimals of a value in degrees, in files; numerical: 2e-6 mm at 1 m
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,18 +22,17 @@ from identification.gap.columns import Basis, Where, times
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
 from identification.gap.hypotheses import Block, HypothesisSet, untested_joints
-from identification.information import column_space_of
+from identification.information import VISIBLE, column_space_of, significant
 from identification.kinematics.parameters import REVOLUTE
 
-# reasons: identification/README.md, "Constants"
-ALIKE = 0.3  # relative scatter of one family's parameters over the joints
-RANK = 1e-6  # of a square: less left of columns beside the base model, or beside each other, cannot be seen
-FAINT = 0.03  # expected square of a combination of columns at the block's largest size, below which it is left out
-OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect
-TIMES = 12  # half periods in a session of the fastest smooth function of time
-SLOW = 3  # half periods, of orders of functions of several variables
+ALIKE = 0.3  # convention: relative scatter of one family's parameters over the joints, which are of one make
+# numerical: expected square of a combination of columns at the block's largest size, below which it is left out
+FAINT = 0.03
+OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect of the whole arm
+TIMES = 12  # convention: half periods in a session of the fastest smooth function of time
+SLOW = 3  # convention: half periods, of orders of functions of several variables
 REST = "library"  # label of the rest of the library
-REST_SIZES = 2  # of `SIZES` that it may have: what is larger shows one effect at a time
+REST_SIZES = 2  # of `SIZES` that it may have; prior: what is larger shows one effect at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +99,7 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
     low, span = rows.postures.min(axis=0), np.maximum(np.ptp(rows.postures, axis=0), 1e-9)
     corner, size = at.position.min(axis=0), np.maximum(np.ptp(at.position, axis=0), 1e-9)
     unseen = untested_joints(at.model, rows)
+    seen = d > 1 and not arm.chain.instrument.contact  # readings say where in the workspace the point is
     turning = [j for j in range(n) if np.ptp(rows.postures[:, j]) > 0.0]
     curved = {spec.joint for spec in arm.effects if spec.curve is not None}
     bases = {f"curve:{j + 1}": Basis(j, float(low[j]), float(low[j] + span[j])) for j in turning}
@@ -131,10 +131,10 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
         (timed and arm.gravity is not None, "time[load]", 0.3 * OUTSIDE, _sagging),
         (warmed, "temperature", OUTSIDE, lambda w: w.moved(warm(w))),
         (warmed, "temperature[parameters]", 0.3 * OUTSIDE, lambda w: w.varied(warm(w))),
-        (d > 1, "workspace", OUTSIDE / 4.0, partial(_smooth, corner=corner, size=size)),
-        (d > 1, "workspace[squares]", OUTSIDE / 4.0, _bent),
-        (d > 1, "workspace[axes]", OUTSIDE / 4.0, partial(_along_axes, corner=corner, size=size)),
-        (d > 1, "workspace[radius]", OUTSIDE / 4.0, _outward),
+        (seen, "workspace", OUTSIDE / 4.0, partial(_smooth, corner=corner, size=size)),
+        (seen, "workspace[squares]", OUTSIDE / 4.0, _bent),
+        (seen, "workspace[axes]", OUTSIDE / 4.0, partial(_along_axes, corner=corner, size=size)),
+        (seen, "workspace[radius]", OUTSIDE / 4.0, _outward),
     ]
     for possible, label, weight, columns in table:
         if possible:
@@ -316,7 +316,7 @@ def _root(gram: Array, before: float, block: Block) -> Array:
     An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
     of `ALIKE`; what is outside the library has its own columns scaled alone.
     """
-    if not np.trace(gram) > RANK * before:
+    if not np.trace(gram) > VISIBLE * before:
         return np.zeros((len(gram), 0))
     if block.member is None:
         values, vectors = np.linalg.eigh(gram / np.trace(gram))
@@ -326,6 +326,6 @@ def _root(gram: Array, before: float, block: Block) -> Array:
         return np.asarray(np.linalg.cholesky(alike / np.sum(gram * alike)))
     lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
-    seen = values > RANK * values[-1]
+    seen = significant(values, VISIBLE)
     root = vectors[:, seen] / np.sqrt(values[seen] * seen.sum()) / lengths[:, None]
     return np.asarray(np.abs(root) if len(gram) == 1 else root)

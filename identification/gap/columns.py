@@ -26,9 +26,8 @@ from identification.error_curve import ErrorCurve, local_splines
 from identification.model import Model
 from identification.vectorize import vectorize
 
-# reasons: identification/README.md, "Constants"
 KEPT = 128  # effort: models compiled and formulas set up, of some arms
-WAVES = 30  # half periods of an error curve over the angles of its joint
+WAVES = 30  # half periods of an error curve over the angles of its joint; convention: what a person would call smooth
 # an effect's class, joint, and names of its settings where they are scanned, else names and values
 Key = tuple[type[Effect], int | None, tuple[str, ...] | tuple[tuple[str, float], ...]]
 

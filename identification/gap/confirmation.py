@@ -6,25 +6,21 @@ asked of the squared distances b of the base model and a of the model tested:
     does the gap shrink?               mean of b - a  > 0
     is it as large as predicted?       mean of a      <= what the posterior expects
 
-Rows of one posture or of one interval of time share errors that no model explains, so the standard error of a mean over
-m rows exceeds sigma / sqrt(m). The rows are divided into up to eight groups, by time and by region of posture, and the
-group means are compared by Student's t (R. Ibragimov, U. K. Mueller, "t-statistic based correlation and heterogeneity
-robust inference", 2010: valid for any dependence within groups). The larger variance of the two groupings is used, and
-never less than that of white Gaussian noise.
+Of means of rows that are not independent: `estimation.grouped`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, softmax, stdtr, stdtrit
+from scipy.special import ndtri, softmax, stdtrit
 
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.estimation.grouped import GROUPS, Groups, Mean, groups_of, mean_of
 from identification.gap.average import PredictingModel
 from identification.gap.detectability import LEVEL, POWER
 from identification.gap.fit import Fit
@@ -33,93 +29,7 @@ from identification.gap.posterior import Posterior
 from identification.gap.set_up import SESSION, held_out_conditions, placed_residuals, transfer_of
 from identification.gap.verdict import MOST
 from identification.information import RANK_TOLERANCE, column_space_of
-from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
-
-# reasons: identification/README.md, "Constants"
-GROUPS = 8  # of rows that count as independent, and parts of the rows in cross-validation
-
-Groups = NDArray[np.int64]
-
-
-# -- means of rows that are not independent ----------------------------------------------------------------------------
-class Mean(NamedTuple):
-    """A mean, the variance of this mean, and the degrees of freedom of that variance."""
-
-    value: float
-    variance: float
-    freedom: float
-
-    def __sub__(self, other: Mean) -> Mean:
-        """Difference of two independent means, with Welch's degrees of freedom (B. L. Welch, 1947)."""
-        variance = self.variance + other.variance
-        parts = sum(m.variance**2 / m.freedom for m in (self, other) if m.variance < np.inf)
-        freedom = variance**2 / parts if parts > 0.0 and variance < np.inf else min(self.freedom, other.freedom)
-        return Mean(self.value - other.value, variance, freedom)
-
-    def p_above(self) -> float:
-        """One-sided p-value: probability of a mean at least this large if the true mean is zero."""
-        if not 0.0 < self.variance < np.inf:
-            return 1.0 if self.variance else float(self.value <= 0.0)
-        return float(stdtr(self.freedom, -self.value / np.sqrt(self.variance)))
-
-    def detects(self, size: float) -> bool:
-        """Whether a test at `LEVEL` would detect a true mean of this size with power `POWER`."""
-        if not self.variance < np.inf:
-            return False
-        quantiles = stdtrit(self.freedom, 1.0 - LEVEL / 2.0) + stdtrit(self.freedom, POWER)
-        return bool(size >= quantiles * np.sqrt(self.variance))
-
-
-def mean_of(values: Array, groupings: Sequence[Groups], least: float = 0.0) -> Mean:
-    """Mean of (m,) values with the largest variance over the groupings, and at least the variance `least`."""
-    each = []
-    for groups in groupings:
-        counts = np.bincount(groups)
-        means = np.bincount(groups, values) / counts
-        variance = float(np.var(means, ddof=1) / len(means)) if len(means) > 1 else np.inf
-        each.append(Mean(float(np.mean(values)), variance, max(len(means) - 1.0, 1.0)))
-    widest = max(each, key=lambda mean: mean.variance)
-    return widest._replace(variance=max(widest.variance, least))
-
-
-def groups_of(measurements: Measurements, kept: NDArray[np.bool_] | None = None) -> tuple[Groups, Groups]:
-    """Groups of rows that count as independent, among the kept rows (None: all): see `groupings`."""
-    turn = np.empty(len(measurements))
-    turn[measurements.sequence] = np.arange(len(measurements))
-    rows = np.ones(len(turn), dtype=bool) if kept is None else kept
-    return groupings(measurements.postures[rows], measurements.posture_numbers[rows], turn[rows])
-
-
-def groupings(postures: Array, repeats: Groups, time: Array) -> tuple[Groups, Groups]:
-    """(m,) group of each row by interval of time, and by region of posture: up to `GROUPS` groups of equal size.
-
-    postures : (m, n) [rad];  repeats : (m,) equal numbers mark repeats of one posture;  time : (m,)
-    """
-    sequence = np.argsort(time, kind="stable")
-    stays = np.cumsum(np.diff(repeats[sequence], prepend=repeats[sequence[0]]) != 0)  # at one posture, from 0
-    ends = np.unique(np.searchsorted(np.cumsum(np.bincount(stays)), np.arange(1, GROUPS) * len(time) / GROUPS))
-    stretches = np.empty(len(time), dtype=np.int64)
-    stretches[sequence] = np.searchsorted(ends, stays, side="left")
-    _, first, number = np.unique(repeats, return_index=True, return_inverse=True)
-    return stretches, regions(postures[first])[number]
-
-
-def regions(postures: Array) -> Groups:
-    """(m,) region of each posture, by repeated bisection at the median of the joint with the widest range."""
-    found = np.zeros(len(postures), dtype=np.int64)
-    for _ in range(int(np.log2(min(GROUPS, len(postures))))):
-        halves = np.zeros_like(found)
-        for region in np.unique(found):
-            rows = np.flatnonzero(found == region)
-            widest = int(np.argmax(np.ptp(postures[rows], axis=0)))
-            halves[rows[np.argsort(postures[rows, widest], kind="stable")[len(rows) // 2 :]]] = 1
-        found = 2 * found + halves
-    return np.asarray(np.unique(found, return_inverse=True)[1])
-
-
-def gained_squares(before: Array, after: Array, measurements: Measurements) -> Mean:
-    """Mean of the squares that a model saves in these rows;  before, after : (m,) distances [mm]"""
-    return mean_of(before**2 - after**2, groups_of(measurements))
+from identification.measurements import POINT, Conditions, Measurements, distances
 
 
 # -- the test ----------------------------------------------------------------------------------------------------------
@@ -196,6 +106,14 @@ class Confirmation:
         return entry | {"confirmed": self.confirmed, "refitted": [*self.refitted]}
 
 
+def detects(mean: Mean, size: float) -> bool:
+    """Whether a test at `LEVEL` would detect a true mean of this size with power `POWER`."""
+    if not mean.variance < np.inf:
+        return False
+    quantiles = stdtrit(mean.freedom, 1.0 - LEVEL / 2.0) + stdtrit(mean.freedom, POWER)
+    return bool(size >= quantiles * np.sqrt(mean.variance))
+
+
 def confirm(
     before: Array,
     after: Array,
@@ -241,64 +159,9 @@ def confirm(
         p_shrinks=gain.p_above() if named else None,
         p_exceeds=excess.p_above(),
         shrinks=shrinks,
-        as_predicted=False if exceeds else (True if excess.detects(predicted.value) else None),
+        as_predicted=False if exceeds else (True if detects(excess, predicted.value) else None),
         named=named,
     )
-
-
-@dataclass(frozen=True)
-class Offered:
-    """Distances [mm] that the model offered and the geometry alone leave, each as `identify` and `validate` have it.
-
-    by : `holdout` or `cross-validation` (each posture by a fit to others);  rows : how many
-    rms, largest : of the model;  rms_geometry, largest_geometry : of the geometry, identified on the same rows
-    p_value : one-sided, of no gain
-    """
-
-    by: str
-    rows: int
-    rms: float
-    largest: float
-    rms_geometry: float
-    largest_geometry: float
-    p_value: float
-
-    @classmethod
-    def of(cls, by: str, geometry: Array, model: Array, measurements: Measurements) -> Offered:
-        """From residuals (m, d) [mm] of the same rows."""
-        before, after = distances(geometry), distances(model)
-        rms, rms_geometry = rms_distance(model), rms_distance(geometry)
-        p_value = gained_squares(before, after, measurements).p_above()
-        return cls(by, len(after), rms, float(after.max()), rms_geometry, float(before.max()), p_value)
-
-    @classmethod
-    def of_test(cls, test: Confirmation) -> Offered:
-        """From a test of a model against the base model."""
-        figures = (test.after, test.largest_after, test.before, test.largest_before)
-        return cls(test.by, test.rows, *figures, 1.0 if test.p_shrinks is None else test.p_shrinks)
-
-    @property
-    def better(self) -> bool:
-        """Whether the model predicts better beyond chance, as `validate` judges it."""
-        return self.rms < self.rms_geometry and self.p_value <= LEVEL / 2.0
-
-    @property
-    def sentence(self) -> str:
-        """How the model compares with the geometry."""
-        which = "held-out rows" if self.by == "holdout" else "rows, each predicted by a fit to other postures"
-        own, geometry = f"{self.rms:.3g} mm RMS (largest {self.largest:.3g})", f"{self.rms_geometry:.3g} mm"
-        figures = f"{own} against {geometry} (largest {self.largest_geometry:.3g}) in {self.rows} {which}"
-        if self.better:
-            return f"better than the geometry alone: {figures}"
-        if self.rms >= self.rms_geometry:
-            return f"no better than the geometry alone: {figures}"
-        return f"better than the geometry alone only within chance: {figures}, p = {self.p_value:.2g}"
-
-    def to_json(self) -> dict[str, Any]:
-        """Key `offered` (identification/files/README.md, "JSON keys")."""
-        lengths = {"rms_mm": self.rms, "max_mm": self.largest}
-        lengths |= {"rms_geometry_mm": self.rms_geometry, "max_geometry_mm": self.largest_geometry}
-        return {"by": self.by, "rows": self.rows, **lengths, "p_value": self.p_value, "better": self.better}
 
 
 @dataclass(frozen=True)

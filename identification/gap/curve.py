@@ -16,10 +16,10 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve
+from identification.information import VISIBLE
 
-# reasons: identification/README.md, "Constants"
-SHAPED = 0.8  # of a curve's variance, that makes a shape its name
-MOST_WAVES = 6  # that are listed; what any of them explains is not less than a sixth of what `SHAPED` allows to lack
+SHAPED = 0.8  # convention: of a curve's variance, that makes a shape its name; nothing else depends on it
+MOST_WAVES = 6  # that are listed; derived: each explains at least a sixth of what `SHAPED` allows to lack
 COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")
 
 
@@ -172,5 +172,5 @@ def _fitted(columns: Sequence[Array], error: Array, std: Array) -> tuple[float, 
     """Weighted squares that a fit of functions (a,) beside a constant leaves of a curve, and their coefficients."""
     weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-150)
     table = np.column_stack([np.ones(len(error)), *columns]) * weights[:, None]
-    values = np.linalg.lstsq(table, error * weights, rcond=1e-6)[0]
+    values = np.linalg.lstsq(table, error * weights, rcond=VISIBLE)[0]
     return float(np.sum((error * weights - table @ values) ** 2)), np.asarray(values[1:])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,20 +17,27 @@ from scipy.special import betaincinv, fdtrc, ncfdtr, nctdtr, stdtrit
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
+from identification.document import Document
+from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
-from identification.gap.blocks import RANK, Linearized, linearized
+from identification.estimation.grouped import LEVEL
+from identification.gap.blocks import Linearized, linearized
 from identification.gap.evidence import SIZES, Index
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import HypothesisSet, hypotheses
 from identification.gap.noise import SPARE
+from identification.information import VISIBLE, product_inverse, significant
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.threads import single_thread
 
-# reasons: identification/README.md, "Constants"
-POWER, LEVEL = 0.9, 0.05  # convention
-NEAR = 0.9  # likeness: the odds of two effects stay below 20 up to lambda = 5.6
-LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+POWER = 0.9  # convention: what is "excluded" would have been found in nine cases of ten
+# derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6
+NEAR = 0.9
+LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test, and is not linear
 
 
 class Size(NamedTuple):
@@ -96,14 +103,21 @@ class Detectability:
             "never_visible": dict(self.aliases),
         }
 
+    def document(self) -> Document:
+        """Visible fraction, smallest size and look-alikes of every effect, and what cannot be tested."""
+        return detectability_document(self)
+
+    def figure(self) -> Figure:
+        """Heat map of the likeness of effects."""
+        from identification.documents.pictures import alias_figure  # deferred: matplotlib takes long to load
+
+        return alias_figure(self)
+
     def __str__(self) -> str:
-        lines = [
-            f"{self.freedom} residual degrees of freedom",
-            f"{'effect':32} fraction  smallest detectable size (90 % power)",
-        ]
-        for name, fraction in zip(self.names, self.norm_fractions, strict=True):
-            lines.append(f"{name:32} {fraction:8.2f}  {self.detectable[name]}")
-        return "\n".join(lines)
+        return str(self.document())
+
+    def _repr_html_(self) -> str:
+        return self.document()._repr_html_()
 
 
 @single_thread()  # the same bits, whatever the number of threads
@@ -179,7 +193,7 @@ def assess(library: HypothesisSet, beside: Beside, rows: Rows, sigma: float) -> 
             gram, moving = back.T @ beside.gram(own) @ back, problem.columns[number]
             lengths = np.maximum(np.linalg.norm(rows.whiten(moving), axis=0), 1e-150)
             least, fraction = np.sqrt([_least(gram), _least(gram / np.outer(lengths, lengths))]).tolist()
-            if count < freedom and least > RANK * lengths.max():
+            if count < freedom and least > VISIBLE * lengths.max():
                 needed = detectable_lambda(count, freedom - count, level * member.weight, member.one_sided)
                 moved = needed * sigma / least * float(np.linalg.norm(moving, axis=(0, 1)).max()) / np.sqrt(len(rows))
                 if moved <= LARGEST * library.base.reach:
@@ -241,7 +255,7 @@ def likenesses(gram: Array, parts: Sequence[Index]) -> Array:
         own = gram[np.ix_(part, part)]
         lengths = np.sqrt(np.maximum(np.diag(own), 1e-300))
         values, vectors = np.linalg.eigh(own / np.outer(lengths, lengths))
-        seen = values > RANK * values.max(initial=0.0)
+        seen = significant(values, VISIBLE)
         bases.append(vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None])
     widths, every = np.array([basis.shape[1] for basis in bases], dtype=np.int64), np.concatenate([ends[:0], *parts])
     owner, turn = np.repeat(np.eye(len(parts)), widths, axis=0), block_diag(*bases) if bases else np.zeros((0, 0))
@@ -315,7 +329,7 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
         own = p + 2 * number + np.arange(6)  # of the wave, and of those beside it
         own = own if order > 1.0 else np.delete(own, [2, 3])
         across = gram[np.ix_(own, rest)]
-        inner = np.linalg.pinv(gram[np.ix_(rest, rest)], hermitian=True, rcond=RANK**2)
+        inner = product_inverse(gram[np.ix_(rest, rest)])
         left = gram[np.ix_(own, own)] - across @ inner @ across.T
         parts = list(np.arange(len(own)).reshape(-1, 2))
         if likenesses(left, parts)[0, 1:].max() >= NEAR:

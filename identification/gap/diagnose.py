@@ -45,8 +45,8 @@ from identification.sessions import of_these_sessions, with_base, with_sessions,
 from identification.status import Status
 from identification.threads import single_thread
 
-IMPOSSIBLE = 1e-3  # p-value of what is left, below which the noise cannot be all: a trusted sigma, or repeats
-# reason: identification/README.md, "Constants"
+# convention: p-value of what is left, below which the noise cannot be all, by a trusted sigma or by repeats
+IMPOSSIBLE = 1e-3
 KINDS = {
     "time": "smooth in time",
     "workspace": "smooth over the workspace",
@@ -113,6 +113,11 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
         if not (touching and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
     if holdout is not None:
+        if arm.chain.instrument.own_targets and (new := {*holdout.marker_names} - {*measurements.marker_names}):
+            what, names = arm.chain.instrument.target, ", ".join(measurements.marker_names)
+            raise InputError(
+                f"holdout: found {what} {min(new)!r}, allowed: {names}, as in the data; or armcal validate"
+            )
         check_holdout(measurements, holdout)
 
 

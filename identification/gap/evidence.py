@@ -27,9 +27,10 @@ from scipy.special import log_ndtr
 
 from identification.arrays import Array, eigen_of_pairs
 
-# reasons: identification/README.md, "Constants"
-SIZES: Array = 3.0 * np.exp2(np.arange(14))  # of a block's contribution, in standard deviations of the noise
-LEAST = 1e-14  # of y^T y: what rounding leaves of a sum of squares
+# of a block's contribution, in standard deviations of the noise. Prior: from what can just not be seen by itself to a
+# tenth of the reach, equally spaced in log lambda
+SIZES: Array = 3.0 * np.exp2(np.arange(14))
+LEAST = 1e-14  # of y^T y; numerical: what rounding leaves of a sum of squares
 
 Index = NDArray[np.int64]
 Key = tuple[tuple[int, int], ...]  # blocks with the numbers of their sizes, ascending

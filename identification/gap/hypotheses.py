@@ -28,11 +28,10 @@ from identification.information import column_space
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 
-# reasons: identification/README.md, "Constants"
-UNSEEN = 1e-3  # share of the reach
+UNSEEN = 1e-3  # convention: of the reach; a joint whose lever on the measured point is shorter is not looked at
 EFFECT, ORDER = "transmission_ripple", "k"
-ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn: every wave between has a likeness of 0.97 with one
-CLEAR = 8.0  # log likelihood ratio below which a wave of further order is not added
+ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn; derived: every wave between has a likeness of 0.97 with one
+CLEAR = 8.0  # convention: log likelihood ratio below which a wave of further order is not added
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 
 

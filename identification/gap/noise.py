@@ -22,9 +22,10 @@ from identification.estimation.uncertainty import LEVEL, lack_of_fit, pure_error
 from identification.gap.scatter import Finding
 from identification.measurements import POINT, Measurements
 
-# reasons: identification/README.md, "Constants"
-APART = 0.1  # of the session, between two rows that share no slow error
-SPARE = 4  # degrees of freedom below which nothing is tested, and no standard deviation reported
+APART = 0.1  # convention: of the session, between two rows that share no slow error
+# derived: degrees of freedom below which nothing is tested, and no standard deviation reported, since it would be
+# uncertain by more than 35 %. At the level 0.005 an effect of one parameter needs lambda = 11 with 4, 22 with 3
+SPARE = 4
 
 Groups = NDArray[np.int64]
 

@@ -19,14 +19,13 @@ from identification.gap.scatter import NoiseModel, log_likelihoods, noises
 from identification.gap.search import ROUNDING, Moments, Search, Walked, Weighed
 from identification.progress import Tell, say_nothing
 
-# reasons: identification/README.md, "Constants"
-MOST_ROWS = 1250  # that are searched for any effect
+MOST_ROWS = 1250  # effort: rows that are searched for any effect
 PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
-UNLIKELY = 3.0  # log odds below the best, of a noise model that is not searched
-STRIKING = 3.0  # robust standard deviations of a row that may be outlying
-WRITTEN = 0.05  # probability of a block that is part of the model that is written
-MOST_WRONG = 30  # effort: rows that may be
+UNLIKELY = 3.0  # effort: log odds below the best, of a noise model that is not searched
+STRIKING = 3.0  # effort: robust standard deviations of a row that may be outlying
+WRITTEN = 0.05  # convention: probability of a block from which on it is part of the model that is written
+MOST_WRONG = 30  # effort: rows that may be outlying
 STAGES = PASSES + NOISES + 1  # that are told, at most
 
 

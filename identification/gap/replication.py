@@ -24,18 +24,16 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from identification.arrays import Array
-from identification.gap.blocks import RANK
 from identification.gap.columns import Where
 from identification.gap.curve import Curve
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows
 from identification.gap.posterior import Explanation, Posterior
 from identification.gap.verdict import CREDIBLE
-from identification.information import column_space, column_space_of
+from identification.information import VISIBLE, column_space, column_space_of
 from identification.kinematics.parameters import Parameter
 
-# reason: identification/README.md, "Constants"
-SAME = 0.1  # relative difference of values that are the same
+SAME = 0.1  # relative difference of values that are the same; convention: temperature and load differ by session
 
 
 class CurveColumns(NamedTuple):
@@ -197,7 +195,7 @@ def _in_session(
         return np.asarray(columns - basis @ (basis.T @ columns))
 
     columns, root = apart(every), np.eye(every.shape[1])
-    if np.linalg.norm(columns) <= RANK * np.linalg.norm(every):  # nothing that the rest does not have
+    if np.linalg.norm(columns) <= VISIBLE * np.linalg.norm(every):  # nothing that the rest does not have
         return InSession(name, (), (), 0.25, None)
     if units is not None:  # the prior covariance of an effect is the inverse of its information
         root = column_space_of(columns, np.ones(len(root)))[1]

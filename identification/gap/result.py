@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -22,7 +22,7 @@ from identification.data_frames import frame_of_rows
 from identification.document import Document
 from identification.documents import diagnosis as words
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
-from identification.gap.confirmation import Confirmation, Gap, Offered
+from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.curve import Curve
 from identification.gap.detectability import Beside, Detectability, OrderRange, Size
 from identification.gap.fit import Fit
@@ -36,6 +36,9 @@ from identification.kinematics.joint_range import joint_range
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import placed_calibration
+
+if TYPE_CHECKING:
+    from identification.validate.validation import Offered
 
 
 class Estimate(NamedTuple):

@@ -20,10 +20,9 @@ from identification.arrays import Array
 from identification.gap.fit import Fit, Rows
 from identification.information import column_space
 
-# reasons: identification/README.md, "Constants"
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
-RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one
-CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next
+RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one; numerical: likelihoods are flat over a step
+CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next; numerical, as `RATIOS`
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,8 @@ class NoiseModel:
 def noises(rows: Rows, at: Fit) -> Iterator[NoiseModel]:
     """White noise, and every other that these rows can have, at a fitted model."""
     where = (rows.postures, at.values, rows.conditions)
-    forms = variance_forms(rows, at.model.position(*where), at.model.joint_levers(*where))
+    reads = not at.model.arm.chain.instrument.contact  # else nothing says how far away the point is
+    forms = variance_forms(rows, reads * at.model.position(*where), at.model.joint_levers(*where))
     joints = sum(name.startswith("joint") for name in forms)
     yield NoiseModel("", 0.0, rows, 0.0)
     for name, form in forms.items():

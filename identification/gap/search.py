@@ -29,17 +29,16 @@ from scipy.special import logsumexp, zeta
 from identification.arrays import Array
 from identification.gap.evidence import SIZES, Key, Left, Products, State
 
-# reasons: identification/README.md, "Constants"
-SOME = 1.0  # prior odds of something missing to nothing
-TAIL = 3.0  # p(K) ~ K^-TAIL
-WRONG = 0.0005  # prior odds of a row to be outlying
-REST_ODDS = 0.1  # prior odds of the rest of the library
-NEGLIGIBLE = 0.01  # share of the probability in blocks that the walk leaves out
+SOME = 1.0  # prior odds of something missing to nothing: even
+TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
+WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
+REST_ODDS = 0.1  # prior odds of the rest of the library: many small effects beside what can be named
+NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out
 MOVES = 500  # effort: of the walk
 THIN = 32  # effort: columns of a set for each move of the walk that is not counted among the draws
 PAIRS = 10  # effort: of the climb, blocks that are tried in pairs
-LEAST = 1e-5  # probability of a set that is kept
-ROUNDING = 1e-6  # of a log likelihood
+LEAST = 1e-5  # numerical: probability of a set that is kept
+ROUNDING = 1e-6  # numerical: of a log likelihood
 
 Set = tuple[int, ...]
 

@@ -23,11 +23,11 @@ from identification.effects.places import widths
 from identification.estimation.doubts import FALL
 from identification.gap.average import PredictingModel
 from identification.gap.fit import Fit
+from identification.information import RANK_TOLERANCE
 from identification.instruments.registration import placed, registered
 from identification.measurements import POINT, Conditions, Measurements
 
-# reason: identification/README.md, "Constants"
-GAIN = 1.25  # of the sum of squares: what more is refitted must save
+GAIN = 1.25  # convention: of the sum of squares, a tenth of the RMS error, that one more set of parameters must save
 
 SESSION, OTHER_ROWS = "another session", "other rows"
 
@@ -146,7 +146,7 @@ class Predicted(NamedTuple):
             columns = [(turn @ axes) * own[:, None, None] for own in which] + [shift] * set_up.base
             table, target = np.concatenate(columns, axis=2), self.measured - self.points @ turn.T
             table = table.reshape(target.size, -1)
-            return np.asarray(target.ravel() - table @ np.linalg.lstsq(table, target.ravel(), rcond=1e-9)[0])
+            return np.asarray(target.ravel() - table @ np.linalg.lstsq(table, target.ravel(), rcond=RANK_TOLERANCE)[0])
 
         def turned(by: Array) -> Array:
             return left(Rotation.from_rotvec(by).as_matrix() @ start)

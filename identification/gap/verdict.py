@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 
 from identification.gap.posterior import Explanation, Posterior
 
-# reasons: identification/README.md, "Constants"
-RIVAL = 20.0  # odds
+RIVAL = 20.0  # convention: odds against a candidate
 MOST = 8  # effort: candidates that are fitted
-CREDIBLE = 0.9  # probability of the credible set
-LISTED = 0.01  # less likely sets are not listed by name
+CREDIBLE = 0.9  # convention: probability of the credible set
+LISTED = 0.01  # convention: less likely sets are not listed by name
 Names = tuple[str, ...]
 
 

@@ -271,7 +271,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
         repeated=len(np.unique(measurements.repeat_numbers)) < len(measurements),
         sessions=measurements.sessions,
         markers=measurements.marker_names,
-        given=tuple(sorted(measurements.given)),
+        given=tuple(sorted(measurements.optional_columns)),
         joints=_ranges(arm, measurements.postures),
         floor=floor,
         readings=readings,

@@ -16,7 +16,7 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.expected_tip import left_out_residuals
-from identification.gap.confirmation import gained_squares
+from identification.estimation.grouped import gained_squares
 from identification.measurements import Measurements, distances
 from identification.model import Model
 from identification.sessions import with_sessions

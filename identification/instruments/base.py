@@ -7,13 +7,14 @@ base of the arm stands in that frame, as with a tracker.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError
@@ -32,6 +33,21 @@ class Coordinate(NamedTuple):
     name: str
     quantity: str = "length"
     positive: bool = False
+
+
+class OwnValue(NamedTuple):
+    """A row of the corrected values that an instrument adds.
+
+    name : in words;  parameter : that it is, None: it is made of several;  value : in `unit`
+    slopes : parameter name -> derivative [unit per API unit];  convention : what it is
+    """
+
+    name: str
+    parameter: str | None
+    value: float
+    slopes: Mapping[str, float]
+    unit: str
+    convention: str
 
 
 class Guide(NamedTuple):
@@ -61,6 +77,9 @@ class Instrument:
     keys : of `[instrument]` that it has, besides `kind`
     coordinates : of a reading; none: it reads nothing, a target is touched (`contact`)
     target : column of files that names what is touched, each with a place of its own; empty: there is none
+    own_targets : whether these have `parameters`, in the frame of the base, and rows name them as they name measured
+        points (`Measurements.marker`); else they count as sessions, each of which has a base
+    unsaid : number of the target where nothing is said of it
     offers : what effects may need of it (`Effect.needs`)
     reads_positions : whether a reading is the position of the measured point, or with its orientation the pose
     guide : what the first files say of it, where it has a `kind`
@@ -70,22 +89,24 @@ class Instrument:
     keys: ClassVar[frozenset[str]] = frozenset()
     coordinates: ClassVar[tuple[Coordinate, ...]] = ()
     target: ClassVar[str] = ""
+    own_targets: ClassVar[bool] = False
+    unsaid: ClassVar[float] = 0.0
     offers: ClassVar[frozenset[str]] = frozenset()
     reads_positions: ClassVar[bool] = False
     guide: ClassVar[Guide]
 
     # -- what a row reads ------------------------------------------------------------------------------------------
-    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         """(d,) what it reads of a point (3,) [mm] in its frame.
 
-        values : of its own `parameters`;  session : number of the row's session, from 0
+        values : of its own `parameters`;  target : number of what the row touches, from 0, of those with `own_targets`
         """
         raise NotImplementedError
 
-    def linearized(self, points: Array, values: Array, session: Array) -> tuple[Array, Array, Array]:
-        """(..., d) what it reads of points (..., 3) in its frame with values (..., k) of its own parameters in sessions
+    def linearized(self, points: Array, values: Array, target: Array) -> tuple[Array, Array, Array]:
+        """(..., d) what it reads of points (..., 3) in its frame with values (..., k) of its own parameters and targets
         (..., 1), and the derivatives by points and values, (..., d, 3) and (..., d, k)."""
-        reading, by_point, by_values = _linearized(self)(points, values, session)
+        reading, by_point, by_values = _linearized(self)(points, values, target)
         return reading[..., 0], by_point, by_values
 
     @property
@@ -114,9 +135,11 @@ class Instrument:
         """(k,) values of these where nothing is known."""
         return np.array([parameter.neutral for parameter in self.parameters])
 
-    def names(self, parameter: Parameter) -> tuple[str, str]:
-        """What tables of corrected values call one of its own parameters, and what they say of it."""
-        return parameter.name, self.kind
+    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
+        """Rows of the corrected values at values of its own parameters."""
+        for p in self.parameters:
+            value = values.get(p.name, p.neutral) * p.to_file
+            yield OwnValue(p.name, p.name, value, {p.name: p.to_file}, p.file_unit, self.kind)
 
     def hidden(self, base: Array) -> frozenset[str]:
         """Names of those parameters of the base that move arm and instrument together, or turn the frame of the
@@ -167,6 +190,32 @@ class Instrument:
         """
         return starts, []
 
+    def with_targets(self, points: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Instrument:
+        """With `own_targets` where rows touch them.
+
+        points : (m, 3) measured ones in its frame, as best known;  numbers : (m,) of the targets, by their `names`
+        """
+        return self
+
+    @property
+    def targets(self) -> Mapping[str, Array]:
+        """Name -> (3,) about where these are; empty: not known."""
+        return {}
+
+    # -- postures that touch, for plans --------------------------------------------------------------------------------
+    def stands(self, base: Array) -> bool:
+        """Whether what is measured from, or touched, has a place, where that of the base (4, 4) is not known."""
+        return not np.array_equal(base, np.eye(4))
+
+    def unknown(self, values: Mapping[str, float]) -> str:
+        """The key of arm files without which no plan can say where it touches; empty: all is known."""
+        return ""
+
+    def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
+        """(m,) True where points (m, k, 3) in its frame are outside of what is touched, but for `near` [mm]."""
+        above = self.linearized(points, values, np.zeros(1))[0][..., 0] - self.touched
+        return np.asarray(np.all(above > -near, axis=1))
+
     # -- files -----------------------------------------------------------------------------------------------------
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Instrument:
@@ -184,10 +233,10 @@ PLACE = "base"  # kind of a parameter that says where something stands, as that 
 @lru_cache(maxsize=32)
 def _linearized(instrument: Instrument) -> Evaluate:
     """Compiled once for equal instruments."""
-    point, values, session = (ca.SX.sym(*name) for name in (("p", 3), ("v", len(instrument.parameters)), ("session",)))
-    reading = ca.SX(instrument.reading(point, values, session))
+    point, values, target = (ca.SX.sym(*name) for name in (("p", 3), ("v", len(instrument.parameters)), ("target",)))
+    reading = ca.SX(instrument.reading(point, values, target))
     outputs = [ca.densify(reading), ca.jacobian(reading, point), ca.jacobian(reading, values)]
-    return vectorize(ca.Function("reading", [point, values, session], ca.cse(outputs)))
+    return vectorize(ca.Function("reading", [point, values, target], ca.cse(outputs)))
 
 
 def relative(first: Array, base: Array) -> dict[str, float]:

@@ -35,7 +35,7 @@ class Distance(Instrument):
         stands="center",
     )
 
-    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return distance_to_center(point)
 
     def hidden(self, base: Array) -> frozenset[str]:

@@ -36,7 +36,7 @@ class Plane(Instrument):
         touches="three planes or more\nthat lean differently",
     )
 
-    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return point[2]
 
     def hidden(self, base: Array) -> frozenset[str]:

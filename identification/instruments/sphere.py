@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.instruments.base import PLACE, Guide, register_instrument
+from identification.instruments.base import PLACE, Guide, OwnValue, register_instrument
 from identification.instruments.distance import Distance, distance_to_center
 from identification.instruments.search import Placement
 from identification.instruments.surfaces import CenterStarts, FreeSphereStarts, placed_by_lengths
@@ -45,7 +45,7 @@ class Sphere(Distance):
 
     radius: float | None = None
 
-    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return distance_to_center(point) - (values[0] if self.radius is None else 0.0)
 
     @property
@@ -56,8 +56,13 @@ class Sphere(Distance):
     def parameters(self) -> tuple[Parameter, ...]:
         return (Parameter(RADIUS, "mm", kind=PLACE),) if self.radius is None else ()
 
-    def names(self, parameter: Parameter) -> tuple[str, str]:
-        return "sphere radius", "of ball and stylus tip together; known as well as the size of the arm"
+    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
+        for value in super().own_values(values):
+            text = "of ball and stylus tip together; known as well as the size of the arm"
+            yield value._replace(name="sphere radius", convention=text)
+
+    def unknown(self, values: Mapping[str, float]) -> str:
+        return "radius_mm" if self.radius is None and values.get(RADIUS, 0.0) <= 0.0 else ""
 
     @property
     def size_is_open(self) -> tuple[str, str]:

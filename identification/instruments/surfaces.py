@@ -13,13 +13,13 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from identification.arrays import Array
+from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE
 from identification.instruments.search import ENOUGH, Placement, starts_of_tool
 from identification.kinematics.frames import pose
 
 ROUNDS, SOME = 50, 10  # effort: Gauss-Newton steps of each start, and where a radius is taken that is not right
 FIRST = 3  # steps, after which the best start of 99 of 100 wrong readings leaves at most 1.5 times what its end leaves
 RADII = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
-SMALL = 1e-10  # share of the largest eigenvalue of a normal matrix below which a combination stays
 
 
 def placed_by_lengths(
@@ -94,7 +94,7 @@ class CenterStarts:
         residual, of_surface, of_tool = linear
         columns = np.concatenate([of_surface] * base + [of_tool] * tool, axis=2)
         across = np.swapaxes(columns, 1, 2)
-        inverse = np.linalg.pinv(across @ columns, rcond=SMALL, hermitian=True)
+        inverse = np.linalg.pinv(across @ columns, rcond=PRODUCT_TOLERANCE, hermitian=True)
         change = (inverse @ across @ residual[..., None])[..., 0]
         if tool:
             self.tools = self.tools + change[:, -3:]
@@ -115,7 +115,7 @@ class CenterStarts:
         around = (points - middle) / self.reach
         columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
         target = np.sum(around**2, axis=2) - (self.lengths / self.reach) ** 2
-        solved = [np.linalg.lstsq(a, b, rcond=1e-9)[0] for a, b in zip(columns, target, strict=True)]
+        solved = [np.linalg.lstsq(a, b, rcond=RANK_TOLERANCE)[0] for a, b in zip(columns, target, strict=True)]
         return np.asarray(middle[:, 0] + self.reach * np.array(solved)[:, :3])
 
     def linear(self) -> _Linear:

@@ -21,7 +21,7 @@ class Tracker(Instrument):
     coordinates = (Coordinate("x"), Coordinate("y"), Coordinate("z"))
     reads_positions = True
 
-    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return point
 
     def place(

@@ -206,12 +206,27 @@ class SpatialChain(ByValue):
         }
         stands = BASE in self.known
         hidden = along_axes if stands else along_axes | self.instrument.hidden(self.base)
+        hidden |= {self.turning_with_targets} if self.instrument.own_targets else set()
         return ParameterSet.of(
             p
             for p in self.every_parameter
             if (p.kind.partition("_")[0] not in self.known or p in self.instrument.parameters)
             and (p.name not in hidden and (p.joint != 1 or stands))
         )
+
+    @cached_property
+    def turning_with_targets(self) -> str:
+        """Name of the error of joint 2 that turns all beyond joint 1 about the axis of that, or most nearly does:
+        targets in the frame of the base turn with it, so that no reading shows it. Empty: there is none."""
+        if len(self) < 2 or self.joints[0].type != REVOLUTE:
+            return ""
+        turn, shift, following = self.joints[1].origin[:3, :3].T, self.joints[1].origin[:3, 3], self.joints[1]
+        axis = self.joints[0].axis
+        moved = np.abs(np.r_[turn @ axis * self.levers[0], turn @ np.cross(axis, shift)])  # [mm]
+        if following.type == REVOLUTE:  # its offset stands for the turn about its own axis
+            moved[:3] *= 1.0 - np.abs(following.axis)
+        k = int(np.argmax(moved))
+        return f"{'rotation' if k < DIMENSION else 'translation'}_{AXES[k % DIMENSION]}:2"
 
     @cached_property
     def every_parameter(self) -> ParameterSet:

@@ -170,7 +170,9 @@ class Model:
     def expressions(self) -> Expressions:
         """The model in CasADi symbols, shared with models that have the same."""
         curved = any(effect.curve is not None for effect in self.effects)
-        several, oriented = len(self.arm.chain.tools) > 1, self.arm.chain.angle_scale is not None
+        chain = self.arm.chain
+        several = max(len(chain.tools), len(chain.instrument.targets)) > 1  # reflectors, or targets
+        oriented = chain.angle_scale is not None
         extra = {"past": self.remembers, "marker": several, "orientation": oriented, "errors": curved}
         has = tuple(name for name, there_is in extra.items() if there_is)
         parts = (self.effects, self.all_parameters, self.parameters, self.fixed, has, self.best_known)

@@ -107,7 +107,8 @@ class Expressions:
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         shape, past = postures.shape[:-1], postures if "past" in self.extra else None
         columns = [conditions.table(shape, self.arm.links, payload, past)]
-        marker = np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, shape)[..., None]
+        unsaid = self.arm.chain.instrument.unsaid
+        marker = np.broadcast_to(unsaid if conditions.marker is None else conditions.marker, shape)[..., None]
         if "marker" in self.extra:
             columns.append(marker)
         if "orientation" in self.extra:

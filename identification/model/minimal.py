@@ -18,6 +18,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.kinematics.frames import AXES
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.measurements import Conditions, Measurements
@@ -31,12 +32,15 @@ PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: be
 SEED = 0
 
 
-def minimal(model: Model, least: float = DISTINCT, postures: Array | None = None) -> Model:
+def minimal(
+    model: Model, least: float = DISTINCT, postures: Array | None = None, conditions: Conditions | None = None
+) -> Model:
     """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
     what a calibration says.
 
     least : [mm] what the smallest parameter that counts moves a coordinate by, see `DISTINCT`
     postures : (m, n) that a surface is touched at, which show less than those inside the limits; None: any of these
+    conditions : of these postures, where they tell which target each touches; None: every measured point at each
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     chain = model.arm.chain
@@ -45,7 +49,7 @@ def minimal(model: Model, least: float = DISTINCT, postures: Array | None = None
     parameters = model.parameters
     order = [k for kind in FIRST for k in parameters.indices(kind)]
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
-    kept = set(independent(_jacobian(model, postures)[:, order] * sizes, least))
+    kept = set(independent(_jacobian(model, postures, conditions)[:, order] * sizes, least))
     fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
     return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=chain.fixed | fixed)))
 
@@ -64,10 +68,26 @@ def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT
     placed, chain = placed_model(model, measurements), model.arm.chain
     if not chain.instrument.contact:
         return minimal(placed, least)
+    if chain.instrument.own_targets:
+        shown = minimal(placed, least, measurements.postures, measurements.conditions)
+        return _of_drawn_size(shown) if chain.instrument.size_is_open[0] else shown
     longest_session = measurements.rows(max(measurements.session_rows, key=len))
-    shown = minimal(placed_model(model, longest_session), least, longest_session.postures).arm.chain
-    assert shown is not None
-    return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.fixed)))
+    shown = minimal(placed_model(model, longest_session), least, longest_session.postures)
+    return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.arm.chain.fixed)))
+
+
+def _of_drawn_size(model: Model) -> Model:
+    """The model with the longest step that is a parameter as drawn: readings that do not show the size of the arm would
+    all the same, where they do not fit, fit an arm better that is next to nothing."""
+    chain = model.arm.chain
+    steps = {
+        f"translation_{axis}:{j}": abs(float(step))
+        for j, joint in enumerate(chain.joints, start=1)
+        for axis, step in zip(AXES, joint.origin[:3, :3].T @ joint.origin[:3, 3], strict=True)
+    }
+    longest = max((name for name in model.names if name in steps), key=steps.__getitem__, default="")
+    fixed = chain.fixed | ({longest} if longest else set())
+    return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=fixed)))
 
 
 def placed_calibration(arm: Arm, calibration: Calibration) -> Calibration:
@@ -96,11 +116,14 @@ def independent(columns: Array, least: float = DISTINCT) -> list[int]:
     return kept
 
 
-def _jacobian(model: Model, postures: Array | None) -> Array:
+def _jacobian(model: Model, postures: Array | None, conditions: Conditions | None) -> Array:
     """(N, p) at postures, None: random ones inside the limits, of every measured point."""
     arm, generator = model.arm, np.random.default_rng(SEED)
     if postures is None:
         postures = generator.uniform(arm.lower, arm.upper, (POSTURES, arm.links))
+    if conditions is not None:
+        return model.jacobian(postures, None, conditions).reshape(-1, len(model.parameters))
     markers = len(arm.chain.tools)
-    rows = [model.jacobian(postures, None, Conditions(marker=np.full(len(postures), float(k)))) for k in range(markers)]
+    points = [None] if markers == 1 else [np.full(len(postures), float(k)) for k in range(markers)]
+    rows = [model.jacobian(postures, None, Conditions(marker=point)) for point in points]
     return np.concatenate(rows).reshape(-1, len(model.parameters))

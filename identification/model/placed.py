@@ -35,10 +35,10 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if not isinstance(arm, Arm):
         return model
     chain = with_markers(arm.chain, measurements)
-    settled = chain.known
+    settled, own_targets = chain.known, chain.instrument.own_targets
     if model.known:  # and those whose parameters are all known to the model
         settled |= {BASE, TOOL} - {p.kind for p in model.geometry_parameters if p.name not in model.known}
-    if settled >= {BASE, TOOL}:
+    if settled >= {BASE, TOOL} and not own_targets:
         return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
     rows = some(measurements, measurements.session_rows[0])
     values: dict[str, float] = {}
@@ -52,6 +52,11 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
         chain = replace(chain, base=standing.base)
     if TOOL not in settled:
         chain = replace(chain, tools=standing.tools, tool_axes=standing.tool_axes)
+    if own_targets:
+        frames = tip_frames(standing, measurements.postures, geometry)
+        points = frames[:, :3, 3] + frames[:, :3, :3] @ next(iter(standing.tools.values()))
+        names = measurements.marker_names or ("1",)
+        chain = replace(chain, instrument=chain.instrument.with_targets(points, markers_of(measurements), names))
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
 
 
@@ -77,6 +82,9 @@ def standing_chain(chain: SpatialChain, measurements: Measurements, values: Mapp
     values : best known errors of the geometry
     """
     markers = markers_of(measurements)
+    if chain.instrument.own_targets:  # one measured point, from the rows of the target that is touched most
+        measurements = measurements.rows(np.flatnonzero(markers == np.bincount(markers).argmax()))
+        markers = np.zeros(len(measurements), dtype=np.int64)
     readings = measurements.positions[:, : chain.instrument.dimension]  # of poses the points
     standing = placed_chain(chain, measurements.postures, readings, markers, values)
     if measurements.orientations is None or TOOL in chain.known:
@@ -119,7 +127,7 @@ def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChai
     """
     if chain.angle_scale is not None and measurements.dimension == DIMENSION:
         chain = replace(chain, angle_scale=None)
-    names, tools = measurements.marker_names, chain.tools
+    names, tools = () if chain.instrument.own_targets else measurements.marker_names, chain.tools
     if not names:
         if len(tools) > 1:
             missing = "no column marker, and the arm has several measured points"

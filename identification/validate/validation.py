@@ -23,9 +23,9 @@ from identification.documents.use import FITTED, HARDLY, validation_sections, va
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.expected_tip import left_out_residuals
+from identification.estimation.grouped import LEVEL, gained_squares
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
-from identification.gap.confirmation import LEVEL, Offered, gained_squares
 from identification.information import spectrum
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
 from identification.kinematics.frames import own_axes_angles
@@ -39,6 +39,7 @@ from identification.sessions import placing, start_at_bases, with_base_offset, w
 from identification.validate.origin import check_calibrated, comes_from, extrapolated, identified, outside
 
 if TYPE_CHECKING:  # a diagnosis imports this package
+    from identification.gap.confirmation import Confirmation
     from identification.gap.result import Diagnosis
 
 REFITS = (*DRAWN,)
@@ -297,6 +298,61 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
 
 
 # -- judged before it is offered ---------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Offered:
+    """Distances [mm] that the model offered and the geometry alone leave, each as `identify` and `validate` have it.
+
+    by : `holdout` or `cross-validation` (each posture by a fit to others);  rows : how many
+    rms, largest : of the model;  rms_geometry, largest_geometry : of the geometry, identified on the same rows
+    p_value : one-sided, of no gain
+    """
+
+    by: str
+    rows: int
+    rms: float
+    largest: float
+    rms_geometry: float
+    largest_geometry: float
+    p_value: float
+
+    @classmethod
+    def of(cls, by: str, geometry: Array, model: Array, measurements: Measurements) -> Offered:
+        """From residuals (m, d) [mm] of the same rows."""
+        before, after = distances(geometry), distances(model)
+        rms, rms_geometry = rms_distance(model), rms_distance(geometry)
+        p_value = gained_squares(before, after, measurements).p_above()
+        return cls(by, len(after), rms, float(after.max()), rms_geometry, float(before.max()), p_value)
+
+    @classmethod
+    def of_test(cls, test: Confirmation) -> Offered:
+        """From a test of a model against the base model."""
+        figures = (test.after, test.largest_after, test.before, test.largest_before)
+        return cls(test.by, test.rows, *figures, 1.0 if test.p_shrinks is None else test.p_shrinks)
+
+    @property
+    def better(self) -> bool:
+        """Whether the model predicts better beyond chance, as `validate` judges it."""
+        return self.rms < self.rms_geometry and self.p_value <= LEVEL / 2.0
+
+    @property
+    def sentence(self) -> str:
+        """How the model compares with the geometry."""
+        which = "held-out rows" if self.by == "holdout" else "rows, each predicted by a fit to other postures"
+        own, geometry = f"{self.rms:.3g} mm RMS (largest {self.largest:.3g})", f"{self.rms_geometry:.3g} mm"
+        figures = f"{own} against {geometry} (largest {self.largest_geometry:.3g}) in {self.rows} {which}"
+        if self.better:
+            return f"better than the geometry alone: {figures}"
+        if self.rms >= self.rms_geometry:
+            return f"no better than the geometry alone: {figures}"
+        return f"better than the geometry alone only within chance: {figures}, p = {self.p_value:.2g}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Key `offered` (identification/files/README.md, "JSON keys")."""
+        lengths = {"rms_mm": self.rms, "max_mm": self.largest}
+        lengths |= {"rms_geometry_mm": self.rms_geometry, "max_geometry_mm": self.largest_geometry}
+        return {"by": self.by, "rows": self.rows, **lengths, "p_value": self.p_value, "better": self.better}
+
+
 def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:
     """The diagnosis with what its extended model is worth beside the geometry (`Diagnosis.offered`).
 
@@ -360,12 +416,15 @@ def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
     """Those that a refit may estimate, among others."""
     if arm.chain.planar:
         return Model(with_base_offset(arm)).all_parameters
-    return with_markers(one_unnamed(arm.chain, measurements), measurements).every_parameter
+    chain = with_markers(one_unnamed(arm.chain, measurements), measurements)
+    if chain.instrument.own_targets:
+        chain = placed_model(Model(replace(arm, chain=chain)), measurements).arm.chain
+    return chain.every_parameter
 
 
 def check_names(chain: SpatialChain, measurements: Measurements) -> None:
     """Raise `InputError` for measured points that a chain does not have, where they are not to be estimated."""
-    if len(chain.tools) == 1 == len(measurements.marker_names):
+    if chain.instrument.own_targets or len(chain.tools) == 1 == len(measurements.marker_names):
         return  # one point is the one that is measured, whatever the data call it
     fault = "no column marker, and the arm has several measured points" if not measurements.marker_names else ""
     fresh = [repr(name) for name in measurements.marker_names if name not in chain.tools]
@@ -377,7 +436,7 @@ def check_names(chain: SpatialChain, measurements: Measurements) -> None:
 
 def fresh_points(chain: SpatialChain, measurements: Measurements) -> list[str]:
     """What is said of measured points that the calibration does not have: they are fitted to these measurements."""
-    names = measurements.marker_names
+    names = () if chain.instrument.own_targets else measurements.marker_names
     if not names and len(chain.tools) > 1:
         several = "where they are of several, name them in the column marker"
         return [

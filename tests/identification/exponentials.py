@@ -15,8 +15,14 @@ TABLE = (  # a [mm], alpha [rad], d [mm] of the drawing
 )
 
 
-def drawing() -> SpatialChain:
-    return chain_of([DHRow(*row) for row in TABLE])
+SEVEN = (  # the same with an elbow that swings out
+    *((0.0, HALF, 340.0), (0.0, -HALF, 0.0), (0.0, HALF, 400.0), (0.0, -HALF, 0.0), (0.0, HALF, 400.0)),
+    *((0.0, -HALF, 0.0), (0.0, 0.0, 126.0)),
+)
+
+
+def drawing(table: tuple[tuple[float, float, float], ...] = TABLE) -> SpatialChain:
+    return chain_of([DHRow(*row) for row in table])
 
 
 def twist(axis: Array, point: Array) -> Array:
@@ -35,14 +41,20 @@ def rotations(line: Array, angles: Array) -> Array:
 
 
 class Exponentials:
-    """An arm of six lines in space, all a little off those drawn, that a frame at its end is measured of.
+    """An arm of lines in space, all a little off those drawn, that a frame at its end is measured of.
 
+    table : of the drawing, of six joints
     tool : (4, 4) pose of that frame in the last one of the drawing [mm], None: some pose
     """
 
-    def __init__(self, generator: np.random.Generator, tool: Array | None = None) -> None:
+    def __init__(
+        self,
+        generator: np.random.Generator,
+        tool: Array | None = None,
+        table: tuple[tuple[float, float, float], ...] = TABLE,
+    ) -> None:
         home, lines = np.eye(4), []
-        for a, alpha, d in TABLE:
+        for a, alpha, d in table:
             axis = home[:3, 2] + 2e-3 * generator.standard_normal(3)
             lines.append(twist(axis / np.linalg.norm(axis), home[:3, 3] + 0.5 * generator.standard_normal(3)))
             along, across = np.eye(4), np.eye(4)

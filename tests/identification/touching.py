@@ -41,3 +41,27 @@ def plane(normal: Array, height: float) -> Callable[[Array], Array]:
     """How high points (m, 3) are above a plane [mm]."""
     unit = normal / np.linalg.norm(normal)
     return lambda points: points @ unit - height
+
+
+def seated(truth: Exponentials, centers: Array, noise: float, generator: np.random.Generator) -> Array:
+    """(m, n) postures that bring the measured point to centers (m, 3) in the frame of the base [mm], but for the noise:
+    of random ones the first that end within 160 degrees."""
+    back = np.linalg.inv(truth.base)
+    goals, n = centers + noise * generator.standard_normal(centers.shape), len(truth.lines)
+
+    def left(q: Array, goal: Array) -> Array:
+        return goal - truth.poses(q)[:, :3, 3] @ back[:3, :3].T - back[:3, 3]
+
+    found, todo = np.zeros((len(goals), n)), np.arange(len(goals))
+    while len(todo):
+        q, goal = generator.uniform(-2.2, 2.2, (len(todo), n)), goals[todo]
+        for _ in range(40):
+            slopes = np.stack(
+                [(left(q - e, goal) - left(q + e, goal)) / (2.0 * STEP) for e in STEP * np.eye(n)], axis=2
+            )
+            across = slopes @ np.swapaxes(slopes, 1, 2) + 1e-6 * np.eye(3)
+            steps = np.einsum("mjn,mj->mn", slopes, np.linalg.solve(across, left(q, goal)[..., None])[..., 0])
+            q = q + steps * np.minimum(1.0, 0.4 / np.maximum(np.linalg.norm(steps, axis=1), 1e-12))[:, None]
+        good = (np.linalg.norm(left(q, goal), axis=1) < 1e-7) & (np.abs(q).max(axis=1) < 2.8)
+        found[todo[good]], todo = q[good], todo[~good]
+    return found

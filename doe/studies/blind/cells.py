@@ -23,11 +23,9 @@ from doe.studies.blind.simulator import (
     shift,
     turn,
 )
-from identification.arm import Arm, EffectSpec, Gravity
-from identification.arrays import Array
+from identification import Arm, Array, EffectSpec, Gravity, Measurements
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.spatial import planar_chain
-from identification.measurements import Measurements
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from doe.studies.blind.simulator import (
     scaled_amplitudes,
     wound_up,
 )
-from identification.arrays import Array
+from identification import Array
 
 EVERY_JOINT = "joint_compliance*"  # stands for the compliance of all joints at once
 COMMON = ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple", "gear_ratio", "joint_coupling")

@@ -10,13 +10,11 @@ from importlib.util import find_spec
 import numpy as np
 
 from doe.studies.blind.cells import DataSet
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.arrays import Array
+from identification import Arm, Array, Calibration, EffectSpec, Measurements, Model
 from identification.estimation.uncertainty import freedom_of, quantile_95
 from identification.gap.fit import Rows, fit
 from identification.gap.hypotheses import hypotheses
-from identification.measurements import Measurements, rms_distance
-from identification.model import Model
+from identification.measurements import rms_distance
 from identification.model.minimal import practical
 
 LENGTHS = (0.5, 8.0)  # of the process's kernel; two postures are at most 2 sqrt(n) apart
@@ -65,7 +63,7 @@ def share_inside_tip(arm: Arm, data: DataSet) -> float | None:
 
 def library_gap(data: DataSet) -> float:
     """Held-out gap [mm] of the model with every effect of the library; orders of ripple and single joints left out."""
-    library = hypotheses(data.arm, data.measurements.given)
+    library = hypotheses(data.arm, data.measurements.optional_columns)
     specs = (h.spec for h in library.unscanned if not h.key.startswith("joint_compliance:"))
     return rms_distance(_residuals(data, data.arm.with_effects(*specs))[1])
 

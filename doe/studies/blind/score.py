@@ -14,7 +14,7 @@ import polars as pl
 
 from doe.jobs.rows import frame_of
 from doe.studies.blind.cells import TABLE
-from identification.effects import library
+from identification import library
 
 NOTHING, OUTSIDE = "nothing", "outside the library"
 ALL, ALL_OUTSIDE = "all sets", "all outside the library"  # stand for a cell where a figure is of all of them together

@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.arrays import Array
-from identification.measurements import Measurements
+from identification import Array, Measurements
 
 G = 9.81
 UPRIGHT = np.array([0.0, 0.0, 1.0])

@@ -33,14 +33,9 @@ from doe.studies.blind.rivals import (
     true_arm,
 )
 from doe.studies.blind.score import BARS, BlindStudy, contradictions, scored_table
-from identification.errors import InputError, nearest
+from identification import Diagnosis, InputError, Measurements, Model, Progress, diagnose, nearest, silent
 from identification.estimation.uncertainty import quantile_95
 from identification.files.io import write_together
-from identification.gap.diagnose import diagnose
-from identification.gap.result import Diagnosis
-from identification.measurements import Measurements
-from identification.model import Model
-from identification.progress import Progress, silent
 
 BATCH = 10  # sets per task
 NULL_SETS, SETS = 1000, 400  # data sets per cell, without and with a hidden effect
@@ -99,7 +94,7 @@ def blind_study(
         score = scored_table(truth, diagnoses)
         if folder is not None:
             files = {folder / f"{name}.parquet": parquet(table) for name, table in score.tables.items()}
-            write_together(files, force=True)  # type: ignore[arg-type]
+            write_together(files, force=True)
     return score
 
 

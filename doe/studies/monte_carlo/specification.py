@@ -18,17 +18,24 @@ from pydantic import Field
 
 from doe.plan.plan import Plan, load_plan
 from doe.solvers import SOLVERS
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.arrays import readonly
-from identification.effects import library
-from identification.errors import InputError, nearest
-from identification.files.arm import arm_from_tables, load_arm
+from identification import (
+    Arm,
+    Calibration,
+    EffectSpec,
+    InputError,
+    Model,
+    library,
+    load_arm,
+    nearest,
+    readonly,
+    with_points,
+    without_prior,
+)
+from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
-from identification.files.io import PathLike, named_file, read_toml
+from identification.files.io import named_file, read_toml
 from identification.files.schema import StrictTable, validated
-from identification.for_design import with_points, without_prior
 from identification.kinematics.parameters import GEOMETRY
-from identification.model import Model
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
@@ -244,7 +251,7 @@ def parse_study(tables: dict[str, Any]) -> StudyFile:
     return validated(StudyFile, tables)
 
 
-def load_study(path: PathLike) -> Study:
+def load_study(path: Path | str) -> Study:
     """The study that a TOML file describes; names of files in it are beside it.
 
     Its keys: identification/files/README.md, "Study file".

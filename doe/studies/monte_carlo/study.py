@@ -27,21 +27,28 @@ from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from doe.studies.monte_carlo.specification import CELL, DFT, RANDOM, Study, points
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.errors import JobError
+from identification import (
+    JOINT_OFFSET,
+    PRISMATIC,
+    REVOLUTE,
+    Arm,
+    Array,
+    Conditions,
+    JobError,
+    Measurements,
+    Model,
+    Progress,
+    silent,
+    without_prior,
+)
 from identification.estimation import estimate_batch, estimate_each
 from identification.estimation.batch import sessions
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
-from identification.files.io import PathLike, write_whole
-from identification.for_design import without_prior
+from identification.files.io import write_together
 from identification.information import covariance, covariances
 from identification.kinematics.counting import in_columns, in_joints
-from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, orientation_transform
-from identification.measurements import Conditions, Measurements
-from identification.model import Model
-from identification.progress import Progress, silent
+from identification.kinematics.parameters import orientation_transform
 
 PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
 
@@ -68,7 +75,7 @@ class StudyResult:
 
 def run_study(
     study: Study,
-    folder: PathLike | None = None,
+    folder: Path | str | None = None,
     workers: Workers | None = None,
     *,
     seed: int = 0,
@@ -95,7 +102,7 @@ def run_study(
         blocks = job.run(replicate, [key for key, _ in tasks.values()], BLOCKS, lambda key: tasks[canonical(key)][1])
         cells = pooled_rows(blocks)
         if folder is not None:
-            write_whole(Path(folder) / CELLS, parquet(cells), force=True)
+            write_together({Path(folder) / CELLS: parquet(cells)}, force=True)
     return StudyResult(cells, blocks, plans)
 
 

@@ -31,13 +31,8 @@ from doe.studies.paper.tables import (
     paper_arm,
     paper_truth,
 )
-from identification.arrays import Array
-from identification.errors import InputError, JobError
-from identification.estimation import estimate
-from identification.files.io import PathLike, check_writable, write_together
-from identification.information import spectrum
-from identification.model import Model
-from identification.progress import Progress, silent
+from identification import Array, InputError, JobError, Model, Progress, estimate, silent, spectrum
+from identification.files.io import check_writable, write_together
 from identification.simulate import simulate
 
 WRONG = 0.01  # relative; rounding in the paper explains less
@@ -320,9 +315,7 @@ def paper_study(
             rows[row["table"]] += json.loads(row["rows"])
     frames = {name: frame_of(entries) for name, entries in rows.items()}
     if folder is not None:
-        files: dict[PathLike, str | bytes] = {
-            folder / f"{name}.parquet": parquet(frame) for name, frame in frames.items()
-        }
+        files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in frames.items()}
         write_together(files, force=True)
     return PaperStudy(frames)
 

@@ -109,7 +109,7 @@ def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, SpatialChain]:
 
 def _columns(kind: str) -> tuple[str, ...]:
     """Of a measurement file, those that an instrument in space needs: its readings, or what is touched."""
-    instrument = KINDS[kind] if kind else type(TRACKER)
+    instrument = KINDS[kind]() if kind else TRACKER
     readings = (f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in instrument.coordinates)
     return tuple(readings) or (instrument.target,)
 
@@ -129,12 +129,10 @@ def _files(
         "lower": [-170.0] * n,
         "upper": [170.0] * n,
     }
-    instrument = KINDS.get(kind)
-    rows = 1 if instrument is None else 3  # of one number each instead of three
-    contact = instrument is not None and not instrument.coordinates
-    usual |= {"runs": rows * max(5 * n, 20), "fresh": rows * 12, "masses": [10.0] * n, "contact": contact}
-    usual |= {"guide": None if instrument is None else instrument.guide, "measured": measured}
-    usual |= {"target": "" if instrument is None else instrument.target}
+    instrument = KINDS[kind]() if kind else TRACKER
+    rows = 3 if instrument.dimension == 1 else 1
+    usual |= {"runs": rows * max(5 * n, 20), "fresh": rows * 12, "masses": [10.0] * n, "contact": instrument.contact}
+    usual |= {"guide": instrument.guide if kind else None, "measured": measured, "target": instrument.target}
     values = {**usual, "kind": kind, "columns": columns, "joints": n, "spatial": spatial, **values}
     loader = PackageLoader("identification.files", "first_files")
     environment = Environment(loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)

@@ -56,7 +56,7 @@ def test_what_is_written_is_read(folder: Folder, words: tuple[str, ...], joints:
         read_table(home / "measurements.csv")
 
 
-@pytest.mark.parametrize("kind", ["distance", "sphere", "plane"])
+@pytest.mark.parametrize("kind", ["distance", "sphere", "plane", "socket"])
 @pytest.mark.parametrize("words", [("--dh", "4"), ("--urdf", str(URDF))], ids=["dh", "urdf"])
 def test_files_of_an_instrument_of_lengths(folder: Folder, words: tuple[str, ...], kind: str) -> None:
     """The arm file measures such lengths, rows below the header are read, and the next step is one that works."""
@@ -67,15 +67,17 @@ def test_files_of_an_instrument_of_lengths(folder: Folder, words: tuple[str, ...
     assert arm.chain is not None
     assert arm.chain.instrument.kind == kind
     header = (home / "measurements.csv").read_text()
-    cells = {"order": "1", "distance_mm": "500", "surface": "left"}
+    cells = {"order": "1", "distance_mm": "500", "surface": "left", "cup": "left"}
     (home / "data.csv").write_text(
         header + ",".join(cells.get(name, "20") for name in header.strip().split(",")) + "\n"
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # of columns that are not used
         measured = load_measurements(home / "data.csv", arm)
-    assert measured.positions.tolist() == [[{"distance": 500.0, "sphere": 15.0, "plane": 0.0}[kind]]]
-    steps, column = (home / "README.md").read_text(), "distance_mm" if kind == "distance" else "surface"
+    readings = {"distance": [500.0], "sphere": [15.0], "plane": [0.0], "socket": [0.0, 0.0, 0.0]}
+    assert measured.positions.tolist() == [readings[kind]]
+    steps = (home / "README.md").read_text()
+    column = {"distance": "distance_mm", "socket": "cup"}.get(kind, "surface")
     assert f"| `{column}` |" in steps
     assert ("armcal design" in steps) == (kind == "distance")  # which no touch can have
     assert done.data["next"][-1].partition(": ")[2].startswith(f"armcal {'design' if kind == 'distance' else 'check'}")
@@ -83,14 +85,14 @@ def test_files_of_an_instrument_of_lengths(folder: Folder, words: tuple[str, ...
     validator(schema).validate(tomllib.loads((home / "arm.toml").read_text()))
 
 
-@pytest.mark.parametrize("instrument", ["", "distance", "sphere", "plane"])
+@pytest.mark.parametrize("instrument", ["", "distance", "sphere", "plane", "socket"])
 def test_what_is_commented_out_can_be_put_in(folder: Folder, instrument: str) -> None:
     text = re.sub(r"(?m)^# (?=\[|\w+ = )", "", dh_files(6, instrument)["arm.toml"])
     if not instrument:  # a base that is known stands beside no unknown one
         assert "[base]" in text
     folder.write("arm.toml", text)
     arm = load_arm(folder.path / "arm.toml")
-    assert len(arm.constraints) == (0 if instrument in ("sphere", "plane") else 2)
+    assert len(arm.constraints) == (0 if instrument in ("sphere", "plane", "socket") else 2)
     assert arm.gravity is not None
 
 

@@ -206,3 +206,96 @@ def test_distances_that_show_no_parameter(folder: Folder) -> None:
     refused = folder.armcal("diagnose", "arm.toml", "data.csv")
     assert refused.code == 2
     assert "no parameter of the arm follows from these rows, allowed: " in refused.err
+
+
+SOCKET = """\
+kind = "socket"
+distances_mm = [["A", "B", 360.5]]
+[instrument.cups]
+A = [480.0, -200.0, 150.0]
+B = [480.0, 160.5, 150.0]
+C = [250.0, 450.0, 350.0]
+D = [350.0, -380.0, 380.0]
+[tool]
+x_mm = 50.0
+y_mm = 20.0
+z_mm = 80.0
+"""
+ECCENTRIC = '[[effects]]\nname = "encoder_eccentricity"\njoint = 3\na_deg = 0.05\nb_deg = 0.04\n'
+
+
+def test_the_loop_of_a_socket(folder: Folder) -> None:
+    """Plan, simulated seatings, checks, fit, diagnosis: nothing but joints and the names of cups is measured, and where
+    cups and ball are nobody says."""
+    truth = TRUTH.partition("[calibration.values]")[2].replace('"base.x" = 9.0\n', "")
+    folder.write("arm.toml", SIX + SOCKET)
+    folder.write("truth.toml", SIX + SOCKET + "[calibration.values]" + truth + ECCENTRIC)
+    folder.write("blank.toml", SIX + 'kind = "socket"\ndistances_mm = [["A", "B", 360.5]]\n')
+    for runs, seed, name in (("60", "1", "seats"), ("40", "2", "fresh")):
+        plan = folder.armcal(
+            "design", "arm.toml", "--runs", runs, "--starts", "1", "--seed", seed, "--out", f"{name}.csv"
+        )
+        assert plan.code == 0, plan.err
+        words = "arm.toml", f"{name}.csv", "--truth", "truth.toml", "--seed", seed, "--out", f"{name}d.csv"
+        done = folder.armcal("simulate", *words)
+        assert done.code == 0, done.err
+    header, first = (folder.path / "seatsd.csv").read_text().splitlines()[:2]
+    assert header.split(",")[-1] == "cup"
+    assert first.split(",")[-1] in "ABCD"
+    assert "mm" not in header
+    checked = folder.armcal("check", "blank.toml", "seatsd.csv", "--json")
+    assert checked.code == 0, checked.err
+    assert sorted(checked.data["markers"]) == [*"ABCD"]
+    fit = folder.armcal("identify", "blank.toml", "seatsd.csv", "--json")
+    assert fit.code == 0, fit.err
+    assert not [entry for entry in fit.data["parameters"] if entry["name"].startswith("base")]
+    assert fit.data["expected_tip_mm"] < 1.0  # no tens of millimetres of a turn that nothing shows
+    found = folder.armcal(
+        "diagnose", "blank.toml", "seatsd.csv", "--holdout", "freshd.csv", "--out", "extended.toml", "--json"
+    )
+    assert found.code == 0, found.err
+    assert found.data["effects"] == ["encoder_eccentricity:3"]
+    assert found.data["gap"]["held_out_after_mm"] < 0.04  # 0.017 of noise in three coordinates
+    assert "cup" not in (folder.path / "extended.toml").read_text().partition("[calibration]")[2]
+    again = folder.armcal("validate", "extended.toml", "freshd.csv", "--json")
+    assert again.code == 0, again.err
+    assert again.data["rms_mm"] < 0.03 < 0.5 < again.data["rms_nominal_mm"]
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (
+            'kind = "socket"\ncenter_mm = [1.0, 2.0, 3.0]\n',
+            "instrument.center_mm: found for kind socket, allowed: left out",
+        ),
+        (
+            'kind = "plane"\ncups = {A = [1.0, 2.0, 3.0]}\n',
+            "instrument.cups: found for kind plane, allowed: for socket",
+        ),
+        ('kind = "socket"\ncups = {A = [1.0, 2.0]}\n', "allowed: three numbers"),
+        (
+            'kind = "socket"\ndistances_mm = [["A", 3.0]]\n',
+            "instrument.distances_mm[1][2]: found 3.0, allowed: a list",
+        ),
+        ('kind = "socket"\n[base]\nx_mm = 3.0\n', "base: found with an [instrument] of kind socket, allowed: left out"),
+    ],
+)
+def test_wrong_sockets(folder: Folder, lines: str, said: str) -> None:
+    folder.write("arm.toml", SIX + lines)
+    folder.write("plan.csv", table(np.zeros((2, 6)), run=["1", "2"]))
+    refused = folder.armcal("score", "arm.toml", "plan.csv")
+    assert refused.code == 2
+    assert said in refused.err
+    assert refused.err.count("\n") == 1
+
+
+def test_sockets_without_cups_have_no_plan(folder: Folder) -> None:
+    folder.write("arm.toml", SIX + 'kind = "socket"\n')
+    folder.write("plan.csv", table(np.zeros((2, 6)), run=["1", "2"]))
+    refused = folder.armcal("design", "arm.toml", "--runs", "60")
+    assert refused.code == 2
+    assert "kind socket without cups: where it is touched is not known, allowed for plans: with cups" in refused.err
+    refused = folder.armcal("simulate", "arm.toml", "plan.csv", "--truth", "arm.toml", "--out", "data.csv")
+    assert refused.code == 2
+    assert "instrument: found none of cups" in refused.err

@@ -98,7 +98,7 @@ def test_arm_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ('kind = "tracker"', "instrument.kind: found 'tracker', allowed: distance, plane or sphere"),
+        ('kind = "tracker"', "instrument.kind: found 'tracker', allowed: distance, plane, socket or sphere"),
         ('kind = "distance"\nradius_mm = 3.0', "instrument.radius_mm: found for kind distance, allowed: for sphere"),
         ('kind = "plane"\nradius_mm = 3.0', "instrument.radius_mm: found for kind plane"),
         ('kind = "sphere"\nradius_mm = -3.0', "instrument.radius_mm: found -3.0, allowed: a number > 0"),

@@ -39,7 +39,7 @@ def test_required_columns(tmp_path: Path) -> None:
     data = load(tmp_path, PLAIN, links=2)
     np.testing.assert_allclose(data.postures, np.radians([[30, -60], [90, 0]]))
     np.testing.assert_array_equal(data.positions, [[1.5, 2.5], [-3, 4]])
-    assert data.given == frozenset()
+    assert data.optional_columns == frozenset()
     assert data.provenance == {"file": "data.csv", "sha256": hashlib.sha256(PLAIN.encode()).hexdigest()}
 
 
@@ -83,7 +83,7 @@ def test_time_is_the_order(tmp_path: Path) -> None:
 def test_unknown_columns_are_named_once(tmp_path: Path) -> None:
     text = with_columns(temprature_C=(1, 2), operator=("Ann", ""))
     with pytest.warns(UserWarning, match="not used") as caught:
-        assert load(tmp_path, text).given == frozenset()
+        assert load(tmp_path, text).optional_columns == frozenset()
     message = str(caught[0].message)
     assert len(caught) == 1
     assert "data.csv: columns are not used: 'temprature_C' (did you mean 'temperature_C'?), 'operator'" in message
@@ -194,8 +194,8 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, data: Measurements
     path.write_text(measurement_text(data))
     again = load_measurements(path, data.links)
     np.testing.assert_allclose(again.postures, data.postures, rtol=0, atol=1e-13)
-    assert again.given == data.given
-    for name in ("positions", *data.given):
+    assert again.optional_columns == data.optional_columns
+    for name in ("positions", *data.optional_columns):
         np.testing.assert_array_equal(getattr(again, name), getattr(data, name))
 
 
@@ -203,5 +203,5 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, data: Measurements
 def test_real_measurements() -> None:
     data = load_measurements(UR10, 3)
     assert len(data) == 2773
-    assert data.given == {"order", "temperature"}
+    assert data.optional_columns == {"order", "temperature"}
     assert data_warnings(data, Arm([612.0, 572.3, 115.7])) == []

@@ -9,17 +9,8 @@ import pytest
 from scipy import stats
 
 from identification.arm import Arm
-from identification.gap.confirmation import (
-    GROUPS,
-    Confirmation,
-    Mean,
-    confirm,
-    groupings,
-    mean_of,
-    predicted_from_others,
-    regions,
-    split,
-)
+from identification.estimation.grouped import GROUPS, Mean, groupings, mean_of, regions
+from identification.gap.confirmation import Confirmation, confirm, predicted_from_others, split
 from identification.gap.fit import Rows
 from identification.gap.hypotheses import hypotheses
 from identification.gap.posterior import posterior

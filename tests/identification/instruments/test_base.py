@@ -12,7 +12,7 @@ from identification.kinematics.frames import AXES, from_own_axes, pose
 LENGTHS = [Distance(), Sphere(20.0), Plane()]
 POINTS = np.random.default_rng(0).uniform(-500.0, 500.0, (6, 3))
 STEP = 1e-4  # [mm]
-NOTHING = np.zeros(0), np.zeros(1)  # of its own, and the first session
+NOTHING = np.zeros(0), np.zeros(1)  # of its own, and the first target
 
 
 @pytest.mark.parametrize("instrument", LENGTHS, ids=lambda one: one.kind)

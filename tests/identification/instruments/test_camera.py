@@ -28,7 +28,7 @@ class Camera(Instrument):
     focal: float = 2000.0
     coordinates = (Coordinate("u", "pixel"), Coordinate("v", "pixel"))
 
-    def reading(self, point: ca.SX, values: ca.SX, session: ca.SX) -> ca.SX:
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return self.focal * point[:2] / point[2]
 
 

@@ -9,14 +9,13 @@ import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.estimation import estimate, estimate_with_prior
-from identification.gap.confirmation import Offered
 from identification.gap.diagnose import diagnose
 from identification.gap.library.library_prior import given_by, library_prior
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements, distances
 from identification.model import Model
 from identification.validate import validate
-from identification.validate.validation import identified_geometry, judged, prior_judged
+from identification.validate.validation import Offered, identified_geometry, judged, prior_judged
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
 
 ARM = Arm([300.0, 200.0, 150.0], effects=(EffectSpec("base_offset"),), sigma=0.05)

@@ -1,0 +1,178 @@
+"""A ball seated in cups: calibration without a tracker, judged by cups that the fit has not seen.
+
+Arms are products of exponentials; postures are led to the cups by differences, with the noise of each seating.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.estimation import Identification, estimate
+from identification.information import spectrum
+from identification.instruments import Socket
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.model.minimal import minimal_of
+from identification.model.positions import of_positions
+from identification.sessions import with_sessions
+from tests.identification.exponentials import SEVEN, TABLE, Exponentials, drawing
+from tests.identification.touching import seated
+
+NOISE = 0.05  # [mm] of each coordinate of a seating
+CUPS = {
+    "A": [450.0, -200.0, 100.0],
+    "B": [500.0, 250.0, 150.0],
+    "C": [200.0, 450.0, 350.0],
+    "D": [350.0, -350.0, 400.0],
+}
+UNSEEN = {"E": [550.0, 0.0, 250.0], "F": [250.0, -450.0, 200.0], "G": [400.0, 300.0, 350.0]}
+SEEDS = 4
+
+
+def apart(cups: dict[str, list[float]], first: str, second: str) -> float:
+    return float(np.linalg.norm(np.subtract(cups[first], cups[second])))
+
+
+def rows(
+    truth: Exponentials, cups: dict[str, list[float]], each: int, noise: float, generator: np.random.Generator
+) -> Measurements:
+    """As many orientations of each cup, in random order."""
+    order = generator.permutation(np.repeat([*cups], each))
+    q = seated(truth, np.array([cups[name] for name in order]), noise, generator)
+    return Measurements(q, np.zeros((len(q), 3)), marker=order)
+
+
+def fitted(
+    table: tuple[tuple[float, float, float], ...], seed: int, known: list[tuple[str, str]]
+) -> tuple[Exponentials, Identification]:
+    """60 rows in four cups, with distances between some."""
+    generator = np.random.default_rng(seed)
+    truth = Exponentials(generator, table=table)
+    instrument = Socket(distances=tuple((a, b, apart(CUPS, a, b)) for a, b in known))
+    arm = Arm(replace(drawing(table), instrument=instrument), sigma=NOISE)
+    data = rows(truth, CUPS, 15, NOISE, generator)
+    return truth, estimate(Model(with_sessions(arm, data)), data)
+
+
+def unseen_distances(truth: Exponentials, fit: Identification, seed: int) -> tuple[Array, Array]:
+    """(k,) by how much distances between cups that the fit has not seen are off [mm], and the deviations it says."""
+    data = rows(truth, UNSEEN, 5, 0.0, np.random.default_rng(1000 + seed))
+    model = of_positions(fit.model)
+    chosen = [fit.names.index(name) for name in model.names]
+    points, slopes = model.linearize(data.postures, fit.parameters[chosen])
+    covariance, errors, deviations = fit.covariance[np.ix_(chosen, chosen)], [], []
+    for a, b in combinations(UNSEEN, 2):
+        one, other = (data.marker == name for name in (a, b))
+        across = points[one].mean(axis=0) - points[other].mean(axis=0)
+        slope = across / np.linalg.norm(across) @ (slopes[one].mean(axis=0) - slopes[other].mean(axis=0))
+        errors.append(np.linalg.norm(across) - apart(UNSEEN, a, b))
+        deviations.append(np.sqrt(slope @ covariance @ slope))
+    return np.array(errors), np.array(deviations)
+
+
+@pytest.mark.parametrize("table", [TABLE, SEVEN], ids=["6R", "7R"])
+@pytest.mark.parametrize("known", [[("A", "B")], [("A", "B"), ("C", "D")]], ids=["one bar", "two bars"])
+def test_distances_between_unseen_cups(
+    table: tuple[tuple[float, float, float], ...], known: list[tuple[str, str]]
+) -> None:
+    """To twice the noise of a seating; the deviations that the fit says hold them, as standardized ones of some 3 to 12
+    independent errors (chi2 below 30 of 12: p = .003)."""
+    errors, deviations = zip(
+        *(unseen_distances(*fitted(table, seed, known), seed) for seed in range(SEEDS)), strict=True
+    )
+    assert np.sqrt(np.mean(np.square(errors))) < 2.0 * NOISE
+    assert np.sum(np.square(np.ravel(errors) / np.ravel(deviations))) < 30.0
+
+
+@pytest.mark.parametrize("table", [TABLE, SEVEN], ids=["6R", "7R"])
+def test_without_a_distance_the_size_is_open(table: tuple[tuple[float, float, float], ...]) -> None:
+    """Only the drawing tells it, to a millimetre a link: that is what the fit promises, and it keeps it."""
+    truth, fit = fitted(table, 1, [])
+    errors, deviations = unseen_distances(truth, fit, 1)
+    assert np.all(np.abs(errors) < 3.0 * deviations)
+    assert np.all(deviations > 0.2)
+    assert fit.expected_tip is not None
+    assert fit.expected_tip > 0.5
+    # the size apart, distances are as good as with a bar
+    lengths = np.array([apart(UNSEEN, a, b) for a, b in combinations(UNSEEN, 2)])
+    assert np.std(errors / lengths) * lengths.mean() < 2.0 * NOISE
+
+
+def test_intervals_hold() -> None:
+    """Of distances between cups that were seen: as the values and deviations among the corrected values say."""
+    scores = []
+    for seed in range(2 * SEEDS):
+        _, fit = fitted(TABLE, 20 + seed, [("A", "B")])
+        assert fit.chi2 == pytest.approx(fit.dof, abs=4.0 * np.sqrt(2.0 * fit.dof))
+        for value in fit.corrected_values:
+            if not value.name.startswith("cups "):
+                continue
+            first, second = value.name.removeprefix("cups ").split(" to ")
+            if {first, second} != {"A", "B"}:
+                assert value.corrected is not None
+                assert value.std is not None
+                scores.append((value.corrected - apart(CUPS, first, second)) / value.std)
+    assert len(scores) == 2 * SEEDS * 5
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5  # 40 correlated ones, of which some 20 are independent
+
+
+def test_no_motion_of_arm_and_cups_together_is_a_parameter() -> None:
+    """Six joints have 27 parameters with one measured point; of the six that place the arm none is left, and the cups
+    have three each. A distance ties one; without one the size is that of the drawing."""
+    for known, count in (([("A", "B")], 21 + 11), (list(combinations("ABC", 2)), 21 + 9), ([], 21 + 12 - 1)):
+        generator = np.random.default_rng(3)
+        truth = Exponentials(generator)
+        data = rows(truth, CUPS, 30, 0.0, generator)
+        instrument = Socket(distances=tuple((a, b, apart(CUPS, a, b)) for a, b in known))
+        arm = Arm(replace(drawing(), instrument=instrument), sigma=NOISE)
+        assert not [name for name in Model(arm).names if name.startswith("base")]
+        kept = minimal_of(Model(arm), data)
+        assert len(kept.names) == count
+        fit = estimate(kept, data)
+        assert fit.rms_after < (1e-9 if known else 1.0)  # of an arm of the drawn size
+        jacobian = fit.model.jacobian(data.postures, fit.parameters, data.conditions)
+        assert spectrum(jacobian, fit.model.scales, 1e-7).rank == count
+
+
+def test_cups_keep_distances_that_are_known() -> None:
+    """Wherever the free coordinates are, near to the start; all six distances of a plate, too."""
+    cups = tuple((name, tuple(place)) for name, place in CUPS.items())
+    every = tuple((a, b, apart(CUPS, a, b)) for a, b in combinations(CUPS, 2))
+    for known in (every[:1], (every[0], every[-1]), every[:4], every):
+        socket = Socket(cups, known)  # type: ignore[arg-type]
+        assert len(socket.parameters) == 12 - len(known)
+        values = ca.SX.sym("v", len(socket.parameters))
+        places = ca.Function("places", [values], [socket._places(values)])
+        moved = np.array([p.neutral for p in socket.parameters]) + np.random.default_rng(0).uniform(
+            -2.0, 2.0, len(socket.parameters)
+        )
+        for where in (socket._starts, np.array(places(moved)).ravel()):
+            found = dict(zip(CUPS, where.reshape(-1, 3), strict=True))
+            for a, b, length in known:
+                assert np.linalg.norm(found[a] - found[b]) == pytest.approx(length, abs=1e-6)
+
+
+def test_cups_of_two_days_are_others() -> None:
+    """The bar was moved: its length is the same."""
+    day, next_day = ("monday/A", (0.0, 0.0, 0.0)), ("monday/B", (300.0, 0.0, 0.0))
+    socket = Socket(
+        (day, next_day, ("tuesday/A", (0.0, 99.0, 0.0)), ("tuesday/B", (0.0, 400.0, 0.0))), (("A", "B", 301.0),)
+    )
+    assert len(socket.parameters) == 10
+    socket = replace(socket, cups=(day, ("tuesday/B", (300.0, 0.0, 0.0))))
+    assert len(socket.parameters) == 6
+
+
+def test_distances_that_no_cups_have() -> None:
+    cups = tuple((name, (100.0 * k, 0.0, 0.0)) for k, name in enumerate("ABC"))
+    socket = Socket(cups, (("A", "B", 10.0), ("B", "C", 10.0), ("A", "C", 300.0)))
+    with pytest.raises(InputError, match="distances_mm: no cups are as far apart as A to B, B to C, A to C"):
+        _ = socket.parameters
