@@ -100,8 +100,8 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
     constraints = [CONSTRAINTS[table.kind](**in_api(table, "kind")) for table in file.constraints]
     counting = None
     if file.joints is not None:  # what it leaves out is as usual
-        usual = {"sign": (1,) * n, "coupled_to": (0,) * n, "zero": (0.0,) * n}
-        counting = Counting(**{name: value or usual[name] for name, value in in_api(file.joints).items()})
+        usual: dict[str, Any] = {"sign": (1,) * n, "coupled_to": (0,) * n, "zero": (0.0,) * n}
+        counting = Counting(**usual | in_api(file.joints))
         check_kinds(counting, kinds)
     lower, upper, tied = _joint_limits(file, chain, counting)
     effects = built([_spec(table, k, chain) for k, table in enumerate(file.effects, start=1)], chain)
