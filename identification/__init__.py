@@ -13,17 +13,20 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "effects": "library",
     "measurements": "Conditions Measurements",
     "kinematics.parameters": "EFFECT JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
-    "files.arm": "load_arm",
+    "files.arm": "arm_from_tables load_arm",
+    "files.arm_text": "dump_arm with_effects",
     "files.measurement": "load_measurements",
+    "workflow": "load_sessions",
     # what data say
-    "estimation": "Identification estimate",
+    "estimation": "Identification estimate estimate_batch estimate_each",
     "gap.diagnose": "diagnose",
     "gap.result": "Diagnosis",
+    "gap.detectability": "Detectability detectability",
     # what designs need
-    "for_design": "NEEDS_SIGMA ArmModel design_model refuse_contacts with_points without_prior",
+    "for_design": "with_scatter NEEDS_SIGMA ArmModel design_model refuse_contacts with_points without_prior",
     "information": "identifiability information_matrix spectrum",
     # errors, progress, arrays
-    "errors": "InputError JobError nearest",
+    "errors": "ArmcalError InputError JobError in_one_line nearest",
     "status": "Status",
     "progress": "Progress silent",
     "arrays": "Array readonly",
@@ -36,9 +39,10 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.arm import Arm, Calibration, EffectSpec, Gravity
     from identification.arrays import Array, readonly
     from identification.effects import library
-    from identification.errors import InputError, JobError, nearest
-    from identification.estimation import Identification, estimate
-    from identification.files.arm import load_arm
+    from identification.errors import ArmcalError, InputError, JobError, in_one_line, nearest
+    from identification.estimation import Identification, estimate, estimate_batch, estimate_each
+    from identification.files.arm import arm_from_tables, load_arm
+    from identification.files.arm_text import dump_arm, with_effects
     from identification.files.measurement import load_measurements
     from identification.for_design import (
         NEEDS_SIGMA,
@@ -46,8 +50,10 @@ if TYPE_CHECKING:  # the same for type checkers
         design_model,
         refuse_contacts,
         with_points,
+        with_scatter,
         without_prior,
     )
+    from identification.gap.detectability import Detectability, detectability
     from identification.gap.diagnose import diagnose
     from identification.gap.result import Diagnosis
     from identification.information import identifiability, information_matrix, spectrum
@@ -65,6 +71,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.progress import Progress, silent
     from identification.status import Status
     from identification.threads import single_thread
+    from identification.workflow import load_sessions
 
 
 def __getattr__(name: str) -> Any:

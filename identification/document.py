@@ -132,13 +132,15 @@ class Document:
 class Answer:
     """What a command answers.
 
-    data : the object of --json;  shown : documents and lines for people;  exit_code : 0 done, 1 the job failed
+    data : the object of --json;  shown : documents and lines for people;  result : what both are of, for Python
+    exit_code : 0 done, 1 the job failed
     warnings : doubts that `shown` has too, for those who read `data`
     failure : why files that were asked for are not there, beside an answer that holds all the same
     """
 
     data: dict[str, Any]
     shown: list[Any]
+    result: Any = None
     exit_code: int = 0
     warnings: Sequence[str] = ()
     failure: InputError | None = None

@@ -148,7 +148,7 @@ def check_files(arm: Path, data: Path, *, progress: Progress = silent) -> Answer
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
     inspection = inspect(loaded, measurements, urdf_masses(arm))
-    return Answer(inspection.to_json(), [inspection.document(str(arm), str(data))])
+    return Answer(inspection.to_json(), [inspection.document(str(arm), str(data))], inspection)
 
 
 def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: bool = False, seed: int = 0) -> Answer:
@@ -192,7 +192,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     text = measurement_text(replace(data, fit=wanted.fit), loaded.joint_types, loaded.chain.instrument)
     write_together({out: text}, force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
-    return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"])
+    return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"], data)
 
 
 # -- identify ----------------------------------------------------------------------------------------------------------
@@ -343,7 +343,7 @@ def identify_files(
     )
     failed = refusal is not None or (bool(identified.not_identifiable) and not (out or urdf))
     shown = replace(document.plus(*lines), actions=[] if failed else actions)
-    return Answer(result, [shown], exit_code=int(failed), warnings=doubts)
+    return Answer(result, [shown], identified, int(failed), doubts)
 
 
 def _with_library(arm: Arm, rows: Measurements, names: Sequence[str] | None) -> tuple[LibraryPrior, Arm]:
@@ -588,7 +588,9 @@ def diagnose_files(
         meaning = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
         warnings.warn(f"{curves}: {meaning}; armcal compensate writes commands as the controller counts", stacklevel=2)
     names = [*map(str, (arm, *data))]
-    answer = Answer(diagnosis.to_json() | {"files": names}, [diagnosis.document(names, out)], warnings=doubts)
+    answer = Answer(
+        diagnosis.to_json() | {"files": names}, [diagnosis.document(names, out)], diagnosis, warnings=doubts
+    )
     files: dict[PathLike, str | bytes] = {}
     try:
         if out is not None and diagnosis.confirmed is False and not force:
@@ -653,7 +655,7 @@ def validate_files(
 
         write_together({picture: picture_bytes(validation_figure(validation), picture)}, force)
     notes = [f"{data}: {note}" for note in validation.notes]
-    return Answer(result, [replace(validation.document(), actions=actions)], warnings=notes)
+    return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 
 
 def compensate_files(
@@ -693,7 +695,7 @@ def compensate_files(
         columns = commands.left, arm.joint_types, *wanted_poses, commands.reached, commands.messages
         write_together({out: commands_text(commands.safe_commands, commands.targets, *columns)}, force)
         lines = [f"commands written to {out}"]
-    return Answer(commands.to_json(), [commands.document().plus(*lines)], warnings=commands.warnings)
+    return Answer(commands.to_json(), [commands.document().plus(*lines)], commands, warnings=commands.warnings)
 
 
 # -- the library -------------------------------------------------------------------------------------------------------

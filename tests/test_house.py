@@ -212,6 +212,26 @@ def of_import(node: ast.ImportFrom) -> set[str]:
     return {alias.name for alias in node.names}
 
 
+# what `doe` may take from `identification`: these numbers go down only, to 40 names from 8 modules
+NAMES, MODULES = 123, 36
+
+
+def test_the_door_between_the_packages_is_narrow() -> None:
+    """Names and modules that `doe` imports from `identification`, a module imported as a whole among them none."""
+    sources = [path for path in modules() if path.relative_to(ROOT).parts[0] == "doe"]
+    nodes = [node for path in sources for node in ast.walk(parsed(path.read_text()))]
+    whole = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    taken = [
+        node for node in nodes if isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith("identification.")
+    ]
+    names = {(str(node.module), alias.name) for node in taken for alias in node.names}
+    every = {name_of(path) for path in modules()}
+    assert not [name for name in whole if name.split(".")[0] == "identification"]
+    assert not {f"{module}.{name}" for module, name in names} & every
+    assert len({name for _, name in names}) <= NAMES
+    assert len({module for module, _ in names}) <= MODULES
+
+
 def test_layer_test_sees_an_upward_import() -> None:
     source = "def f():\n    from doe.solvers import solve\n"
     assert {layer(name) for name in imported(source, "identification.model")} == {14}

@@ -8,9 +8,8 @@ from typing import Annotated, Any
 
 from doe.cli.common import stated, verb, with_collisions
 from doe.cli.options import Seconds, written
+from identification import InputError, Progress, silent
 from identification.document import Answer
-from identification.errors import InputError
-from identification.progress import Progress, silent
 from identification.workflow import Names, Picture
 
 
@@ -42,9 +41,7 @@ def command(
     from doe.advise import advise
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification.files.arm import load_arm
-    from identification.for_design import with_scatter
-    from identification.model import Model
+    from identification import Model, load_arm, with_scatter
     from identification.validate.reuse import only as only_these
     from identification.validate.reuse import words_of
 

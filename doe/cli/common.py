@@ -23,13 +23,13 @@ import click
 from doe.cli.options import FOLDER, FileOrShare, FilePath
 from doe.cli.progress import shown_progress
 from doe.cli.stopping import stoppable, stopped_by
+from identification import ArmcalError, InputError, JobError, in_one_line
 from identification.document import Answer, check_picture
-from identification.errors import ArmcalError, InputError, JobError, in_one_line
 from identification.files.io import check_writable, provide_temporary_folder
 from identification.workflow import Folder, Picture, Written
 
 if TYPE_CHECKING:
-    from identification.arm import Arm
+    from identification import Arm
     from identification.document import Document
 
 SHARED_MEMORY = Path("/dev/shm")  # of Linux; may be written to where nothing else may

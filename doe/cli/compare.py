@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from doe.cli.common import verb
 from doe.cli.options import Count, JobOptions, Seconds, WholeNumbers, Workers, interruptible, words
+from identification import InputError, Progress, silent
 from identification.document import Answer
-from identification.errors import InputError
-from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
     import polars
@@ -63,7 +62,7 @@ def command(
     from doe.solvers import available_solvers
     from doe.solvers.solving import check_runs
     from doe.studies.comparison import Comparison, compare, compared_problem, summary
-    from identification.files.arm import load_arm
+    from identification import load_arm
 
     if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")

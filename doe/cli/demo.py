@@ -8,10 +8,9 @@ from pathlib import Path
 
 from doe.cli.common import verb, with_collisions
 from doe.cli.stopping import stopped_by
+from identification import InputError, JobError, Progress, silent
 from identification.document import Answer, Document, picture_bytes
-from identification.errors import InputError, JobError
 from identification.files.io import write_together
-from identification.progress import Progress, silent
 from identification.workflow import Folder
 
 

@@ -12,15 +12,14 @@ import click
 from doe.cli.common import stated, verb, with_collisions
 from doe.cli.options import Count, Seconds, plan_drawing, written
 from doe.cli.problems import CriterionOptions, PostureOptions, design_problem
+from identification import InputError, Progress, silent
 from identification.document import Answer
-from identification.errors import InputError
-from identification.progress import Progress, silent
 from identification.workflow import Picture, Written
 
 if TYPE_CHECKING:
     from doe.design import Design
     from doe.problem.problem import DesignProblem
-    from identification.arm import Arm
+    from identification import Arm
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def command(
     from doe.plan.plan import plan_text
     from doe.problem.uncertain import with_choices
     from doe.report.design import design_document, missing_lines
-    from identification.files.arm import load_arm
+    from identification import load_arm
 
     for option, needed in (("loss", search.discriminating), ("draws", postures.uncertain)):
         if stated(option) and not needed:

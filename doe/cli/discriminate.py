@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 
 from doe.cli.common import verb, with_collisions
 from doe.cli.options import Count, Seconds, written
+from identification import InputError, Progress, load_sessions, silent
 from identification.document import Answer
-from identification.errors import InputError
-from identification.progress import Progress, silent
-from identification.workflow import Written, load_sessions
+from identification.workflow import Written
 
 if TYPE_CHECKING:
-    from identification.arm import Arm
-    from identification.measurements import Measurements
+    from identification import Arm, Measurements
 
 
 @verb("armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5 --out next.csv")
@@ -44,9 +42,8 @@ def command(
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.report.design import missing_payload, next_document
-    from identification.files.arm import load_arm
+    from identification import diagnose, load_arm
     from identification.files.measurement_columns import csv_text
-    from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
     masses = None if payloads is None else payload_list(payloads)
@@ -79,8 +76,7 @@ def command(
 def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:
     """Raises `InputError` for rows of fewer postures than the arm's own parameters need, let alone effects."""
     from doe.problem.problem import DesignProblem
-    from identification.for_design import refuse_contacts
-    from identification.model import Model
+    from identification import Model, refuse_contacts
 
     refuse_contacts(arm.chain)
     postures, fewest = len(set(measurements.posture_numbers.tolist())), DesignProblem.of(Model(arm)).fewest_runs

@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 
 from doe.cli.common import verb
+from identification import InputError, nearest
 from identification.document import Answer
-from identification.errors import InputError, nearest
 
 FORMATS = "formats"
 OTHER_TOPICS = dict.fromkeys(

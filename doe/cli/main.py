@@ -13,7 +13,7 @@ import click
 
 from doe.cli.common import WORDS, PriorOrFile, no_output, verb
 from doe.cli.options import one_thread_each
-from identification.errors import in_one_line, nearest
+from identification import in_one_line, nearest
 from identification.workflow import VERBS as IDENTIFICATION
 
 VERBS = (  # in the order of the work; each has a module here or is a function of identification

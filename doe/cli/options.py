@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from doe.cli.stopping import stopped_by
+from identification import JobError
 from identification.document import picture_bytes
-from identification.errors import JobError
 from identification.files.io import write_together
 from identification.workflow import Folder
 
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from doe.jobs.running import Workers as Pool
-    from identification.arm import Arm
-    from identification.arrays import Array
+    from identification import Arm, Array
 
 Content = str | bytes | Callable[[], "Figure"]
 
@@ -143,7 +142,7 @@ def one_thread_each() -> None:
 
     The matrices are small: more threads made it five times slower (measured), and the tasks use all cores already.
     """
-    from doe.jobs.running import SINGLE_THREAD
+    from identification.threads import SINGLE_THREAD
 
     for name, number in SINGLE_THREAD.items():
         os.environ.setdefault(name, number)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from doe.cli.options import words
-from identification.errors import InputError, nearest
+from identification import InputError, nearest
 from identification.workflow import Names
 
 if TYPE_CHECKING:
     from doe.criteria import Criterion
     from doe.problem.problem import DesignProblem
-    from identification.arm import Arm
+    from identification import Arm
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,8 @@ def design_problem(
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem
+    from identification import Model
     from identification.files.measurement import read_plan
-    from identification.model import Model
 
     name, missing = wanted.name, wanted.effects
     for option, value, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):

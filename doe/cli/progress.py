@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from identification.progress import Progress, silent
+from identification import Progress, silent
 
 if TYPE_CHECKING:  # deferred: it takes long to load
     from rich.progress import ProgressColumn

@@ -13,14 +13,13 @@ import click
 from doe.cli.common import verb, with_collisions
 from doe.cli.options import Count, Seconds, written
 from doe.cli.problems import CriterionOptions, PostureOptions, design_problem
+from identification import InputError, Progress, silent
 from identification.document import Answer
-from identification.errors import InputError
-from identification.progress import Progress, silent
 from identification.workflow import Written
 
 if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
-    from identification.arrays import Array
+    from identification import Array
 
 SECONDS = 40.0  # unless the user says otherwise: a million candidates take a third of its first half
 
@@ -79,7 +78,7 @@ def command(
     from doe.plan.plan import plan_text
     from doe.problem.uncertain import with_choices
     from doe.report.design import cross_check_table, relax_document
-    from identification.files.arm import load_arm
+    from identification import load_arm
 
     loaded = load_arm(arm)
     check_prior_runs(chosen, criterion, held=not loaded.chain.planar and loaded.sigma is not None)

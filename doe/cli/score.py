@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any
 from doe.cli.common import verb, with_collisions
 from doe.cli.options import Content, Seconds, plan_drawing, written
 from doe.cli.problems import CriterionOptions, design_problem
+from identification import InputError
 from identification.document import Answer
-from identification.errors import InputError
 from identification.workflow import Names, Picture
 
 if TYPE_CHECKING:
     from doe.design import Design
     from doe.plan.plan import Plan
-    from identification.arm import Arm
-    from identification.gap.detectability import Detectability
+    from identification import Arm, Detectability
 
 
 ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
@@ -52,8 +51,7 @@ def command(
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error
     from doe.report.design import criteria_lines, design_document
-    from identification.files.arm import load_arm
-    from identification.model import Model
+    from identification import Model, load_arm
 
     loaded, criterion = load_arm(arm), CriterionOptions(robust=robust, missing=missing)
     loaded_plan = load_plan(plan, loaded.joint_types)
@@ -97,8 +95,7 @@ def _scored(arm: Arm, plan: Plan, path: Path, criterion: CriterionOptions, secon
 
 def _preflight(arm: Arm, plan: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
     """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
-    from identification.for_design import without_prior
-    from identification.gap.detectability import detectability
+    from identification import detectability, without_prior
 
     try:
         sees = detectability(without_prior(arm), plan.postures)

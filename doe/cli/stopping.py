@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any, NoReturn
 
-from identification.errors import ArmcalError
+from identification import ArmcalError
 
 AGAIN = 0.01  # [s] after which a signal that was lost is sent again
 

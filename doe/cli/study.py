@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from doe.cli.common import verb
 from doe.cli.options import Count, JobOptions, interruptible
+from identification import InputError, JobError, Progress, nearest, silent
 from identification.document import Answer
-from identification.errors import InputError, JobError, nearest
-from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
     from doe.jobs.running import Workers

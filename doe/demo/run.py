@@ -14,22 +14,10 @@ from doe.plan.plan import Plan, plan_text
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.compensate import compensate
-from identification.compensate.compensation import Compensation
-from identification.estimation import Identification, estimate
-from identification.files.arm import corrected_urdf, load_arm
-from identification.files.arm_text import with_calibration, with_effects
+from identification import Arm, Array, Measurements, Model, Progress, load_arm, load_measurements, silent, with_effects
+from identification.document import Answer
 from identification.files.io import write_together
-from identification.files.measurement import commands_text, load_measurements, measurement_text
-from identification.gap.diagnose import diagnose
-from identification.gap.result import Diagnosis
-from identification.measurements import Measurements, rms_distance
-from identification.model import Model
-from identification.progress import Progress, silent
-from identification.validate import drawing_residuals
-from identification.validate.validation import judged
+from identification.workflow import Written, compensate_files, diagnose_files, identify_files
 
 FRESH, TARGETS = 200, 50  # postures
 
@@ -64,11 +52,16 @@ class Demo:
     design: Design
     data: Measurements
     fresh: Measurements  # random postures that no fit has seen
-    base: Identification
-    diagnosis: Diagnosis
-    extended: Identification
-    compensation: Compensation
+    identified: Answer
+    diagnosed: Answer
+    extended: Answer  # the named effect identified, from the drawing
+    compensated: Answer
     files: tuple[str, ...]
+
+    @property
+    def diagnosis(self) -> Any:
+        """What is missing, a `Diagnosis`."""
+        return self.diagnosed.result
 
     @property
     def noise(self) -> float:
@@ -76,74 +69,72 @@ class Demo:
         return float(np.sqrt(self.arm.dimension) * (self.arm.sigma or 0.0))
 
     @property
-    def residuals(self) -> tuple[Array, Array]:
-        """(m, d) residuals of the drawing and of the final model on the data [mm]."""
-        return self.base.residuals_before, self.extended.residuals_after
-
-    @property
     def drawing_gap(self) -> float:
         """RMS distance between the drawing, where the identification lets it stand, and the fresh measurements [mm]."""
-        return rms_distance(self.base.model.position(self.fresh.postures) - self.fresh.positions)
+        return rms(self.identified.result.model.position(self.fresh.postures) - self.fresh.positions)
 
-    @property
-    def drawing_left(self) -> float:
-        """RMS distance [mm] between the drawing, where it stands fitted, and the measurements."""
-        return rms_distance(drawing_residuals(self.arm, self.data))
-
-    def gap(self, fitted: Identification) -> float:
+    def gap(self, fitted: Answer) -> float:
         """RMS distance [mm] between a fitted model and the fresh measurements."""
-        return rms_distance(self.predicted(fitted) - self.fresh.positions)
+        return rms(self.predicted(fitted) - self.fresh.positions)
 
     @property
     def model_error(self) -> float:
         """RMS distance [mm] between the final model and the hidden arm, without noise, at the fresh postures."""
-        return rms_distance(self.predicted(self.extended) - self.scenario.real(self.fresh.postures))
+        return rms(self.predicted(self.extended) - self.scenario.real(self.fresh.postures))
 
     @property
     def target_errors(self) -> tuple[float, float]:
         """RMS distance [mm] by which the hidden arm misses its targets, sent there as drawn and with the commands."""
-        sent, near = self.compensation, self.compensation.reached
-        misses = (self.scenario.real(q[near]) - sent.targets[near] for q in (sent.nominal, sent.commands))
-        drawn, corrected = map(rms_distance, misses)
+        sent = self.compensated.result
+        near = sent.reached
+        drawn, corrected = (
+            rms(self.scenario.real(q[near]) - sent.targets[near]) for q in (sent.nominal, sent.commands)
+        )
         return drawn, corrected
 
     @property
     def checked(self) -> list[dict[str, Any]]:
         """Rows of `identify` of the parameters whose hidden value is known, with that value as `hidden`."""
         hidden, effects = self.scenario.hidden, [f"{label}." for label in self.diagnosis.effects]
-        rows = self.extended.to_json()["parameters"]
+        rows = self.extended.data["parameters"]
         return [
             row | {"hidden": hidden.get(row["name"], 0.0)}
             for row in rows
             if self.scenario.every_parameter or any(row["name"].startswith(label) for label in effects)
         ]
 
-    def predicted(self, fitted: Identification) -> Array:
+    def predicted(self, fitted: Answer) -> Array:
         """(m, d) positions [mm] of a fitted model at the fresh postures."""
-        return fitted.model.position(self.fresh.postures, fitted.parameters, self.fresh.conditions)
+        fit = fitted.result
+        return np.asarray(fit.model.position(self.fresh.postures, fit.parameters, self.fresh.conditions))
 
     def to_json(self, directory: Path) -> dict[str, Any]:
         """The JSON object of `armcal demo`."""
         return {
             "directory": directory,
             "design": self.design.to_json(),
-            "identify": self.base.to_json() | {"rms_drawing_mm": self.drawing_left},
-            "diagnose": self.diagnosis.to_json(),
+            "identify": self.identified.data,
+            "diagnose": self.diagnosed.data,
             "fresh_gap_mm": {
                 "drawing": self.drawing_gap,
-                "identified": self.gap(self.base),
+                "identified": self.gap(self.identified),
                 "extended": self.gap(self.extended),
                 "noise": self.noise,
             },
             "hidden": {
                 "parameters": self.checked,
                 "model_error_mm": self.model_error,
-                "targets_reached": int(self.compensation.reached.sum()),
+                "targets_reached": int(self.compensated.result.reached.sum()),
                 "targets_as_drawn_mm": self.target_errors[0],
                 "targets_corrected_mm": self.target_errors[1],
             },
             "files": list(self.files),
         }
+
+
+def rms(residuals: Array) -> float:
+    """Root mean square over rows (m, d) of the distance [mm]."""
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
 
 
 STEPS = ("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "commands", "page")
@@ -164,11 +155,15 @@ def run_demo(
         write_together({directory / name: text}, force=force)
         files.append(name)
 
+    def to_write(name: str) -> Written:
+        files.append(name)
+        return Written(directory / name)
+
     def measured(name: str, postures: Array) -> Measurements:
         """Simulated measurements as the commands read them from the file, rounding included."""
         exact = scenario.real(postures)
         noise = (arm.sigma or 0.0) * generator.standard_normal(exact.shape)
-        write(name, measurement_text(Measurements(postures, exact + noise)))
+        write(name, Measurements(postures, exact + noise).to_frame(joint_types=arm.joint_types).write_csv())
         return load_measurements(directory / name, arm)
 
     begin()
@@ -184,22 +179,19 @@ def run_demo(
     data = measured("data.csv", design.plan.postures)
     fresh = measured("fresh.csv", random_postures(problem, FRESH, generator))
     begin()
-    base = estimate(Model(arm), data)
+    path, rows = directory / "arm.toml", directory / "data.csv"
+    urdf = None if arm.chain.planar else to_write("corrected.urdf")
+    identified = identify_files(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
     begin()
-    diagnosis = judged(diagnose(arm, data, holdout=fresh, seed=seed), arm, data, fresh)
+    diagnosed = diagnose_files(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
     begin()
-    extended = estimate(Model(arm.with_effects(*arm.effects, *diagnosis.named.specs)), data)  # from the drawing
-    text = scenario.files["arm.toml"]
-    write("calibrated.toml", with_calibration(text, base.calibration(), directory))
-    with_effect = with_effects(text, diagnosis.named.specs, directory)
-    write("extended.toml", with_calibration(with_effect, extended.calibration(), directory))
-    if base.geometry is not None:  # of an arm from a URDF file: corrected, without effects
-        write("corrected.urdf", corrected_urdf(directory / "arm.toml", base.geometry.real))
+    write("extended.toml", with_effects(scenario.files["arm.toml"], diagnosed.result.named.specs, directory))
+    named = Written(directory / "extended.toml")
+    extended = identify_files(named, rows, out=named, force=True)
     begin()
     targets = random_postures(problem, TARGETS, generator)  # where the nominal arm would be there the real one is to go
-    compensation = compensate(extended.calibrated_arm(), postures=targets)
-    write("targets.csv", plan_text(Plan(targets)))
-    write("commands.csv", commands_text(compensation.safe_commands, compensation.targets, compensation.errors))
+    write("targets.csv", plan_text(Plan(targets), arm.joint_types))
+    compensated = compensate_files(named, directory / "targets.csv", out=to_write("commands.csv"), force=force)
     begin()
-    results = base, diagnosis, extended, compensation
-    return Demo(scenario, arm, problem, design, data, fresh, *results, tuple(files))
+    answers = identified, diagnosed, extended, compensated
+    return Demo(scenario, arm, problem, design, data, fresh, *answers, tuple(files))

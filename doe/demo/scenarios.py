@@ -10,9 +10,7 @@ import numpy as np
 
 from doe.demo.run import Scenario
 from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
-from identification.arrays import Array
-from identification.files.arm import arm_from_tables
-from identification.model import Model
+from identification import Array, Model, arm_from_tables
 
 FOLDER = Path(__file__).parent
 PLANAR_ARM = (FOLDER / "planar_arm.toml").read_text()

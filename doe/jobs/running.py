@@ -34,6 +34,7 @@ import numpy as np
 
 from doe.jobs.rows import Key, Row, RowTable, canonical, made
 from identification import InputError, JobError, Progress, silent
+from identification.threads import SINGLE_THREAD
 
 if TYPE_CHECKING:
     import polars
@@ -355,7 +356,6 @@ def _client(address: str, patience: float) -> Iterator[Any]:
 
 
 # -- processes of our own ----------------------------------------------------------------------------------------------
-SINGLE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 QUIET = {
     "PYTHONSAFEPATH": "1",
     "PYTHONFAULTHANDLER": "",

@@ -104,8 +104,6 @@ def plan_text(plan: Plan, joint_types: int | Sequence[str] | None = None) -> str
 
 
 # -- from weights to whole numbers of runs -----------------------------------------------------------------------------
-
-
 def apportion(weights: Array, runs: int) -> NDArray[np.int64]:
     """(k,) whole numbers that sum to `runs`, near runs * weights; at least one each where runs >= k.
 

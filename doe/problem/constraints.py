@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.problem.model import Offers, offered
-from identification import REVOLUTE, Array, InputError, design_model, workspace
+from identification import REVOLUTE, Array, InputError, design_model
+from identification.workspace import PostureCondition, distance_to_segment
 
 # every plan in space says this, in words and as the key `collisions_checked`, until collisions are looked at
 COLLISIONS = (
@@ -36,7 +37,7 @@ PART = 1000  # postures at a time, whose sections stay in the processor's cache
 FLAT = 1e-9  # [mm] lengths that divide nothing
 
 
-class Constraint(workspace.PostureCondition, Protocol):
+class Constraint(PostureCondition, Protocol):
     """A condition on one posture, satisfied where all margins are >= 0."""
 
     def symbolic(self, q: ca.SX) -> ca.SX:
@@ -49,16 +50,16 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
     model, made = design_model(model), list[Constraint]()
     for limit in getattr(model, "constraints", ()):
         space = offered(model, "space", "constraints")
-        if isinstance(limit, workspace.ColumnLimits):
+        if limit.kind == "joint_limits":
             made.append(WithinColumn(limit, model.reach if model.joint_types[limit.joint - 1] == REVOLUTE else 1.0))
-        elif isinstance(limit, workspace.WorkspaceBox):
+        elif limit.kind == "workspace_box":
             sides = [limit.x, limit.y, limit.z or (-ANYWHERE, ANYWHERE)][:space]
             made.append(InsideBox(model, tuple(side[0] for side in sides), tuple(side[1] for side in sides)))
-        elif isinstance(limit, workspace.KeepOutCylinder):
+        elif limit.kind == "keep_out_cylinder":
             made.append(OutsideCylinder(model, limit))
-        elif isinstance(limit, workspace.KeepOutCircle):
+        elif limit.kind == "keep_out_circle":
             made.append(OutsideSphere(model, limit.center, limit.radius))
-        elif isinstance(limit, workspace.LineOfSight):
+        elif limit.kind == "line_of_sight":
             made.append(InSight(model, limit) if space == 2 else InView(model, limit))
     return tuple(made)
 
@@ -71,7 +72,7 @@ class WithinColumn:
     unit : [mm] that stands for one of the limits' unit
     """
 
-    limits: workspace.ColumnLimits
+    limits: Any
     unit: float
     kind: str = "joint_limits"
 
@@ -118,7 +119,7 @@ class OutsideSphere:
     def margin(self, postures: Array) -> Array:
         """(m, k - 1) distance of every link from the sphere [mm]."""
         points = self.chain.points(postures)
-        return workspace.distance_to_segment(np.array(self.center), points[:, :-1], points[:, 1:]) - self.radius
+        return distance_to_segment(np.array(self.center), points[:, :-1], points[:, 1:]) - self.radius
 
     def symbolic(self, q: ca.SX) -> ca.SX:
         """(k - 1,) (distance^2 - radius^2) / (2 radius): smooth, and nearly the distance near the sphere."""
@@ -135,7 +136,7 @@ class InSight:
     """
 
     chain: Offers
-    sight: workspace.LineOfSight
+    sight: Any
     kind: str = "line_of_sight"
 
     def __post_init__(self) -> None:
@@ -166,7 +167,7 @@ class OutsideCylinder:
     """Every link stays outside a cylinder with flat ends [mm]."""
 
     model: Offers
-    cylinder: workspace.KeepOutCylinder
+    cylinder: Any
     kind: str = "keep_out_cylinder"
 
     def margin(self, postures: Array) -> Array:
@@ -223,7 +224,7 @@ class InView:
     """
 
     model: Offers
-    sight: workspace.LineOfSight
+    sight: Any
     kind: str = "line_of_sight"
 
     @cached_property
@@ -296,7 +297,7 @@ class Expression:
 # -- geometry ----------------------------------------------------------------------------------------------------------
 def signed_gap(a: Array, b: Array, c: Array, d: Array) -> Array:
     """(...) distance between segments a-b and c-d of a plane; negative by how deep they cross: it is continuous."""
-    ends = [workspace.distance_to_segment(*points) for points in ((a, c, d), (b, c, d), (c, a, b), (d, a, b))]
+    ends = [distance_to_segment(*points) for points in ((a, c, d), (b, c, d), (c, a, b), (d, a, b))]
     one_across = cross(b - a, c - a) * cross(b - a, d - a) < 0.0
     other_across = cross(d - c, a - c) * cross(d - c, b - c) < 0.0
     return np.where(one_across & other_across, -1.0, 1.0) * np.minimum.reduce(ends)

@@ -52,25 +52,10 @@ class EnsembleModel:
             raise InputError(f"draws: shape {draws.shape}, allowed: (K, {p}) finite numbers")
         object.__setattr__(self, "draws", draws)
 
-    @property
-    def joint_types(self) -> tuple[str, ...]:
-        """As of the model."""
-        return self.model.joint_types
-
-    @property
-    def lower(self) -> Array:
-        """As of the model."""
-        return self.model.lower
-
-    @property
-    def upper(self) -> Array:
-        """As of the model."""
-        return self.model.upper
-
-    @property
-    def sigma(self) -> float | None:
-        """As of the model."""
-        return self.model.sigma
+    joint_types = property(lambda self: self.model.joint_types, doc="(n) as of the model.")
+    lower = property(lambda self: self.model.lower, doc="(n,) as of the model.")
+    upper = property(lambda self: self.model.upper, doc="(n,) as of the model.")
+    sigma = property(lambda self: self.model.sigma, doc="As of the model.")
 
     @cached_property
     def parameters(self) -> ParameterSet:

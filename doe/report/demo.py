@@ -10,6 +10,7 @@ from doe.demo.run import Demo
 from doe.design import optimality_in_words
 from doe.report.design import design_verdict, plan_section
 from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm, draw_side
+from identification import Model
 from identification.document import (
     Action,
     Document,
@@ -17,22 +18,20 @@ from identification.document import (
     Section,
     Sheet,
     number,
-    to_significant_digits,
-    unit_or_dash,
 )
-from identification.documents.diagnosis import diagnosis_sections, diagnosis_verdict
-from identification.documents.pictures import Compared, joint_errors
-from identification.model import Model
+from identification.documents.pictures import Compared
 
 
 def demo_document(demo: Demo) -> Document:
     """Plan, certificate, identification, gap, and what was hidden."""
-    data = demo.diagnosis.to_json()
+    diagnosed = demo.diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
     lead = (
-        "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only."
+        "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only. "
+        "Its error on the fresh postures is that of the named effect alone; the one of the diagnosis is that of the "
+        "model that predicts, an average over all that may be missing."
     )
     truth = Section("Against the truth", [lead, *truth_tables(demo)])
-    sections = [identified_section(demo), *diagnosis_sections(data, demo.diagnosis, demo.drawing_left), truth]
+    sections = [identified_section(demo), *diagnosed.parts, truth]
     actions = [
         Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
         Action(
@@ -40,7 +39,7 @@ def demo_document(demo: Demo) -> Document:
         ),
         Action("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
-    verdict = [*diagnosis_verdict(data), demo_summary(demo)]
+    verdict = [*diagnosed.verdict, demo_summary(demo)]
     return Document(f"armcal demo: {demo.scenario.title}", verdict, [*sections, *plan_sections(demo)], actions)
 
 
@@ -61,7 +60,7 @@ def demo_summary(demo: Demo) -> str:
     drawn, corrected = demo.target_errors
     return (
         f"A plan of {len(demo.design.plan)} runs ({optimality(demo, 4)}). The RMS error on 200 fresh postures falls "
-        f"from {demo.drawing_gap:.2f} mm (nominal) to {demo.gap(demo.base):.3f} mm (calibrated) and "
+        f"from {demo.drawing_gap:.2f} mm (nominal) to {demo.gap(demo.identified):.3f} mm (calibrated) and "
         f"{demo.gap(demo.extended):.3f} mm ({last_model(demo)}); measurement noise alone gives {demo.noise:.3f} mm. "
         f"Commands corrected with this model miss their targets by {corrected:.3f} mm, uncorrected ones by "
         f"{drawn:.2f} mm."
@@ -70,14 +69,15 @@ def demo_summary(demo: Demo) -> str:
 
 def identified_section(demo: Demo) -> Section:
     """How the gap closes, step by step, on the data and on fresh random postures that no step has seen."""
-    named, arm, fresh = demo.diagnosis.effects, demo.extended.calibrated_arm(), demo.fresh
+    named, arm, fresh = demo.diagnosis.effects, demo.extended.result.calibrated_arm(), demo.fresh
+    base, extended = demo.identified.data, demo.extended.data
     errors = {
-        "nominal (from the drawing)": (demo.base.rms_before, demo.drawing_gap),
-        "geometry identified": (demo.base.rms_after, demo.gap(demo.base)),
-        last_model(demo): (demo.extended.rms_after, demo.gap(demo.extended)),
+        "nominal (from the drawing)": (base["rms_before_mm"], demo.drawing_gap),
+        "geometry identified": (base["rms_after_mm"], demo.gap(demo.identified)),
+        last_model(demo): (extended["rms_after_mm"], demo.gap(demo.extended)),
     }
     rows = [[name, *map(number, figures)] for name, figures in errors.items()]
-    before, after = (fresh.positions - demo.predicted(fit) for fit in (demo.base, demo.extended))
+    before, after = (fresh.positions - demo.predicted(fit) for fit in (demo.identified, demo.extended))
     compared = Compared(arm, fresh.postures, before, after, fresh.conditions, Model(arm), named)
     model = f"the model {last_model(demo)}" if named else "the same model"
     signed = compared.pictures("the geometry identified", model)
@@ -90,10 +90,10 @@ def truth_tables(demo: Demo) -> list[Sheet]:
     """Estimates with intervals beside the hidden truth; the last model and its commands against the hidden arm."""
     rows = []
     for row in demo.checked:
-        figures = [to_significant_digits(row[key], row["std"]) for key in ("value", "low_95", "high_95")]
-        rows.append([row["name"], *figures, number(row["hidden"]), unit_or_dash(row["unit"])])
+        figures = [f"{row[key]:.4g}" for key in ("value", "low_95", "high_95")]
+        rows.append([row["name"], *figures, number(row["hidden"]), row["unit"]])
     drawn, corrected = demo.target_errors
-    reached = int(demo.compensation.reached.sum())
+    reached = int(demo.compensated.result.reached.sum())
     errors = {
         "last model: where the tip is, at the fresh postures": demo.model_error,
         f"hidden arm from {reached} targets, sent there as drawn": drawn,
@@ -142,7 +142,7 @@ def overview_figure(demo: Demo) -> Figure:
 
 def draw_gap(axes: Axes, demo: Demo) -> None:
     """RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names."""
-    heights = [demo.drawing_gap, demo.gap(demo.base), demo.gap(demo.extended)]
+    heights = [demo.drawing_gap, demo.gap(demo.identified), demo.gap(demo.extended)]
     names = ["drawing", "identified", "effect\nadded"]
     axes.plot(names, heights, color="0.8", lw=1, zorder=1)
     axes.scatter(names, heights, color=[LIMIT, BEFORE, AFTER], s=90, zorder=2)
@@ -157,11 +157,11 @@ def draw_gap(axes: Axes, demo: Demo) -> None:
 def draw_cause(axes: Axes, demo: Demo) -> None:
     """Residuals turned into the joint angle error they mean, against the joint that the diagnosis names."""
     joint = next((spec.joint for spec in demo.diagnosis.named.specs if spec.joint), 1)
-    q, levers = np.degrees(demo.fresh.postures[:, joint - 1]), demo.extended.model.joint_levers(demo.fresh.postures)
-    for fit, color, name in ((demo.base, BEFORE, "identified"), (demo.extended, AFTER, "effect added")):
-        predicted = fit.model.position(demo.fresh.postures, fit.parameters, demo.fresh.conditions)
-        errors = joint_errors(levers, demo.fresh.positions - predicted)[:, joint - 1]
-        axes.plot(q, np.degrees(errors), ".", color=color, ms=4, label=name)
+    fresh, q = demo.fresh, np.degrees(demo.fresh.postures[:, joint - 1])
+    before, after = (fresh.positions - demo.predicted(fit) for fit in (demo.identified, demo.extended))
+    errors = Compared(demo.arm, fresh.postures, before, after, fresh.conditions).errors
+    for each, color, name in zip(errors, (BEFORE, AFTER), ("identified", "effect added"), strict=True):
+        axes.plot(q, np.degrees(each[:, joint - 1]), ".", color=color, ms=4, label=name)
     axes.set(xlabel=f"joint {joint} [deg]", ylabel="joint angle error [deg]")
     axes.legend(frameon=False, fontsize=9)
     axes.set_title(f"3. diagnosis:\n{' + '.join(demo.diagnosis.effects) or demo.diagnosis.verdict}", fontsize=10)

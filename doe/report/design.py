@@ -15,10 +15,8 @@ from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
-from identification.arrays import Array
+from identification import EFFECT, Array, Model
 from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
-from identification.kinematics.parameters import EFFECT
-from identification.model import Model
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -26,9 +24,7 @@ if TYPE_CHECKING:
     from doe.discrimination.design import DiscriminationDesign
     from doe.discrimination.t_optimal import NextPostures
     from doe.plan.plan import Plan
-    from identification.arm import Arm
-    from identification.gap.result import Diagnosis
-    from identification.measurements import Measurements
+    from identification import Arm, Diagnosis, Measurements
 
 Data = Mapping[str, Any]  # what a command says with --json
 
@@ -367,12 +363,17 @@ def spans(runs: Sequence[int]) -> list[str]:
 
 
 # -- armcal relax ------------------------------------------------------------------------------------------------------
+SHOWN = 5e-6  # of the weights: smaller ones would be printed as zero
+
+
 def relax_document(design: ApproximateDesign) -> Document:
     """Value, bound and efficiency, then the support, heaviest first."""
     where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
     order = np.argsort(-design.plan.shares, kind="stable")
     weighted = zip(design.plan.shares[order], design.plan.displayed[order], strict=True)
-    rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted]
+    rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted if weight >= SHOWN]
+    unseen = len(design.plan) - len(rows)
+    rest = [f"and {unseen} more of less weight than {SHOWN:g}; --json and --out have them"] if unseen else []
     facts: list[tuple[str, str | None]] = [
         ("criterion", f"{design.criterion} over {where}, {len(design.plan)} with positive weight"),
         ("value", number(design.value, 9)),
@@ -382,9 +383,8 @@ def relax_document(design: ApproximateDesign) -> Document:
         ("solver", f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s"),
         ("status", design.status.value),
     ]
-    return Document(
-        "Weights", [], [Facts(facts), Sheet(["weight", *posture_headings(design.plan)], rows, "Support", 24)]
-    )
+    support = Sheet(["weight", *posture_headings(design.plan)], rows, "Support", 24)
+    return Document("Weights", [], [Facts(facts), support, *rest])
 
 
 def cross_check_table(compared: CrossCheck) -> Sheet:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,16 +13,12 @@ from matplotlib.ticker import MaxNLocator
 
 from doe.advise import Advice
 from doe.problem.problem import DesignProblem
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
-from identification.model import Model
-from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox, circle_across
+from identification import PRISMATIC, REVOLUTE, Arm, Array, Model
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
 MANY = 500  # more stick figures only cover each other; more points are drawn smaller, as pixels in vector formats
 SIDES = ((22.0, -60.0), (22.0, 30.0))  # [deg] elevation and azimuth of the two views of a spatial arm
-RING = np.linspace(0.0, 2.0 * np.pi, 49)
+PLANE = "xy"
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
@@ -52,7 +49,7 @@ def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
     """Every joint's angles within its limits; of sliding joints where they are between them."""
     types = Model(arm).joint_types
     for j, kind in enumerate(types):
-        factor = FILE_UNITS[JOINT_UNITS[kind]][1]
+        factor = in_files(kind)[1]
         limits = [factor * arm.lower[j], factor * arm.upper[j]]
         joints.plot(limits, [j, j], color=LIMIT, lw=6, alpha=0.35, solid_capstyle="butt")
         colors = run_colors(len(postures))
@@ -62,6 +59,11 @@ def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
     joints.set_xlabel(" or ".join(sorted({labels[kind] for kind in types})))
     joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
     joints.invert_yaxis()
+
+
+def in_files(kind: str) -> tuple[str, float]:
+    """Unit of a joint of this type in files and pictures, and one of the API in it."""
+    return ("mm", 1.0) if kind == PRISMATIC else ("deg", float(np.degrees(1.0)))
 
 
 def run_colors(m: int) -> Array:
@@ -80,82 +82,37 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
 
 
 def draw_constraints(axes: Any, arm: Arm) -> None:
-    """Workspace boxes, what to keep out of, the tracker and its cone."""
+    """Workspace boxes, what to keep out of, the tracker and its cone; in space as far as the axes reach."""
+    cut = {} if arm.dimension == len(PLANE) else {"axlim_clip": True}
     for line, color in outlines(arm):
-        axes.plot(*line.T, color=color, lw=0.8, ls="--")
-        if color == FORBIDDEN and line.shape[1] == 2:
+        dense = np.concatenate([np.linspace(start, end, 20) for start, end in pairwise(line)])
+        axes.plot(*dense.T, color=color, lw=0.8, ls="--", **cut)
+        if color == FORBIDDEN and not cut:
             axes.fill(*line.T, color=color, alpha=0.25, lw=0)
-    for constraint in arm.constraints:
-        if isinstance(constraint, LineOfSight):
-            axes.plot(*np.array([constraint.tracker]).T, "k^", ms=6)
+    for tracker in (one.tracker for one in arm.constraints if hasattr(one, "tracker")):
+        axes.plot(*np.array([tracker]).T, "k^", ms=6, **cut)
 
 
-def draw_side(axes: Any, arm: Arm, postures: Array, side: tuple[float, float] = SIDES[0], zoom: float = 1.0) -> None:
+def draw_side(axes: Any, arm: Arm, postures: Array, side: tuple[float, float] = SIDES[0], zoom: float = 1.1) -> None:
     """A spatial arm at postures (m, n) and what constrains it, from one side.
 
     zoom : of the box in its place, whose sides have the same scale
     """
     draw_arm(axes, arm, postures)
+    limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])  # of the arm: a tracker may be far from it
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     draw_constraints(axes, arm)
     axes.tick_params(labelsize=7)
     for one in (axes.xaxis, axes.yaxis, axes.zaxis):
         one.set_major_locator(MaxNLocator(4))
-    limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
     axes.set_box_aspect(limits[:, 1] - limits[:, 0], zoom=zoom)
     axes.view_init(*side)
 
 
 def outlines(arm: Arm) -> list[tuple[Array, str]]:
     """Lines (k, d) and colors of what constrains an arm: boxes, circles, spheres, cylinders, the tracker's cone."""
-    lines: list[tuple[Array, str]] = []
-    for constraint in arm.constraints:
-        if isinstance(constraint, WorkspaceBox):
-            lines += [(edges, LIMIT) for edges in _box(constraint, not arm.chain.planar)]
-        elif isinstance(constraint, KeepOutCircle):
-            rings = [_ring(axis)[:, : arm.dimension] for axis in np.eye(3)[list(arm.chain.turning)]]
-            lines += [(np.array(constraint.center) + constraint.radius * ring, FORBIDDEN) for ring in rings]
-        elif isinstance(constraint, KeepOutCylinder):
-            ends = np.array([constraint.start, constraint.end])
-            first, last = (end + constraint.radius * _ring(ends[1] - ends[0]) for end in ends)
-            sides = [np.array(pair) for pair in zip(first[::12], last[::12], strict=True)]
-            lines += [(line, FORBIDDEN) for line in (first, last, *sides)]
-        elif isinstance(constraint, LineOfSight):
-            lines += [(line, LIMIT) for line in _cone(constraint)]
-    return lines
-
-
-def _ring(axis: Array) -> Array:
-    """(49, 3) unit circle around an axis."""
-    one, other = circle_across(axis)
-    return np.asarray(np.cos(RING)[:, None] * one + np.sin(RING)[:, None] * other)
-
-
-def _box(box: WorkspaceBox, space: bool) -> list[Array]:
-    """The four edges in a plane or of a floor without limits of height, or the twelve in space."""
-    corners = np.array([(box.x[i], box.y[j]) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))])
-    if not space:
-        return [corners]
-    low, high = box.z or (0.0, 0.0)
-    floors = [np.column_stack([corners, np.full(5, height)]) for height in {low, high}]
-    return [*floors, *(np.array([(x, y, low), (x, y, high)]) for x, y in corners[:4])]
-
-
-def _cone(sight: LineOfSight) -> list[Array]:
-    """In a plane its two sides, in space its end and four lines to it; as far as the tracker or the arm reaches."""
-    tracker = np.array(sight.tracker)
-    axis = np.array(sight.toward) - tracker
-    unit, far = axis / np.linalg.norm(axis), float(np.linalg.norm(axis))
-    if len(tracker) == 2:
-        turn = np.array(
-            [
-                [np.cos(sight.half_angle), -np.sin(sight.half_angle)],
-                [np.sin(sight.half_angle), np.cos(sight.half_angle)],
-            ]
-        )
-        return [np.stack([tracker + 1.3 * far * (turn.T @ unit), tracker, tracker + 1.3 * far * (turn @ unit)])]
-    length = 1.2 * far if sight.reach is None else sight.reach[1]
-    end = tracker + length * (np.cos(sight.half_angle) * unit + np.sin(sight.half_angle) * _ring(axis))
-    return [end, *(np.stack([tracker, place]) for place in end[:-1:12])]
+    shapes = [(one.outlines(arm.dimension), one.forbidden) for one in arm.constraints]
+    return [(line, FORBIDDEN if forbidden else LIMIT) for lines, forbidden in shapes for line in lines]
 
 
 def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096, steps: int = 61) -> Figure:
@@ -179,7 +136,7 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
 
     at_plan = d(postures)
     for axis, joint in zip(axes, active, strict=True):
-        unit, factor, _ = FILE_UNITS[JOINT_UNITS[problem.model.joint_types[joint]]]
+        unit, factor = in_files(problem.model.joint_types[joint])
         values, largest = np.linspace(problem.lower[joint], problem.upper[joint], steps), []
         for value in values:
             held = others.copy()

@@ -20,7 +20,7 @@ from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo.specification import CELL
 from doe.studies.monte_carlo.study import StudyResult
 from doe.studies.paper.study import PaperStudy
-from identification.arrays import Array
+from identification import Array
 from identification.document import Part, Sheet, picture_bytes
 from identification.files.io import write_together
 

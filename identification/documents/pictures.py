@@ -64,6 +64,13 @@ class Compared:
     model: Model | None = None
     named: Collection[str] = ()
 
+    @property
+    def errors(self) -> tuple[Array, Array]:
+        """(m, n) errors of each joint [rad, mm] that the residuals of either model mean."""
+        levers = Model(self.arm).joint_levers(self.postures, conditions=self.conditions)[:, POINT]
+        before, after = (joint_errors(levers, r[:, : levers.shape[1]]) for r in (self.before, self.after))
+        return before, after
+
     def pictures(self, before: str, after: str) -> Pictures:
         """The pictures and how they are read; before, after : the models in words."""
         return Pictures(lambda: [caption(before, after, self.named), *signed_figures(self)])

@@ -141,8 +141,8 @@ def _iterated(problem: Problem) -> BatchFit:
         for part in _chunks(len(rest), m):
             sets = rest[part]
             problems = problem.rows(sets)
-            own = shared if attempt == 0 else problems.linearize(parameters[sets], np.arange(len(sets)))[1]
-            parameters[sets], rss[sets], stationary[sets] = chord_steps(problems, own, parameters[sets])
+            jacobians = shared if attempt == 0 else problems.linearize(parameters[sets], np.arange(len(sets)))[1]
+            parameters[sets], rss[sets], stationary[sets] = chord_steps(problems, jacobians, parameters[sets])
     status[stationary] = Status.converged
     rest = np.flatnonzero(~stationary)
     for part in _chunks(len(rest), m):

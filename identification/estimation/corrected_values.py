@@ -1,9 +1,8 @@
 """The result to type in: nominal and corrected value of every length, zero of a joint, frame and effect.
 
 Values are those that a controller or a kinematic table has, not errors. In space they are functions of several
-parameters; their standard deviations follow from the covariance by first derivatives (delta method).
-
-The corrected Denavit-Hartenberg table with intervals: a complete set of values, none of which is arbitrary.
+parameters; their standard deviations follow from the covariance by first derivatives (delta method). The corrected
+Denavit-Hartenberg table is a complete set of values, none of which is arbitrary.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
@@ -46,6 +44,14 @@ TOOL = "measured point in the frame of the tip"
 STANDS = "where the arm stands: type it into the controller only if the measurements are in the controller's own frame"
 TURNED = f"zero of joint 1 with how the arm is turned, {STANDS}"
 EFFECT = "no value of a controller: armcal compensate takes it off the commands"
+UNITS = {"theta": "deg", "d": "mm", "a": "mm", "alpha": "deg", "beta": "deg"}
+MEANING = {
+    "theta": "offset: what joint {j} adds to its reading, in the table",
+    "d": "along the axis of joint {j}",
+    "a": "between the axes of joints {j} and {k}",
+    "alpha": "between the axes of joints {j} and {k}",
+    "beta": "turn about the new y axis after alpha (Hayati), as axes {j} and {k} are nearly parallel; d stays as drawn",
+}
 
 
 @dataclass(frozen=True)
@@ -138,7 +144,10 @@ def _row(
     before: Array,
     seen: Array | None,
 ) -> CorrectedValue:
-    at, slope = _slope(quantity, places)
+    # parameters that it depends on, by their places in order, and its derivatives by them
+    used = sorted((places[name], slope) for name, slope in quantity.derivatives.items() if slope and name in places)
+    at = np.array([place for place, _ in used], dtype=np.intp)
+    slope = np.array([slope for _, slope in used], dtype=float)
     undetermined, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
     if calibration.covariance is not None and at.size and not undetermined:
         deviation = max(float(slope @ calibration.covariance[np.ix_(at, at)] @ slope), 0.0) ** 0.5
@@ -153,12 +162,6 @@ def _row(
     if std is not None and prior is not None and seen is not None:
         held = bool(slope @ seen[np.ix_(at, at)] @ slope > (1.0 - LITTLE) * prior**2)
     return CorrectedValue(*about, value, std, low, high, quantity.unit, quantity.convention, prior, held)
-
-
-def _slope(quantity: _Quantity, places: Mapping[str, int]) -> tuple[NDArray[np.intp], Array]:
-    """(k,) parameters that it depends on, by their places in order, and its derivatives by them."""
-    used = sorted((places[name], slope) for name, slope in quantity.derivatives.items() if slope and name in places)
-    return np.array([place for place, _ in used], dtype=np.intp), np.array([slope for _, slope in used], dtype=float)
 
 
 # -- what there is -----------------------------------------------------------------------------------------------------
@@ -205,6 +208,10 @@ def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[st
         for name, step in steps.items()
     }
     for place, table in corrected.items():
+        convention = BASE if place == "base" else TOOL
+        if place.startswith("joint "):
+            j, frame = int(place.removeprefix("joint ")), FRAME if "roll_deg" in table else TURNED_FRAME
+            convention = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
         for key, value in table.items():
             slopes = {
                 name: _nearest(up[place][key] - down[place][key], 0.0, key) / (2.0 * steps[name])
@@ -214,7 +221,7 @@ def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[st
             nominal = drawn[place][key] + 0.0 if place.startswith("joint ") else None  # no -0
             axis, _, unit = key.rpartition("_")
             value = value if nominal is None else _nearest(value, nominal, key)
-            yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, _convention(place, table))
+            yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, convention)
     for name, parameter, value, by_name, unit, convention in chain.instrument.own_values(values):
         yield _Quantity(name, parameter, None, value, dict(by_name), unit, convention)
 
@@ -242,24 +249,7 @@ def _nearest(value: float, to: float, key: str) -> float:
     return value - 360.0 * round((value - to) / 360.0) if key.endswith("_deg") else value
 
 
-def _convention(place: str, table: Mapping[str, float]) -> str:
-    if not place.startswith("joint "):
-        return BASE if place == "base" else TOOL
-    j = int(place.removeprefix("joint "))
-    convention, before = FRAME if "roll_deg" in table else TURNED_FRAME, "the base" if j == 1 else f"joint {j - 1}"
-    return convention.format(j=j, before=before)
-
-
-UNITS = {"theta": "deg", "d": "mm", "a": "mm", "alpha": "deg", "beta": "deg"}
-MEANING = {
-    "theta": "offset: what joint {j} adds to its reading, in the table",
-    "d": "along the axis of joint {j}",
-    "a": "between the axes of joints {j} and {k}",
-    "alpha": "between the axes of joints {j} and {k}",
-    "beta": "turn about the new y axis after alpha (Hayati), as axes {j} and {k} are nearly parallel; d stays as drawn",
-}
-
-
+# -- the table of Denavit and Hartenberg -------------------------------------------------------------------------------
 class Calibrated(NamedTuple):
     """A geometry that was found: `names` (p,) with covariance (p, p) and degrees of freedom (p,), units by name."""
 

@@ -142,8 +142,15 @@ def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
 
 
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
-    """Links whose length changes sign or by the order of the length; in space frames far from where they are drawn."""
-    sentences = frames_far_off(model, parameters)
+    """Links whose length changes sign or by the order of the length; in space the correction of a frame that is the
+    largest, where no machining is that wrong."""
+    limits, sentences = {ROTATION_ERROR: TURNED, TRANSLATION_ERROR: MOVED * model.reach}, list[str]()
+    excess = [abs(x) / limits.get(p.kind, np.inf) for p, x in zip(model.parameters, parameters, strict=True)]
+    if excess[worst := int(np.argmax(excess))] > 1.0:
+        p = model.parameters[worst]
+        correction = f"{p.name} comes out as {parameters[worst] * p.to_file:.4g} {p.file_unit}"
+        other = "other units, joints in another order or with another sign? armcal check tells"
+        sentences.append(f"implausible: {correction}; {other}")
     for p, value, estimable in zip(model.parameters, parameters, identifiable, strict=True):
         if p.kind == LENGTH_ERROR and p.joint is not None and estimable:
             length = float(model.arm.lengths[p.joint - 1])
@@ -151,20 +158,6 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
                 comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
                 sentences.append(f"implausible: {comparison}; another arm, frame or unit?")
     return sentences
-
-
-def frames_far_off(model: Model, parameters: Array) -> list[str]:
-    """Which correction of a spatial arm's frames is the largest, where no machining is that wrong."""
-    limits = {ROTATION_ERROR: TURNED, TRANSLATION_ERROR: MOVED * model.reach}
-    excess = [
-        abs(x) / limits[p.kind] if p.kind in limits else 0.0 for p, x in zip(model.parameters, parameters, strict=True)
-    ]
-    worst = int(np.argmax(excess))
-    if excess[worst] <= 1.0:
-        return []
-    parameter = model.parameters[worst]
-    correction = f"{parameter.name} comes out as {parameters[worst] * parameter.to_file:.4g} {parameter.file_unit}"
-    return [f"implausible: {correction}; other units, joints in another order or with another sign? armcal check tells"]
 
 
 def another_frame(arm: Arm, measurements: Measurements) -> list[str]:

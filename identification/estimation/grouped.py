@@ -84,15 +84,15 @@ def groupings(postures: Array, repeats: Groups, time: Array) -> tuple[Groups, Gr
 
 def regions(postures: Array) -> Groups:
     """(m,) region of each posture, by repeated bisection at the median of the joint with the widest range."""
-    found = np.zeros(len(postures), dtype=np.int64)
+    numbers = np.zeros(len(postures), dtype=np.int64)
     for _ in range(int(np.log2(min(GROUPS, len(postures))))):
-        halves = np.zeros_like(found)
-        for region in np.unique(found):
-            rows = np.flatnonzero(found == region)
+        halves = np.zeros_like(numbers)
+        for region in np.unique(numbers):
+            rows = np.flatnonzero(numbers == region)
             widest = int(np.argmax(np.ptp(postures[rows], axis=0)))
             halves[rows[np.argsort(postures[rows, widest], kind="stable")[len(rows) // 2 :]]] = 1
-        found = 2 * found + halves
-    return np.asarray(np.unique(found, return_inverse=True)[1])
+        numbers = 2 * numbers + halves
+    return np.asarray(np.unique(numbers, return_inverse=True)[1])
 
 
 def gained_squares(before: Array, after: Array, measurements: Measurements) -> Mean:

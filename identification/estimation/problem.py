@@ -327,11 +327,11 @@ def starts(problem: Problem) -> Array:
     The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
     """
     best_known = np.tile(problem.start, (len(problem.positions), 1))
-    chain = problem.model.arm.chain if isinstance(problem.model, Model) else None
-    if chain is not None:
-        own = {parameter.name for parameter in chain.instrument.parameters}
-        if numbers := [k for k, name in enumerate(problem.model.names) if name in own]:
-            return _with_instrument(problem, best_known, chain.instrument, numbers)
+    if isinstance(problem.model, Model):
+        instrument = problem.model.arm.chain.instrument
+        names = {parameter.name for parameter in instrument.parameters}
+        if numbers := [k for k, name in enumerate(problem.model.names) if name in names]:
+            return _with_instrument(problem, best_known, instrument, numbers)
     form = problem.model.closed_form
     if form is None:
         return best_known
@@ -342,11 +342,11 @@ def starts(problem: Problem) -> Array:
     return np.where((problem.squares(best_known) < problem.squares(solved))[:, None], best_known, solved)
 
 
-def _with_instrument(problem: Problem, starts: Array, instrument: Instrument, own: list[int]) -> Array:
-    """(K, p) starts (K, p) with the parameters of the instrument, whose numbers are `own`, as they explain the readings
-    best, and all others as they fit best with those of them that the instrument holds first."""
+def _with_instrument(problem: Problem, starts: Array, instrument: Instrument, numbers: list[int]) -> Array:
+    """(K, p) starts (K, p) with the parameters of the instrument, by their numbers, as they explain the readings best,
+    and all others as they fit best with those of them that the instrument holds first."""
     least = problem.least_squares
-    starts, held = instrument.settled(starts, problem.residuals, own)
+    starts, held = instrument.settled(starts, problem.residuals, numbers)
 
     def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
         residuals, jacobian = least.linearize(parameters, index)

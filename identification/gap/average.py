@@ -18,17 +18,14 @@ from identification.arrays import Array
 from identification.gap.blocks import Linearized
 from identification.gap.columns import WAVES, Where
 from identification.gap.curve import Curve
+from identification.gap.detectability import LEVEL
 from identification.gap.evidence import Index
 from identification.gap.hypotheses import Block
-from identification.gap.posterior import WRITTEN, Posterior
+from identification.gap.posterior import Posterior
+from identification.information import VISIBLE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.sessions import SESSIONS
-
-# convention: of the rest of the library; if less likely, the average is over the sets without it
-LIKELY = 0.5
-VARIES = 1e-8  # least eigenvalue of correlations; numerical: those of the average have rounding of 1e-9
-TIDY = 7  # decimals of a value in degrees, in files; numerical: 2e-6 mm at 1 m
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +52,9 @@ def mixture_of(found: Posterior) -> Mixture:
 
     The base's are those beside what an arm file can have: what it cannot have stays with the base.
     """
-    rest = sum(one.probability for one in found.explanations if one.rest)
-    likely = [one for one in found.explanations if rest >= LIKELY or not one.rest]
+    # with the rest of the library, dozens of effects, only where it is likelier than not
+    rest = sum(one.probability for one in found.explanations if one.rest) >= 0.5
+    likely = [one for one in found.explanations if rest or not one.rest]
     total = sum(one.probability for one in likely)
     shares: dict[str, float] = {}
     blocks: dict[str, Block] = {}
@@ -66,7 +64,7 @@ def mixture_of(found: Posterior) -> Mixture:
         for label in inside:
             shares[label] = shares.get(label, 0.0) + one.probability / total
     order = {label: k for k, label in enumerate(found.order)}
-    kept = [b for b in blocks.values() if shares[b.label] >= WRITTEN and not b.row]
+    kept = [b for b in blocks.values() if shares[b.label] >= LEVEL and not b.row]
     kept.sort(key=lambda b: order.get(b.label, len(order)))
     widths = {b.label: c.shape[2] for p in found.problems for b, c in zip(p.blocks, p.columns, strict=True)}
     g = len(found.whole.base)
@@ -77,7 +75,7 @@ def mixture_of(found: Posterior) -> Mixture:
     squares = effective = 0.0
     for number, problem in enumerate(found.problems):
         weight = sum(one.probability for one in likely if one.noise == number) / total
-        drawn = [m for m in found.moments[number][: 1 + (rest >= LIKELY)] if m.count]
+        drawn = [m for m in found.moments[number][: 1 + rest] if m.count]
         if not drawn or weight == 0.0:
             continue
         turn, draws = _to_parameters(problem, places, g, count), sum(m.count for m in drawn)
@@ -210,7 +208,7 @@ def beside_known(covariance: Array, kept: Index, known: Index) -> Array:
     sizes = np.sqrt(np.diag(covariance)[known].clip(min=0.0))
     scale = np.where(sizes > 0.0, sizes, np.inf)
     values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(scale, scale))
-    seen = values > VARIES
+    seen = values > VISIBLE
     across = covariance[np.ix_(kept, known)] / scale @ (vectors[:, seen] / np.sqrt(values[seen]))
     return covariance[np.ix_(kept, kept)] - across @ across.T
 
@@ -226,7 +224,7 @@ def _curve(found: Posterior, mixed: Mixture, block: Block, part: Index, values: 
     covariance = beside_known(mixed.covariance, part, np.arange(len(base)))
     error, variance = functions @ mixed.mean[part], np.sum((functions @ covariance) * functions, axis=1)
     geometry = dict(zip(base, mixed.response[:, part] @ mixed.mean[part], strict=True))
-    table = basis.table(np.radians(np.round(np.degrees(error[::2]), TIDY)))
+    table = basis.table(np.radians(np.round(np.degrees(error[::2]), 7)))
     table = replace(table, geometry=_tied(model, geometry, values))
     std = np.sqrt(np.maximum(variance, 0.0))
     return Curve(basis.joint + 1, table, std)

@@ -26,7 +26,6 @@ from identification.error_curve import ErrorCurve, local_splines
 from identification.model import Model
 from identification.vectorize import vectorize
 
-KEPT = 128  # effort: models compiled and formulas set up, of some arms
 WAVES = 30  # half periods of an error curve over the angles of its joint; convention: what a person would call smooth
 # an effect's class, joint, and names of its settings where they are scanned, else names and values
 Key = tuple[type[Effect], int | None, tuple[str, ...] | tuple[tuple[str, float], ...]]
@@ -161,7 +160,7 @@ def _symbols(arm: Arm, remembers: bool) -> Symbols:
     return Symbols(arm, remembers)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache
 def _formulas(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> Formulas:
     """Symbolic slopes of these effects, built once for equal arms."""
     effects, symbols = [], list[ca.SX]()

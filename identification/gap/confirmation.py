@@ -26,8 +26,8 @@ from identification.gap.detectability import LEVEL, POWER
 from identification.gap.fit import Fit
 from identification.gap.noise import NoiseFloor
 from identification.gap.posterior import Posterior
+from identification.gap.search import MOST
 from identification.gap.set_up import SESSION, held_out_conditions, placed_residuals, transfer_of
-from identification.gap.verdict import MOST
 from identification.information import RANK_TOLERANCE, column_space_of
 from identification.measurements import POINT, Conditions, Measurements, distances
 

@@ -31,7 +31,7 @@ from identification.gap.detectability import Beside, assess, look_alikes, order_
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import misfit, noise_floor, repeat_finding
-from identification.gap.posterior import MOST_ROWS, STAGES, Explanation, Posterior, posterior
+from identification.gap.posterior import MOST_ROWS, NOISES, PASSES, Explanation, Posterior, posterior
 from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, candidate_of, trials
 from identification.gap.scatter import Finding
@@ -93,7 +93,7 @@ def diagnose(
     require_spare(base.freedom, len(rows))
     if holdout is not None:
         check_same_arm(base, measurements, holdout)
-    shares = iter(np.linspace(0.1, 0.7, STAGES, endpoint=False).tolist())
+    shares = iter(np.linspace(0.1, 0.7, PASSES + NOISES + 1, endpoint=False).tolist())
     found = posterior(library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}"))
     progress(0.7, 1.0, "step 3 of 3: fits, tests on other rows")
     result = diagnosis_of(found, measurements, holdout, generator, numbers + 1)

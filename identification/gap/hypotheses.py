@@ -22,7 +22,7 @@ from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
 from identification.effects.rare import RARE
-from identification.gap.columns import KEPT, Basis, Bundle, Where, bundles
+from identification.gap.columns import Basis, Bundle, Where, bundles
 from identification.gap.fit import Fit, Rows
 from identification.information import column_space
 from identification.kinematics.parameters import PRISMATIC
@@ -126,7 +126,7 @@ class Hypothesis(Block):
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache
 def _modelled(arm: Arm, classes: tuple[type[Effect], ...]) -> Model:
     """Model of an arm;  classes : of its effects, part of the key as users can redefine an effect"""
     return Model(arm)

@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 from identification.arrays import Array
 from identification.estimation.outlying import together
 from identification.gap.blocks import Linearized, linearized
+from identification.gap.detectability import LEVEL
 from identification.gap.evidence import State
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import Block, Hypothesis, HypothesisSet, with_further_orders
@@ -22,11 +23,8 @@ from identification.progress import Tell, say_nothing
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
 PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
-UNLIKELY = 3.0  # effort: log odds below the best, of a noise model that is not searched
 STRIKING = 3.0  # effort: robust standard deviations of a row that may be outlying
-WRITTEN = 0.05  # convention: probability of a block from which on it is part of the model that is written
 MOST_WRONG = 30  # effort: rows that may be outlying
-STAGES = PASSES + NOISES + 1  # that are told, at most
 
 
 @dataclass(frozen=True)
@@ -127,6 +125,12 @@ class Climbed(NamedTuple):
         """Of the set's blocks."""
         return tuple(self.problem.blocks[b].label for b in self.top.blocks)
 
+    @property
+    def likely(self) -> list[int]:
+        """Numbers of the noises that are not unlikely, likeliest first."""
+        order = np.argsort(-self.scores, kind="stable").tolist()
+        return [k for k in order if self.scores[k] > self.scores.max() + np.log(LEVEL)]
+
 
 def posterior(
     library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell = say_nothing
@@ -134,64 +138,50 @@ def posterior(
     """The posterior of these rows.
 
     Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same
-    angle); the blocks and noises that are not unlikely there are then weighed with all rows.
+    angle); the last pass has all of them, with the set and the noises that are not unlikely in the sample.
     """
-    if len(rows) <= MOST_ROWS:
-        return _walked(_climbed(library, rows, PASSES, tell), rows, generator, tell)
-    sample = rows.pick(np.sort(generator.permutation(len(rows))[:MOST_ROWS]))
-    return _walked(_with_all_rows(_climbed(library, sample, PASSES - 1, tell), rows, tell), rows, generator, tell)
+    return _walked(_climbed(library, rows, generator, tell), rows, generator, tell)
 
 
-def _climbed(library: HypothesisSet, rows: Rows, passes: int, tell: Tell) -> Climbed:
+def _climbed(library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell) -> Climbed:
     """A likely set, linearized at itself and under its likeliest noise."""
-    chosen: tuple[str, ...] = ()
-    at, number = fit(library.base, rows), 0
-    for turn in range(passes):
-        tell(f"pass {turn + 1}")
-        wrong, every = _striking(rows, at), list(noises(rows, at))
+    few = rows if len(rows) <= MOST_ROWS else rows.pick(np.sort(generator.permutation(len(rows))[:MOST_ROWS]))
+    at, noise, names, turn = fit(library.base, few), ("", 0.0), set[str](), 0
+    climbed: Climbed | None = None
+    while True:
+        turn += 1
+        tell(f"pass {turn}")
+        wrong, every = _striking(few, at), [n for n in noises(few, at) if not names or n.name in names]
+        number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)
         problem = linearized(library, at, every[number].rows, wrong)
-        search, numbers = search_of(library, problem), problem.numbers
-        top = search.climb(tuple(sorted(numbers[label] for label in chosen if label in numbers)))
-        found = _with_noises(library, at, every, number, wrong, problem, search, top)
-        likely = int(np.argmax(np.where(np.arange(len(every)) == number, found.scores + ROUNDING, found.scores)))
-        settled = found.labels == chosen and likely == number
-        if turn == passes - 1:
-            break
+        search, chosen = search_of(library, problem), () if climbed is None else climbed.labels
+        top = search.products.nothing if climbed is None else _same_set(climbed, problem, search)
+        top = top if names else search.climb(top.blocks)
+        climbed = _with_noises(library, at, every, number, wrong, problem, search, top)
+        likely = int(np.argmax(np.where(np.arange(len(every)) == number, climbed.scores + ROUNDING, climbed.scores)))
+        settled = climbed.labels == chosen and likely == number
+        if turn == PASSES:
+            return climbed
         if not settled:
-            chosen, number = found.labels, likely
-            kept = np.ones(len(rows), dtype=bool)
+            noise = every[likely].name, every[likely].size
+            kept = np.ones(len(few), dtype=bool)
             kept[[_row_of(problem.blocks[k]) for k in top.blocks if problem.blocks[k].row]] = False
-            at = fit(library.model(_named(found)), every[likely].rows.pick(kept), at.by_name)
-        wider = with_further_orders(library, every[likely].rows, at, _named(found))
-        if settled and wider is library:
-            break
+            at = fit(library.model(_named(climbed)), every[likely].rows.pick(kept), at.by_name)
+        wider = with_further_orders(library, every[likely].rows, at, _named(climbed))
+        if few is not rows and turn == PASSES - 1:
+            few, at = rows, fit(at.model, rows, at.by_name)
+            names = {noise[0], *(every[k].name for k in climbed.likely)}
+        elif settled and wider is library and few is rows:
+            return climbed
         library = wider
-    return found
-
-
-def _with_all_rows(sample: Climbed, rows: Rows, tell: Tell) -> Climbed:
-    """The set of a sample, and the noises that are not unlikely there, in the problem of all rows."""
-    tell("all rows")
-    chosen, least = sample.every[sample.noise], sample.scores.max() - UNLIKELY
-    names = {chosen.name, *(n.name for n, score in zip(sample.every, sample.scores, strict=True) if score > least)}
-    at = fit(sample.at.model, rows, sample.at.by_name)
-    every = [n for n in noises(rows, at) if n.name in names]
-    number = next(k for k, n in enumerate(every) if (n.name, n.size) == (chosen.name, chosen.size))
-    wrong = _striking(rows, at)
-    problem = linearized(sample.library, at, every[number].rows, wrong)
-    search = search_of(sample.library, problem)
-    top = _same_set(sample, problem, search)
-    return _with_noises(sample.library, at, every, number, wrong, problem, search, top)
 
 
 def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> State:
     """A set, as far as another problem has its blocks."""
-    inside = [
-        (problem.numbers[label], size)
-        for label, (_, size) in zip(climbed.labels, climbed.top.key, strict=True)
-        if label in problem.numbers
-    ]
-    return search.products.state(inside)
+    sized = zip(climbed.labels, climbed.top.key, strict=True)
+    return search.products.state(
+        [(problem.numbers[label], size) for label, (_, size) in sized if label in problem.numbers]
+    )
 
 
 def _with_noises(
@@ -240,21 +230,18 @@ def _holds(block: Block) -> bool:
 
 def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: Tell) -> Posterior:
     """The posterior around a likely set, under each noise that is not unlikely."""
-    order = [int(k) for k in np.argsort(-climbed.scores, kind="stable") if k != climbed.noise]
-    order = [k for k in order if climbed.scores[k] > climbed.scores.max() - UNLIKELY][: NOISES - 1]
     models = []
-    for k in [climbed.noise, *order]:
-        noise = climbed.every[k]
+    for k in [climbed.noise, *(k for k in climbed.likely if k != climbed.noise)][:NOISES]:
+        noise, under = climbed.every[k], climbed
         tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
-        there = climbed
         if k != climbed.noise:
             problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong)
             search = search_of(climbed.library, problem)
-            there = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
-        models.append((noise, *_near_walk(there, generator), float(climbed.offset[k])))
+            under = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
+        models.append((noise, *_near_walk(under, generator), float(climbed.offset[k])))
     found = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
     lacking = sum(one.probability for one in found.explanations if not all(map(_holds, one.blocks)))
-    if lacking < WRITTEN:
+    if lacking < LEVEL:
         return found
     alone = _writable(climbed)
     tell("what an arm file can have")

@@ -1,6 +1,6 @@
 """Posterior over sets of blocks: a climb to a likely set, and a Gibbs walk from there.
 
-The number K of missing blocks has the prior p(0) = 1 / (1 + `SOME`) and p(K) ~ K^-`TAIL`: one effect is likelier than
+The number K of missing blocks has the prior p(0) = 1/2 and p(K) ~ K^-`TAIL`: one effect is likelier than
 two, but where many are seen further ones are expected (a beta mixture of binomials has such a tail). Which ones they
 are has a probability in proportion to their weights. An outlying row does not count as a block: each is outlying with
 the odds `WRONG`; nor does the rest of the library, which is there with the odds `REST_ODDS`.
@@ -29,14 +29,13 @@ from scipy.special import logsumexp, zeta
 from identification.arrays import Array
 from identification.gap.evidence import SIZES, Key, Left, Products, State
 
-SOME = 1.0  # prior odds of something missing to nothing: even
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
 REST_ODDS = 0.1  # prior odds of the rest of the library: many small effects beside what can be named
-NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out
-MOVES = 500  # effort: of the walk
+NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out, and of a set not listed
+MOVES = 700  # effort: of the walk
 THIN = 32  # effort: columns of a set for each move of the walk that is not counted among the draws
-PAIRS = 10  # effort: of the climb, blocks that are tried in pairs
+MOST = 10  # effort: pairs of blocks, candidates, and explanations cross-validated
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
 
@@ -139,7 +138,7 @@ class Search:
         others[list(self.rest)] = False
         tops = [nothing, self._up(self.products.state([(block, 2) for block in start]), others)]
         table = self._each(nothing.without())
-        for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:PAIRS].tolist():
+        for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
                 single = nothing.without().put(block, int(np.argmax(table[block])))
                 best = self._likeliest(self._each(single.without()), every)
@@ -265,4 +264,4 @@ def log_sums(table: Array) -> Array:
 
 def log_odds_of_count(count: int) -> float:
     """log p(K) / p(0), times the K! orders in which the same blocks can be drawn."""
-    return float(np.log(SOME / zeta(TAIL)) - TAIL * np.log(count)) + lgamma(count + 1) if count else 0.0
+    return float(-np.log(zeta(TAIL)) - TAIL * np.log(count)) + lgamma(count + 1) if count else 0.0

@@ -3,8 +3,8 @@
 An explanation is nothing missing, a set of effects of the library (settings left out), or something outside the
 library. A verdict that is wrong costs 1, and so it is the likeliest of these three: nothing, some effects of the
 library, something outside. To name a wrong set costs 1, to leave it open which one it is 1/2: a set is `named` where
-it has half of the probability, else the verdict is `ambiguous`, and candidates are the sets that are not `RIVAL` times
-less likely than the best.
+it has half of the probability, else the verdict is `ambiguous`, and candidates are the sets that have at least
+`LEVEL` of the probability of the best.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from identification.gap.detectability import LEVEL
 from identification.gap.posterior import Explanation, Posterior
+from identification.gap.search import MOST, NEGLIGIBLE
 
-RIVAL = 20.0  # convention: odds against a candidate
-MOST = 8  # effort: candidates that are fitted
 CREDIBLE = 0.9  # convention: probability of the credible set
-LISTED = 0.01  # convention: less likely sets are not listed by name
 Names = tuple[str, ...]
 
 
@@ -46,9 +45,9 @@ class Probabilities:
         return self.sets.get(names, 0.0) if names else self.none
 
     def beside(self, candidates: Iterable[Names]) -> dict[Names, float]:
-        """Sets of effects other than the candidates with a probability of at least `LISTED`, most probable first."""
+        """Sets of effects other than the candidates that are not `NEGLIGIBLE`, most probable first."""
         known = {tuple(sorted(keys)) for keys in candidates}
-        rest = [(names, p) for names, p in self.sets.items() if p >= LISTED and names not in known]
+        rest = [(names, p) for names, p in self.sets.items() if p >= NEGLIGIBLE and names not in known]
         return dict(sorted(rest, key=lambda pair: -pair[1]))
 
     @property
@@ -84,7 +83,7 @@ class Probabilities:
         if self.verdict not in ("named", "ambiguous"):
             return []
         best = self.best
-        least = self.sets[best] / RIVAL
+        least = self.sets[best] * LEVEL
         order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != best, n))
         least_many = 2 if self.verdict == "ambiguous" else 1
         return order[: max(least_many, min(MOST, sum(self.sets[names] >= least for names in order)))]

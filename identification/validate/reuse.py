@@ -141,13 +141,13 @@ def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Se
     """A calibration that had an earlier one as its prior: it knows the angles and the data of both."""
     if before is None:
         return calibration
-    both, earlier = (calibration.provenance, before.provenance), before.provenance
+    provenances, earlier = (calibration.provenance, before.provenance), before.provenance
     data = {key: earlier[key] for key in ("sha256", "rows") if key in earlier}
     held_from = {**earlier.get(HELD_FROM, {}), str(earlier.get("file", "data")): data}
     provenance: dict[str, Any] = {**calibration.provenance, HELD_FROM: held_from}
-    if kept := [one[ROW_DIGESTS] for one in both if isinstance(one.get(ROW_DIGESTS), str)]:
+    if kept := [one[ROW_DIGESTS] for one in provenances if isinstance(one.get(ROW_DIGESTS), str)]:
         provenance[ROW_DIGESTS] = union(kept)
-    new, old = (range_of(one, kinds) for one in both)
+    new, old = (range_of(one, kinds) for one in provenances)
     if new is not None and old is not None:
         widest = []  # [rad, mm] of both: of a revolute joint by the whole turns that leave it the narrowest
         for joint, before_joint, kind in zip(new.T, old.T, kinds, strict=True):

@@ -29,7 +29,7 @@ from identification.estimation.problem import Problem
 from identification.information import spectrum
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
 from identification.kinematics.frames import own_axes_angles
-from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, of_effects
+from identification.kinematics.parameters import JOINT_OFFSET, of_effects
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
@@ -137,7 +137,11 @@ class Validation:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `validate` (identification/files/README.md, "JSON keys")."""
-        parameters = {p.name: p for p in refit_parameters(self.arm, self.measurements)}
+        if self.arm.chain.planar:
+            every = Model(with_base_offset(self.arm)).all_parameters
+        else:
+            every = with_markers(one_unnamed(self.arm.chain, self.measurements), self.measurements).every_parameter
+        parameters = {p.name: p for p in every}
         refitted = [
             {"session": session, "name": name, "unit": (p := parameters[name]).file_unit, "value": value * p.to_file}
             for session, values in zip(self.measurements.sessions or (None,), self.refitted, strict=True)
@@ -225,10 +229,10 @@ def _refitted(
     open."""
     refitted, residuals, left_open = [], np.empty_like(measurements.positions), 0
     for rows in measurements.session_rows:
-        session, there = measurements.rows(rows), conditions.rows(rows)
-        model, start = refit_model(arm, session, there, refit)
+        session, session_conditions = measurements.rows(rows), conditions.rows(rows)
+        model, start = refit_model(arm, session, session_conditions, refit)
         weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
-        problem = Problem(model, session.postures, there, session.positions[None], weights)
+        problem = Problem(model, session.postures, session_conditions, session.positions[None], weights)
         values = start
         if refit != "none":
             if session.positions.size < (p := len(start)):
@@ -338,8 +342,8 @@ class Offered:
     def sentence(self) -> str:
         """How the model compares with the geometry."""
         which = "held-out rows" if self.by == "holdout" else "rows, each predicted by a fit to other postures"
-        own, geometry = f"{self.rms:.3g} mm RMS (largest {self.largest:.3g})", f"{self.rms_geometry:.3g} mm"
-        figures = f"{own} against {geometry} (largest {self.largest_geometry:.3g}) in {self.rows} {which}"
+        with_effects, geometry = f"{self.rms:.3g} mm RMS (largest {self.largest:.3g})", f"{self.rms_geometry:.3g} mm"
+        figures = f"{with_effects} against {geometry} (largest {self.largest_geometry:.3g}) in {self.rows} {which}"
         if self.better:
             return f"better than the geometry alone: {figures}"
         if self.rms >= self.rms_geometry:
@@ -410,16 +414,6 @@ def as_calibrated(arm: Arm) -> Arm:
             spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
         effects.append(spec)
     return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
-
-
-def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
-    """Those that a refit may estimate, among others."""
-    if arm.chain.planar:
-        return Model(with_base_offset(arm)).all_parameters
-    chain = with_markers(one_unnamed(arm.chain, measurements), measurements)
-    if chain.instrument.own_targets:
-        chain = placed_model(Model(replace(arm, chain=chain)), measurements).arm.chain
-    return chain.every_parameter
 
 
 def check_names(chain: SpatialChain, measurements: Measurements) -> None:

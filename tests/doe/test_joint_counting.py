@@ -12,10 +12,8 @@ from hypothesis import strategies as st
 
 from doe.plan.plan import Plan, load_plan, plan_text
 from doe.problem.problem import DesignProblem
-from doe.studies.monte_carlo.specification import load_study
 from identification.arm import Arm, Calibration
 from identification.compensate import compensate
-from identification.errors import InputError
 from identification.estimation import estimate
 from identification.estimation.doubts import outside_limits
 from identification.files.arm import load_arm
@@ -23,7 +21,6 @@ from identification.files.arm_text import dump_arm
 from identification.files.csv import read_table
 from identification.files.measurement import commands_text, load_measurements, load_targets, measurement_text, read_plan
 from identification.files.measurement_columns import read_postures
-from identification.inspection.inspection import inspect
 from identification.kinematics.counting import Counting, JointKinds
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -173,59 +170,3 @@ def test_corrected_zeros_are_the_controllers(arm: Arm) -> None:
     np.testing.assert_allclose(
         COUNTING.columns(q) + np.radians(np.array(corrections, dtype=float)), COUNTING.columns(q + offsets), atol=1e-12
     )
-
-
-@pytest.mark.parametrize(
-    ("lines", "said"),
-    [
-        ("sign = [1, 1]", "joints.sign: found 2 values for 3 joints, allowed: 3"),
-        ("sign = [1, 0, 1]", "joints.sign: found 0 for joint 2, allowed: 1 or -1"),
-        ("coupled_to = [0, 3, 2]", "joints.coupled_to: found a circle through joint"),
-        ("zero_deg = [0, 1e9, 0]", "joints.zero_deg"),
-        ("signs = [1, 1, 1]", "joints.signs: unknown key"),
-    ],
-)
-def test_bad_files(tmp_path: Path, lines: str, said: str) -> None:
-    path = tmp_path / "arm.toml"
-    path.write_text(f"links_mm = [400.0, 300.0, 200.0]\n[joints]\n{lines}\n")
-    with pytest.raises(InputError) as caught:
-        load_arm(path)
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
-    path.write_text(PLANAR.replace("-150.0]", "50.0]"))
-    with pytest.raises(InputError, match="joint 3 has lower 50 >= upper 40, allowed: lower < upper"):
-        load_arm(path)
-
-
-def test_check_shows_columns(arm: Arm) -> None:
-    """Ranges and limits are the columns'; joint 3 rests, though joint 2 moves its column."""
-    q = np.random.default_rng(7).uniform([-2.0, -2.5, 0.4], [2.0, -0.3, 0.41], (30, 3))
-    columns = COUNTING.columns(q)
-    found = inspect(arm, simulate(arm, q, np.random.default_rng(8)))
-    shown = [joint.to_json() for joint in found.joints]
-    np.testing.assert_allclose(np.radians([joint["low"] for joint in shown]), columns.min(axis=0), atol=1e-9)
-    np.testing.assert_allclose(np.radians([joint["high"] for joint in shown]), columns.max(axis=0), atol=1e-9)
-    assert [joint["limit_low"] for joint in shown] == pytest.approx([-170.0, -60.0, -150.0])
-    assert [joint["limit_high"] for joint in shown] == pytest.approx([170.0, 80.0, 40.0])
-    assert "joint 3 hardly moves: its own errors cannot be seen" in found.notes
-    free = replace(arm, constraints=(), lower=np.full(3, -np.pi), upper=np.full(3, np.pi))
-    last = inspect(free, simulate(arm, q, np.random.default_rng(8))).joints[2]
-    assert last.to_json()["limit_low"] is None
-    assert not last.limited
-
-
-def test_plans_of_a_study(tmp_path: Path, arm: Arm) -> None:
-    """Files of plans are the controller's of the arms, which must be one."""
-    q = np.random.default_rng(9).uniform(-1.0, 1.0, (6, 3))
-    (tmp_path / "plan.csv").write_text(plan_text(Plan(q), arm.joint_types))
-    (tmp_path / "plain.toml").write_text(PLANAR.partition("[joints]")[0])
-    study = 'arms = {}\nplans = ["plan.csv"]\nruns = [5]\nreplications = 10\n[[truths]]\nname = "true"\n'
-    study += "length_errors_mm = [1, 0, 0]\njoint_offsets_deg = [0, 0, 0]\n[[models]]\nname = 'base'\neffects = []\n"
-    (tmp_path / "study.toml").write_text(study.format('["arm.toml"]'))
-    (given_plan,) = load_study(tmp_path / "study.toml").plans
-    plan = given_plan[1]
-    assert isinstance(plan, Plan)
-    np.testing.assert_allclose(plan.postures, q, atol=1e-12)
-    (tmp_path / "study.toml").write_text(study.format('["arm.toml", "plain.toml"]'))
-    with pytest.raises(InputError, match=r"plans: found files for arms with different \[joints\], allowed: the same"):
-        load_study(tmp_path / "study.toml")

@@ -7,6 +7,8 @@ import pytest
 
 from doe.bounds import certificate as equivalence
 from doe.bounds.certificate import (
+    CERTIFIED,
+    REACHED,
     CandidateJacobians,
     Certificate,
     certify,
@@ -71,6 +73,10 @@ def test_bound_with_measured_postures(seed: int) -> None:
     fixed = float(np.sum(np.linalg.inv(information) * known))
     assert found.gap == pytest.approx((5.0 * largest + fixed) / 12.0 - case.parameters, rel=1e-9)
     assert certify(case, information, 100.0).bound > found.bound
+
+
+def test_what_counts_as_optimal() -> None:
+    assert (CERTIFIED, REACHED) == (0.999999, 0.999999999)
 
 
 @pytest.mark.parametrize("smallest", [1.0, 0.0])

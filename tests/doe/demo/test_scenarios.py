@@ -50,7 +50,7 @@ def test_the_hidden_effect_is_named_and_the_gap_closes(demo: tuple[Path, Demo]) 
     _, found = demo
     assert found.diagnosis.effects == ("encoder_eccentricity:2",)
     assert found.diagnosis.confirmed is True
-    assert found.drawing_gap > 2.0 > 4.0 * found.gap(found.base) > 4.0 * found.gap(found.extended)
+    assert found.drawing_gap > 2.0 > 4.0 * found.gap(found.identified) > 4.0 * found.gap(found.extended)
     # 27 combinations of geometry and 2 parameters of the effect, from 108 equations at postures of this efficiency
     share = 29.0 / 108.0 / (found.design.efficiency or np.nan)
     spread = 1.0 + 3.0 / np.sqrt(2.0 * 29.0)  # three standard deviations of the root of 29 squares
@@ -66,13 +66,13 @@ def test_its_files_and_what_is_said(demo: tuple[Path, Demo]) -> None:
     folder, found = demo
     assert all((folder / name).stat().st_size for name in found.files)
     written = read_urdf(folder / "corrected.urdf").chain("base_link", "flange")
-    assert found.base.geometry is not None
-    for joint, real in zip(written.joints, found.base.geometry.real.joints, strict=True):
+    assert found.identified.result.geometry is not None
+    for joint, real in zip(written.joints, found.identified.result.geometry.real.joints, strict=True):
         np.testing.assert_allclose(joint.origin, real.origin, atol=1e-9)
     assert len(load_arm(folder / "extended.toml").effects) == 1
     with pytest.warns(UserWarning, match="beside the last axis is assumed"):  # of the plan
         shown = str(demo_document(found))
     assert "with encoder_eccentricity:2" in shown
     assert "corrected.urdf" in found.to_json(folder)["files"]
-    assert found.to_json(folder)["hidden"]["targets_reached"] == len(found.compensation.targets)
+    assert found.to_json(folder)["hidden"]["targets_reached"] == len(found.compensated.result.targets)
     assert [axes.name for axes in overview_figure(found).axes] == ["3d", "rectilinear", "rectilinear"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.plan import spacing as replicate_spacing
+from doe.plan import spacing
 from doe.plan.spacing import distance_to_keep, neighbor_counts, separated, spread_free_joints, too_near
 from doe.solvers import solve
 from identification.arm import Arm
@@ -88,7 +88,7 @@ def test_long_plans_are_compared_by_a_tree(monkeypatch: pytest.MonkeyPatch) -> N
     case = problem(NARROW, OFFSET)
     few = generator.uniform(case.lower, case.upper, (400, 2))
     exact = too_near(case, few)
-    monkeypatch.setattr(replicate_spacing, "CHUNK", 10)
+    monkeypatch.setattr(spacing, "CHUNK", 10)
     by_tree = too_near(case, few)
     assert set(exact.tolist()) <= set(by_tree.tolist())
     assert len(exact)

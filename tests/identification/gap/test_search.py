@@ -10,7 +10,7 @@ from scipy.special import logsumexp, softmax, zeta
 
 from identification.gap import search as search_module
 from identification.gap.evidence import SIZES, Products
-from identification.gap.search import REST_ODDS, SOME, TAIL, WRONG, Search, Weighed, log_odds_of_count
+from identification.gap.search import REST_ODDS, TAIL, WRONG, Search, Weighed, log_odds_of_count
 
 WIDTHS = (1, 2, 1, 1, 2, 1, 1, 3)
 COUNT = len(WIDTHS)
@@ -93,8 +93,8 @@ def test_a_walk_among_the_near_blocks_has_the_same_odds() -> None:
 def test_the_prior_is_that_of_drawing_blocks() -> None:
     """p(K) is normalized, and of K blocks drawn one after the other each set has the probability of all its orders."""
     counts = np.array([0.0, *(np.exp(log_odds_of_count(k)) / np.prod(np.arange(1.0, k + 1.0)) for k in range(1, 150))])
-    beyond = SOME / zeta(TAIL) * zeta(TAIL, 150)
-    assert counts.sum() + beyond == pytest.approx(SOME, rel=1e-10)
+    beyond = 1.0 / zeta(TAIL) * zeta(TAIL, 150)
+    assert counts.sum() + beyond == pytest.approx(1.0, rel=1e-10)
     assert counts[2] / counts[1] == pytest.approx(2.0**-TAIL)
     search = Search(products(1, {}), WEIGHTS, ROWS, REST)
     chances = WEIGHTS[:6] / WEIGHTS[:6].sum()

@@ -10,8 +10,10 @@ import pytest
 from doe.studies.blind.score import contradictions
 from identification.arm import EffectSpec
 from identification.documents.diagnosis import SHORT
+from identification.gap.detectability import LEVEL
 from identification.gap.result import Candidate, Diagnosis
-from identification.gap.verdict import CREDIBLE, MOST, RIVAL, Probabilities
+from identification.gap.search import MOST
+from identification.gap.verdict import CREDIBLE, Probabilities
 from tests.identification.gap.test_diagnose import diagnosed
 
 
@@ -46,7 +48,7 @@ def test_verdict_and_probabilities_never_contradict_each_other() -> None:
             rivals = found.rivals
             assert rivals[0] == found.best
             assert verdict == "named" or len(rivals) >= 2 or len(found.sets) == 1
-            assert all(found.of(names) >= best / RIVAL for names in rivals[2:])
+            assert all(found.of(names) >= best * LEVEL for names in rivals[2:])
             assert len(rivals) <= MOST
         else:
             assert found.rivals == []
