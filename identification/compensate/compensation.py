@@ -95,14 +95,14 @@ def compensate(
     where, sided = replace(conditions or Conditions(), orientation=turned), tuple[str, ...]()
     start = nominal
     if start is None:
-        start = within_or_near(drawing, familiar, goals, Conditions(orientation=turned), constraints)
+        start = familiar_postures(drawing, familiar, goals, Conditions(orientation=turned), constraints)
     if where.directions is None and len(start):
         sided = tuple(sorted({effect.name for effect in model.effects if not APPROACH.isdisjoint(effect.needs)}))
         past = past_from_order(start) if model.remembers else None
         where = replace(where, directions=directions_from_order(start), past=past)
     commands = reaching(model, goals, start, where, constraints, enough)
     if nominal is None:
-        commands = near_or_within(model, familiar, goals, commands, where, constraints, enough)
+        commands = nearest_familiar(model, familiar, goals, commands, where, constraints, enough)
     missed = violations(constraints, commands)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
     beyond = outside(arm, commands)
@@ -366,7 +366,7 @@ def reaching(
     return commands
 
 
-def within_or_near(
+def familiar_postures(
     model: Model, familiar: tuple[Array, Array], goals: Array, conditions: Conditions, constraints: Constraints
 ) -> Array:
     """(k, n) postures for goals (k, d) nearest to the middle of familiar angles, and where possible within them; the
@@ -388,7 +388,7 @@ def within_or_near(
     return reached
 
 
-def near_or_within(
+def nearest_familiar(
     model: Model,
     familiar: tuple[Array, Array],
     goals: Array,

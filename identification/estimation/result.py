@@ -54,7 +54,7 @@ class Identification:
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
     contradictions : parameters whose prior, an earlier calibration, the measurements contradict
-    flange_turns : (3,) see `base_and_tool.flange_turns`, of a fit of both base and measured points; None: of others
+    flange_turns : (3,) see `expected_tip.flange_turns`, of a fit of both base and measured points; None: of others
     covariance_seen : (p, p) with the noise that is there without that prior; None: no such prior
     """
 

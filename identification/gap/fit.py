@@ -231,7 +231,7 @@ class Fit:
 def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> Fit:
     """Fit a model to whitened rows by least squares within the bounds of its parameters.
 
-    start : parameter name -> value, zero where missing; None: as `estimation.methods.starts` finds it
+    start : parameter name -> value, zero where missing; None: as `estimation.problem.starts` finds it
     """
     problem = Problem(model, rows.postures, rows.conditions, rows.positions[None], np.ones(len(rows)))
     at = _linearization(model, rows)
