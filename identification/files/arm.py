@@ -59,13 +59,8 @@ CURVE, CURVE_KEYS, GEOMETRY_KEY = "joint_error_curve", ("from_deg", "to_deg", "v
 MARKER = re.compile(r"tool\[.*\]\.(r?)[xyz]")
 UNIT = re.compile(r"_(mm|deg|kg|m_s2)$")
 RENAMED = {"range_mm": "reach"}  # keys that are called otherwise in our classes
-CONSTRAINTS = {
-    "workspace_box": WorkspaceBox,
-    "keep_out_circle": KeepOutCircle,
-    "keep_out_sphere": KeepOutCircle,
-    "keep_out_cylinder": KeepOutCylinder,
-    "line_of_sight": LineOfSight,
-}
+CONSTRAINTS = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
+CONSTRAINTS["keep_out_sphere"] = KeepOutCircle
 FREE = (-np.pi, np.pi)
 
 

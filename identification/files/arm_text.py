@@ -18,7 +18,6 @@ from tomlkit.items import AoT, Comment, Item, Table, Whitespace
 from identification.arm import Arm, Calibration, EffectSpec, Machining
 from identification.errors import InputError, JobError, nearest
 from identification.files.arm import (
-    CONSTRAINTS,
     GEOMETRY_KEY,
     RENAMED,
     UNIT,
@@ -137,7 +136,7 @@ def _degrees(radians: Any) -> Any:
 def _table(table: type[BaseModel], value: Any) -> Plain:
     """What a table has of one of our classes; `in_api` reads it."""
     entries: Plain = {}
-    for key in table.model_fields:
+    for key in (key for key in table.model_fields if key != "kind"):
         if (number := getattr(value, RENAMED.get(key) or UNIT.sub("", key), None)) is not None:
             entries[key] = _in_file(number, math.degrees(1.0) if key.endswith("_deg") else 1.0)
     return entries
@@ -145,8 +144,7 @@ def _table(table: type[BaseModel], value: Any) -> Plain:
 
 def _constraint_table(constraint: WorkspaceConstraint) -> Plain:
     """`[[constraints]]`, of the plane or of space."""
-    kinds = [kind for kind, each in CONSTRAINTS.items() if isinstance(constraint, each)]
-    kind = kinds[-1 if len(getattr(constraint, "center", ())) == 3 else 0]  # a circle or a sphere
+    kind = constraint.kind if len(getattr(constraint, "center", ())) < 3 else "keep_out_sphere"
     [table] = [each for each in get_args(ConstraintTable) if kind in get_args(each.model_fields["kind"].annotation)]
     entries = {"kind": kind} | _table(table, constraint)
     if "facing" not in entries:
