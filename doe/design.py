@@ -24,8 +24,7 @@ from doe.plan.accuracy import (
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel
-from identification import PRISMATIC, Array, InputError, Status, identifiability, spectrum
-from identification.kinematics.turns import turned_into
+from identification import PRISMATIC, Array, InputError, Status, identifiability, spectrum, turned_into
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
 SAME = 1e-9  # relative difference of Jacobians that counts as none

@@ -8,17 +8,23 @@ from typing import TYPE_CHECKING, Any
 
 _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from identification.simulate import simulate
     # an arm, its model, its measurements
-    "arm": "Arm Calibration EffectSpec Gravity",
+    "arm": "LARGEST_MASS Arm Calibration EffectSpec Gravity",
     "model": "Model",
+    "model.minimal": "practical",
     "effects": "library",
-    "measurements": "Conditions Measurements",
-    "kinematics.parameters": "EFFECT JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
+    "measurements": "Conditions Measurements rms_distance",
+    "kinematics.parameters": "EFFECT GEOMETRY JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
+    "kinematics.turns": "turned_into",
+    "kinematics.spatial": "planar_chain",
+    "kinematics.denavit_hartenberg": "DHRow chain_of",
     "files.arm": "arm_from_tables load_arm",
     "files.arm_text": "dump_arm with_effects",
-    "files.measurement": "load_measurements",
+    "files.measurement": "load_measurements plan_file_text read_plan",
+    "files.measurement_columns": "csv_text posture_columns",
     "workflow": "load_sessions",
     # what data say
     "estimation": "Identification estimate estimate_batch estimate_each",
+    "estimation.uncertainty": "freedom_of quantile_95",
     "gap.diagnose": "diagnose",
     "gap.result": "Diagnosis",
     "gap.detectability": "Detectability detectability",
@@ -27,23 +33,28 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "information": "identifiability information_matrix spectrum",
     # errors, progress, arrays
     "errors": "ArmcalError InputError JobError in_one_line nearest",
+    "installed": "additions",
     "status": "Status",
     "progress": "Progress silent",
-    "arrays": "Array readonly",
-    "threads": "single_thread",
+    "arrays": "Array ByValue readonly",
+    "data_frames": "frame_of_columns",
+    "threads": "single_thread SINGLE_THREAD",
 }
 _PLACES = {name: f"identification.{module}" for module, names in _CONTENTS.items() for name in names.split()}
 __all__ = sorted(_PLACES)
 
 if TYPE_CHECKING:  # the same for type checkers
-    from identification.arm import Arm, Calibration, EffectSpec, Gravity
-    from identification.arrays import Array, readonly
+    from identification.arm import LARGEST_MASS, Arm, Calibration, EffectSpec, Gravity
+    from identification.arrays import Array, ByValue, readonly
+    from identification.data_frames import frame_of_columns
     from identification.effects import library
     from identification.errors import ArmcalError, InputError, JobError, in_one_line, nearest
     from identification.estimation import Identification, estimate, estimate_batch, estimate_each
+    from identification.estimation.uncertainty import freedom_of, quantile_95
     from identification.files.arm import arm_from_tables, load_arm
     from identification.files.arm_text import dump_arm, with_effects
-    from identification.files.measurement import load_measurements
+    from identification.files.measurement import load_measurements, plan_file_text, read_plan
+    from identification.files.measurement_columns import csv_text, posture_columns
     from identification.for_design import (
         NEEDS_SIGMA,
         ArmModel,
@@ -57,8 +68,11 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.gap.diagnose import diagnose
     from identification.gap.result import Diagnosis
     from identification.information import identifiability, information_matrix, spectrum
+    from identification.installed import additions
+    from identification.kinematics.denavit_hartenberg import DHRow, chain_of
     from identification.kinematics.parameters import (
         EFFECT,
+        GEOMETRY,
         JOINT_OFFSET,
         LENGTH_ERROR,
         PRISMATIC,
@@ -66,11 +80,14 @@ if TYPE_CHECKING:  # the same for type checkers
         Parameter,
         ParameterSet,
     )
-    from identification.measurements import Conditions, Measurements
+    from identification.kinematics.spatial import planar_chain
+    from identification.kinematics.turns import turned_into
+    from identification.measurements import Conditions, Measurements, rms_distance
     from identification.model import Model
+    from identification.model.minimal import practical
     from identification.progress import Progress, silent
     from identification.status import Status
-    from identification.threads import single_thread
+    from identification.threads import SINGLE_THREAD, single_thread
     from identification.workflow import load_sessions
 
 

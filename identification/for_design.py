@@ -155,7 +155,7 @@ class ArmModel:
         Raises `InputError` for contacts with a surface whose place is not known. Warns (`UserWarning`) of points that
         are assumed.
         """
-        if self.arm.chain.planar:
+        if self.arm.chain.positions_in_plane:
             return self
         model = replace(self.model, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
         return ArmModel(minimal(model) if model.sigma is None and model.prior else model)
@@ -314,7 +314,7 @@ class ArmModel:
     @property
     def planar(self) -> bool:
         """Whether it is a chain of links in a plane, of which Table I of the paper holds."""
-        return self.arm.chain.planar
+        return self.arm.chain.positions_in_plane
 
     @property
     def theorem_joints(self) -> tuple[int, ...] | None:
@@ -376,7 +376,7 @@ def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
     stands = BASE in chain.known or chain.instrument.stands(chain.base)
     if not contacts:
         refuse_contacts(chain)
-    if chain.instrument.contact and not stands:
+    if (chain.instrument.contact or chain.instrument.own_targets) and not stands:
         keys = sorted(chain.instrument.keys & {"center_mm", "normal", "cups"})
         reason, how = (
             f"kind {chain.instrument.kind} without {keys[0]}: where it is touched is not known",

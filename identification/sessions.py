@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.instruments import KINDS
+from identification.instruments import IN_PLANE, KINDS
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.kinematics.spatial import BASE as STAND
 from identification.kinematics.spatial import TOOL
@@ -152,7 +152,10 @@ def base_of_each_session(arm: Arm, measurements: Measurements) -> list[dict[str,
 def without_sessions(calibration: Calibration) -> Calibration:
     """A calibration without the bases of later sessions, and without targets that stand in the frame of the base: the
     arm stands as in the first."""
-    dropped = (f"{SESSIONS}.", *(f"{kind.target}[" for kind in KINDS.values() if kind.own_targets))
+    dropped = (
+        f"{SESSIONS}.",
+        *(f"{kind.own_targets}[" for kind in (*KINDS.values(), *IN_PLANE.values()) if kind.own_targets),
+    )
     keep = [k for k, name in enumerate(calibration.parameter_names) if not name.startswith(dropped)]
     covariance = calibration.covariance
     return replace(
@@ -165,7 +168,7 @@ def without_sessions(calibration: Calibration) -> Calibration:
 
 def with_base(arm: Arm) -> Arm:
     """The arm with a base offset, its own if it has one; the base of a spatial arm is part of its geometry."""
-    stands = not arm.chain.planar or any(spec.name == "base_offset" for spec in arm.effects)
+    stands = not arm.chain.positions_in_plane or any(spec.name == "base_offset" for spec in arm.effects)
     return arm if stands else with_base_offset(arm)
 
 

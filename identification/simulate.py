@@ -43,7 +43,7 @@ def simulate(
     directions : (m, n) of approach, +1 or -1; left out: they follow from the order
     """
     q = np.atleast_2d(np.asarray(postures, dtype=float))
-    seated = truth.chain.instrument.own_targets
+    seated = truth.chain.instrument.contact and truth.chain.instrument.own_targets
     if truth.chain.instrument.contact and not seated:
         kind = f"kind {truth.chain.instrument.kind}: at which postures a surface is touched no plan says"
         raise InputError(f"instrument: found {kind}, allowed: distance, or no [instrument]")

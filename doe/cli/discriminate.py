@@ -42,8 +42,7 @@ def command(
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.report.design import missing_payload, next_document
-    from identification import diagnose, load_arm
-    from identification.files.measurement_columns import csv_text
+    from identification import csv_text, diagnose, load_arm
 
     loaded = load_arm(arm)
     masses = None if payloads is None else payload_list(payloads)
@@ -88,7 +87,7 @@ def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:
 
 def payload_list(text: str) -> tuple[float, ...]:
     """`0,5,10` as numbers >= 0 [kg]."""
-    from identification.arm import LARGEST_MASS
+    from identification import LARGEST_MASS
 
     try:
         masses = tuple(float(word) for word in text.split(","))

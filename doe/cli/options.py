@@ -142,7 +142,7 @@ def one_thread_each() -> None:
 
     The matrices are small: more threads made it five times slower (measured), and the tasks use all cores already.
     """
-    from identification.threads import SINGLE_THREAD
+    from identification import SINGLE_THREAD
 
     for name, number in SINGLE_THREAD.items():
         os.environ.setdefault(name, number)

@@ -87,8 +87,7 @@ def design_problem(
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem
-    from identification import Model
-    from identification.files.measurement import read_plan
+    from identification import Model, read_plan
 
     name, missing = wanted.name, wanted.effects
     for option, value, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):

@@ -39,8 +39,7 @@ from identification import REVOLUTE, Array, InputError, Progress, Status, inform
 if TYPE_CHECKING:
     from doe.design import Design
     from doe.problem.problem import DesignProblem
-    from identification import Arm
-    from identification.gap.detectability import Detectability
+    from identification import Arm, Detectability
 
 TURN = 2.0 * np.pi  # [rad]
 # effort: steps [rad] by which joints move off their limits, and tries of each

@@ -34,10 +34,10 @@ from identification import (
     Measurements,
     Model,
     Status,
+    posture_columns,
     readonly,
     refuse_contacts,
 )
-from identification.files.measurement_columns import posture_columns
 
 if TYPE_CHECKING:
     from identification import Arm, Diagnosis

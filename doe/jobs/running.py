@@ -33,8 +33,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from doe.jobs.rows import Key, Row, RowTable, canonical, made
-from identification import InputError, JobError, Progress, silent
-from identification.threads import SINGLE_THREAD
+from identification import SINGLE_THREAD, InputError, JobError, Progress, silent
 
 if TYPE_CHECKING:
     import polars

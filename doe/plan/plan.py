@@ -17,11 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, readonly
-from identification.arrays import ByValue
-from identification.data_frames import frame_of_columns
-from identification.files.measurement import plan_file_text, read_plan
-from identification.files.measurement_columns import posture_columns
+from identification import (
+    Array,
+    ByValue,
+    InputError,
+    frame_of_columns,
+    plan_file_text,
+    posture_columns,
+    read_plan,
+    readonly,
+)
 
 SUM = 1e-6  # by which weights may miss one
 

@@ -9,10 +9,9 @@ from typing import ClassVar
 
 from doe.plan.plan import Plan
 from doe.report.design import design_verdict, plan_actions, plan_section
-from identification import Arm
+from identification import Arm, read_plan
 from identification.campaign import Campaign
 from identification.document import Action, Section
-from identification.files.measurement import read_plan
 
 
 @dataclass

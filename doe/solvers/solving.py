@@ -40,12 +40,12 @@ from identification import (
     JobError,
     Progress,
     Status,
+    additions,
     identifiability,
     nearest,
     silent,
     single_thread,
 )
-from identification.installed import additions
 
 
 # -- solvers by name ---------------------------------------------------------------------------------------------------

@@ -21,9 +21,7 @@ from doe.jobs.rows import Key, Row, RowTable, short_hash, with_columns
 from doe.jobs.running import Workers, call, run_tasks
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
-from identification import Arm, InputError, Model, Progress, nearest, refuse_contacts, silent
-from identification.files.arm import arm_from_tables
-from identification.files.arm_text import dump_arm
+from identification import Arm, InputError, Model, Progress, arm_from_tables, dump_arm, nearest, refuse_contacts, silent
 
 if TYPE_CHECKING:
     from doe.design import Design

@@ -47,6 +47,7 @@ class Effect:
         (identification/servo.py)
     scatter : True if it acts on the noise, so that the model of the mean ignores it (`identification.effects.noise`)
     once : True if it belongs to the session of the identification; in later sessions its final state applies
+    of_positions : True if it is of the frame in which positions are measured, which other instruments do not have
     tabulated : True if it is a table of values (`EffectSpec.curve`) without parameters
     dimensions : dimensions of the arms that can have it: 2 in the plane, 3 in space
 
@@ -72,6 +73,7 @@ class Effect:
     of_commands: ClassVar[bool] = False
     scatter: ClassVar[bool] = False
     once: ClassVar[bool] = False
+    of_positions: ClassVar[bool] = False
     tabulated: ClassVar[bool] = False
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)
     curve: ErrorCurve | None = None

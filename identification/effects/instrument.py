@@ -15,6 +15,7 @@ class AxesSkew(Effect):
 
     name = "axes_skew"
     summary = "instrument axes of unequal scale or not square"
+    of_positions = True
     dimensions = (2,)
 
     def define(self) -> tuple[Parameter, ...]:

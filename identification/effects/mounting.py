@@ -19,6 +19,7 @@ class BaseOffset(Effect):
 
     name = "base_offset"
     summary = "base not at the origin of the measurements"
+    of_positions = True
     dimensions = (2,)  # in space the base is part of the geometry
 
     def define(self) -> tuple[Parameter, ...]:

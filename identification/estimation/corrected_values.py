@@ -171,8 +171,10 @@ def _planar(arm: Arm, values: Values) -> Iterator[_Quantity]:
         name = f"{LENGTH_ERROR}:{j}"
         value = length + values.get(name, 0.0)
         yield _Quantity(f"length of link {j}", name, length, value, {name: 1.0}, "mm", LINK)
+    yield from _own_values(arm, values)
     stands = any(spec.name == "base_offset" for spec in arm.effects)
-    for zero in _zeros(arm, values):
+    hidden = arm.chain.instrument.hidden(arm.chain.base)
+    for zero in (zero for zero in _zeros(arm, values) if zero.parameter not in hidden):
         yield zero._replace(convention=TURNED) if stands and zero.name == "zero of joint 1" else zero
 
 
@@ -222,8 +224,13 @@ def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[st
             axis, _, unit = key.rpartition("_")
             value = value if nominal is None else _nearest(value, nominal, key)
             yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, convention)
-    for name, parameter, value, by_name, unit, convention in chain.instrument.own_values(values):
-        yield _Quantity(name, parameter, None, value, dict(by_name), unit, convention)
+    yield from _own_values(arm, values)
+
+
+def _own_values(arm: Arm, values: Values) -> Iterator[_Quantity]:
+    """Of the instrument."""
+    for name, parameter, value, slopes, unit, convention in arm.chain.instrument.own_values(values):
+        yield _Quantity(name, parameter, None, value, slopes, unit, convention)
 
 
 def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:

@@ -166,7 +166,7 @@ def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
     Any rotation of the frame is the offset of joint 1, so that only the position of the base can be missing.
     """
     spare = measurements.positions.size - 2 * (arm.links + 1)
-    if not arm.chain.planar or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
+    if not arm.chain.positions_in_plane or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
         return []
     left = []
     for offset in (False, True):  # sum of squares [mm^2] that the closed form leaves, with or without a base offset

@@ -34,7 +34,7 @@ from identification.files.schema import (
     validated_arm,
 )
 from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
-from identification.instruments import KINDS
+from identification.instruments import Instrument, kinds
 from identification.kinematics.corrected import before_errors
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
@@ -90,17 +90,17 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
     """
     file = validated_arm(tables)
     chain = _drawn_chain(file, folder)
-    n, kinds = len(chain), chain.joint_types
+    n = len(chain)
     file.require_counts(n)
     constraints = [CONSTRAINTS[table.kind](**in_api(table, "kind")) for table in file.constraints]
     counting = None
     if file.joints is not None:  # what it leaves out is as usual
         usual: dict[str, Any] = {"sign": (1,) * n, "coupled_to": (0,) * n, "zero": (0.0,) * n}
         counting = Counting(**usual | in_api(file.joints))
-        check_kinds(counting, kinds)
+        check_kinds(counting, chain.joint_types)
     lower, upper, tied = _joint_limits(file, chain, counting)
     effects = built([_spec(table, k, chain) for k, table in enumerate(file.effects, start=1)], chain)
-    _check_needs(file, effects)
+    _check_needs(file, chain.instrument, effects)
     if file.links_mm is None:  # so that they stand in its URDF file
         limits = zip(chain.joints, lower.tolist(), upper.tolist(), strict=True)
         chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in limits))
@@ -149,8 +149,8 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> SpatialChain:
     folder : where the URDF file is
     """
     if file.links_mm is not None:
-        return planar_chain(file.links_mm)
-    if file.dh is None:
+        chain = planar_chain(file.links_mm)
+    elif file.dh is None:
         tables = {REVOLUTE: file.joint_limits_deg, PRISMATIC: file.joint_limits_mm}
         limited = [kind for kind, table in tables.items() if table is not None]
         chain = _urdf(str(file.urdf), folder).chain(str(file.base_link), str(file.tip_link), limited)
@@ -169,10 +169,10 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> SpatialChain:
         chain = replace(_with_tools(chain, file.tool), known=chain.known | {TOOL})
     if (table := file.instrument) is None:
         return replace(chain, angle_scale=_angle_scale(file.measurement))
-    instrument = KINDS[table.kind].of_table(table.model_dump(exclude_none=True))
+    instrument = kinds(chain.axes)[table.kind].of_table(table.model_dump(exclude_none=True))
     if file.base is not None and instrument.own_targets:
         raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")
-    if table.center_mm is not None:
+    if table.center_mm is not None and not instrument.own_targets:
         normal = np.array([0.0, 0.0, 1.0] if table.normal is None else table.normal, dtype=float)
         turn = rotation_to_z(normal / np.linalg.norm(normal)).T
         chain = replace(chain, base=pose(-turn @ np.array(table.center_mm), turn))
@@ -366,14 +366,14 @@ def _with_geometry(
     return tuple(specs)
 
 
-def _check_needs(file: ArmFile, effects: Iterable[tuple[EffectSpec, Effect]]) -> None:
+def _check_needs(file: ArmFile, instrument: Instrument, effects: Iterable[tuple[EffectSpec, Effect]]) -> None:
     """Raises `InputError` for an effect of gravity on an arm without gravity, and for one of measured distances where
     something else is measured."""
-    kind = None if file.instrument is None else file.instrument.kind
-    offers = frozenset[str]() if kind is None else KINDS[kind].offers
+    state = f"an [instrument] of kind {instrument.kind}" if file.instrument else "no [instrument] table"
     for spec, effect in effects:
-        if "distance" in effect.needs - offers:
-            state = "no [instrument] table" if kind is None else f"an [instrument] of kind {kind}"
+        if effect.of_positions and file.instrument:
+            raise InputError(f"effects: {spec.key} is of measured positions, found {state}, allowed: without it")
+        if "distance" in effect.needs - instrument.offers:
             raise InputError(f"effects: {spec.key} needs measured distances, found {state}, allowed: kind distance")
         if "gravity" in effect.needs and file.gravity is None:
             raise InputError(f"effects: {spec.key} needs gravity torques, found no [gravity] table, allowed: with one")

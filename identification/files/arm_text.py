@@ -159,11 +159,12 @@ def _chain_tables(arm: Arm, chain: SpatialChain) -> Plain:
         if not np.all(np.isfinite(arm.column_limits)) and np.any(np.abs([arm.lower, arm.upper]) != np.pi):
             tied = "limits of coupled joints, none of which is the controller's"
             raise InputError(f"arm {arm.name}: found {tied}, allowed: with a constraint ColumnLimits for each")
-        return {"links_mm": _in_file(arm.lengths)}
+        tables: Plain = {"links_mm": _in_file(arm.lengths)}
+        return tables | ({"instrument": chain.instrument.table()} if chain.instrument.kind else {})
     if chain.fixed:
         chosen = "has a chosen set of parameters"
         raise InputError(f"arm {arm.name}: {chosen}, allowed: all of them; a file has no such key")
-    tables: Plain = {"kind": "spatial"}
+    tables = {"kind": "spatial"}
     tables["urdf"] = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
     tables |= {"base_link": BASE_LINK, "tip_link": TIP}
     if BASE in chain.known:
@@ -217,6 +218,7 @@ def _calibration_table(arm: Arm, calibration: Calibration) -> Plain:
             raise InputError(f"calibration: unknown parameter {name!r}, {nearest(name, by_api)}")
     in_file = {name: _in_file(value, by_api[name].factor) for name, value in values.items()}
     if chain.planar:
+        calibration = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
         errors, offsets = _in_file(calibration.length_errors), _degrees(calibration.joint_offsets)
         tables: Plain = {"length_errors_mm": errors, "joint_offsets_deg": offsets}
     else:

@@ -110,8 +110,9 @@ def measurement_columns(
     if instrument is not None and not instrument.reads_positions:
         names = [f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in instrument.coordinates]
         if instrument.own_targets:
-            marker = instrument.target
-            target = None if target is None else np.array([name.rpartition("/")[2] for name in target.tolist()])
+            marker = instrument.target or session
+            if instrument.target and target is not None:
+                target = np.array([name.rpartition("/")[2] for name in target.tolist()])
         else:
             session = instrument.target or session
     columns |= dict(zip(names, measurements.positions.T, strict=False))
@@ -128,8 +129,8 @@ def measurement_columns(
         "payload_kg": measurements.payload,
         **{f"direction{j}": column for j, column in enumerate(() if directions is None else directions.T, start=1)},
         "posture": measurements.repeats,
-        session: measurements.session,
         marker: target,
+        **({} if marker == session and target is not None else {session: measurements.session}),
         "sigma_mm": measurements.sigma,
     }
     return columns | {name: values for name, values in optional.items() if values is not None}

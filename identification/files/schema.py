@@ -34,7 +34,7 @@ from identification.arm import (
 )
 from identification.arrays import Array
 from identification.errors import InputError, nearest
-from identification.instruments import KINDS
+from identification.instruments import IN_PLANE, KINDS
 from identification.kinematics.joint_range import KEYS
 from identification.spelling import close_names
 
@@ -433,7 +433,7 @@ class ArmFile(StrictTable):
     tool: Annotated[dict[str, PoseTable] | None, BeforeValidator(_by_marker), Of(3)] = None
     machining: InSpace[MachiningTable] = None
     measurement: MeasurementTable | None = None
-    instrument: InSpace[InstrumentTable] = None
+    instrument: InstrumentTable | None = None
     gravity: GravityTable | None = None
     gear_ratio: list[Annotated[float, Field(ge=0)]] | None = Field(
         None, description="one number >= 0 for each joint: turns of its motor per turn, 0 where it is not known"
@@ -447,6 +447,9 @@ class ArmFile(StrictTable):
     @model_validator(mode="after")
     def _keys_go_together(self) -> Self:
         if self.kind == "planar":
+            if self.instrument is not None and self.instrument.kind not in IN_PLANE:
+                state = f"found {self.instrument.kind!r} for a planar arm"
+                raise InputError(f"instrument.kind: {state}, allowed: {' or '.join(IN_PLANE)}")
             return self
         if self.instrument is not None and self.measurement is not None and self.measurement.sigma_deg is not None:
             raise InputError("measurement.sigma_deg: found beside [instrument], allowed: one of them")

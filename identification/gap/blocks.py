@@ -54,10 +54,6 @@ class Linearized:
     normal: Array
     columns: tuple[Array, ...]
 
-    def columns_of(self, blocks: Sequence[int]) -> Array:
-        """(m, d, p) columns of these blocks' own parameters, not whitened."""
-        return np.concatenate([self.columns[b] for b in blocks], axis=2)
-
     def of(self, blocks: Sequence[int]) -> Linearized:
         """That of a few blocks alone."""
         kept = list(blocks)

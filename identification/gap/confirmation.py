@@ -360,16 +360,13 @@ def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Grou
     # the prior of a set is what its odds have beyond its likelihood with all rows
     whole = [problem.products.state([*zip(one.weighed.blocks, one.weighed.sizes, strict=True)]) for one in sets]
     priors = [np.log(o.probability) - state.ratio for o, state in zip(sets, whole, strict=True)]
-    # the base's columns, orthonormal when white, and the others and y beside them: in mm, and white
+    # the base's columns, orthonormal when white, the others, and y: in mm, and white
     m, d = y.shape
-    basis, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])
-    own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, basis.shape[1]
+    back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])[1]
+    own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, back.shape[1]
     columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
     table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)
     white = rows.whiten(table.reshape(m, d, -1))
-    inside = basis.T @ white[:, rank:]
-    white[:, rank:] -= basis @ inside
-    table[:, rank:] -= own @ inside
     every, count, points = white.T @ white, table.shape[1] - rank - 1, np.zeros((m, d), dtype=bool)
     points[:, POINT] = True
     # expected square of the noise of a row, for unit sigma

@@ -78,6 +78,11 @@ class Products:
         return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(*self.starts[b : b + 2]) for b in blocks)])
 
     @cached_property
+    def owners(self) -> Index:
+        """(P,) number of the block that each column belongs to."""
+        return np.repeat(np.arange(len(self.widths)), self.widths)
+
+    @cached_property
     def alike(self) -> list[Index]:
         """Of the blocks of each width w their columns (b, w)."""
         widths = np.unique(self.widths)
@@ -140,7 +145,9 @@ class State:
     @cached_property
     def places(self) -> Index:
         """(k,) of its columns among all, ascending."""
-        return self.products.places(self.blocks)
+        inside = np.zeros(len(self.products.widths), dtype=bool)
+        inside[[*self.blocks]] = True
+        return np.flatnonzero(inside[self.products.owners])
 
     @cached_property
     def sizes(self) -> Array:
@@ -222,7 +229,7 @@ class Left:
         """Of the set without the block."""
         return tuple(pair for pair in self.whole.key if pair[0] != self.block)
 
-    @property
+    @cached_property
     def blocks(self) -> tuple[int, ...]:
         """Numbers of the blocks, ascending."""
         return tuple(block for block, _ in self.key)
@@ -230,8 +237,8 @@ class Left:
     @cached_property
     def _out(self) -> NDArray[np.bool_]:
         """(k,) the block's columns in the set."""
-        out = np.array([block == self.block for block in self.whole.blocks], dtype=bool)
-        return np.repeat(out, self.whole.products.widths[[*self.whole.blocks]])
+        owners = self.whole.products.owners[self.whole.places]
+        return owners == (-1 if self.block is None else self.block)
 
     @cached_property
     def _covariance(self) -> Array:

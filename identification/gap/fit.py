@@ -6,7 +6,7 @@ sheet's sigma that is 1.5 times too small would make every test significant (ide
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -22,8 +22,6 @@ from identification.information import column_space, spectrum
 from identification.measurements import Conditions, Measurements, repeats_of, rms_distance
 from identification.model import Model
 from identification.status import Status
-
-Linearization = Callable[[Array], tuple[Array, Array]]  # (p,) parameters -> positions (m, d), Jacobian (m, d, p)
 
 
 @dataclass(frozen=True)
@@ -181,11 +179,6 @@ class Fit:
         """(N, p) derivative of the whitened positions with respect to the parameters."""
         return self.rows.whiten(self.model.jacobian(self.rows.postures, self.values, self.rows.conditions))
 
-    @property
-    def basis(self) -> Array:
-        """(N, rank) orthonormal basis of the Jacobian's columns."""
-        return column_space(self.jacobian, self.model.scales)
-
     @cached_property
     def rank(self) -> int:
         """Number of parameter combinations that the data determine."""
@@ -231,26 +224,10 @@ class Fit:
 def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> Fit:
     """Fit a model to whitened rows by least squares within the bounds of its parameters.
 
-    start : parameter name -> value, zero where missing; None: as `estimation.problem.starts` finds it
+    start : parameter name -> value, zero where missing; None, or far worse: as `estimation.problem.starts` finds it
     """
     problem = Problem(model, rows.postures, rows.conditions, rows.positions[None], np.ones(len(rows)))
-    at = _linearization(model, rows)
-
-    def linearize(values: Array, _: Index) -> tuple[Array, Array]:
-        position, jacobian = at(values[0])
-        return rows.whiten(rows.positions - position)[None], rows.whiten(jacobian)[None]
-
-    values = starts(problem)[0] if start is None else _better_start(problem, model.parameters.vector(start), at)
-    solution = levenberg_marquardt(replace(problem.least_squares, linearize=linearize), values[None])
-    values = solution.parameters[0]
-    residual, jacobian = linearize(values[None], np.arange(1))
-    triangle = np.asarray(np.linalg.qr(jacobian[0], mode="r"))
-    return Fit(model, rows, values, residual[0], triangle, ~solution.active[0], solution.status[0])
-
-
-def _linearization(model: Model, rows: Rows) -> Linearization:
-    """Function of parameters (p,) -> positions and Jacobian; the last result is cached, as it is needed twice."""
-    last: dict[bytes, tuple[Array, Array]] = {}
+    last: dict[bytes, tuple[Array, Array]] = {}  # positions and Jacobian are needed twice in a row
 
     def at(values: Array) -> tuple[Array, Array]:
         if (key := values.tobytes()) not in last:
@@ -258,19 +235,19 @@ def _linearization(model: Model, rows: Rows) -> Linearization:
             last[key] = model.linearize(rows.postures, values, rows.conditions)
         return last[key]
 
-    return at
+    def linearize(values: Array, _: Index) -> tuple[Array, Array]:
+        position, jacobian = at(values[0])
+        return rows.whiten(rows.positions - position)[None], rows.whiten(jacobian)[None]
 
+    def left(values: Array) -> float:
+        return rms_distance(rows.positions - at(values)[0])
 
-def _better_start(problem: Problem, values: Array, at: Linearization) -> Array:
-    """(p,) the start, or the closed form's where that is far better: with a base offset it holds in any frame.
-
-    at : positions and Jacobian; used here because compiling a second function would take longer than the fit
-    """
-
-    def left(there: Array) -> float:
-        return rms_distance(problem.positions[0] - at(there)[0])
-
-    if left(values) <= FAR * problem.model.reach:
-        return values
-    closed = starts(problem)[0]
-    return closed if left(closed) < left(values) else values
+    values = None if start is None else model.parameters.vector(start)
+    if values is None or left(values) > FAR * model.reach:  # with a base offset the closed form holds in any frame
+        closed = starts(problem)[0]
+        values = closed if values is None or left(closed) < left(values) else values
+    solution = levenberg_marquardt(replace(problem.least_squares, linearize=linearize), values[None])
+    values = solution.parameters[0]
+    residual, jacobian = linearize(values[None], np.arange(1))
+    triangle = np.asarray(np.linalg.qr(jacobian[0], mode="r"))
+    return Fit(model, rows, values, residual[0], triangle, ~solution.active[0], solution.status[0])

@@ -217,7 +217,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     for name, cls in known.items():
         if cls.alias or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated:
             continue  # does not act on the mean, is no fault of the arm, or cannot be told from the base parameters
-        if "distance" in cls.needs - available:
+        if "distance" in cls.needs - available or (cls.of_positions and not arm.chain.instrument.reads_positions):
             continue  # of another instrument: nothing that these data lack
         if missing := sorted(cls.needs - available):
             skipped[name] = f"needs {', '.join(missing)}"

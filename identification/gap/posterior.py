@@ -197,14 +197,12 @@ def _with_noises(
     """A set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and with
     the outlying rows of the set alone, which noise of another kind may need, too."""
     rows_only = search.products.state([(b, size) for b, size in top.key if problem.blocks[b].row])
-    sets = {one.key: one for one in (search.products.nothing, top, rows_only)}
-    prior = np.array([n.prior for n in every])
-    each = [
-        likelihoods - likelihoods[number] + search.log_odds(one) + prior
-        for one, likelihoods in zip(
-            sets.values(), _likelihoods(library, every, at, problem, [*sets.values()]), strict=True
-        )
-    ]
+    y, jacobian, base = library.as_base(at, every[0].rows)
+    plain, prior, each = jacobian[:, :, base] / at.model.scales[base], np.array([n.prior for n in every]), []
+    for one in {one.key: one for one in (search.products.nothing, top, rows_only)}.values():
+        free = np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2)
+        likelihoods = log_likelihoods(every, y, free)
+        each.append(likelihoods - likelihoods[number] + search.log_odds(one) + prior)
     return Climbed(library, at, every, number, wrong, problem, search, top, np.max(each, axis=0), each[0])
 
 
@@ -302,16 +300,3 @@ def _striking(rows: Rows, at: Fit) -> list[int]:
     far = np.zeros(len(rows), dtype=bool)
     far[[k for k in order[:MOST_WRONG] if sizes[k] > limit]] = True
     return np.flatnonzero(far & ~together(far, rows.postures, rows.posture_numbers)).tolist()
-
-
-def _likelihoods(
-    library: HypothesisSet, every: list[NoiseModel], at: Fit, problem: Linearized, sets: Sequence[State]
-) -> list[Array]:
-    """Of each set (K,) log likelihoods of the noises, up to a constant."""
-    rows = every[0].rows
-    y, jacobian, base = library.as_base(at, rows)
-    plain = jacobian[:, :, base] / at.model.scales[base]
-    return [
-        log_likelihoods(every, y, np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2))
-        for one in sets
-    ]

@@ -34,7 +34,7 @@ WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows 
 REST_ODDS = 0.1  # prior odds of the rest of the library: many small effects beside what can be named
 NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out, and of a set not listed
 MOVES = 700  # effort: of the walk
-THIN = 32  # effort: columns of a set for each move of the walk that is not counted among the draws
+THIN = 64  # effort: columns of a set for each move of the walk that is not counted among the draws
 MOST = 10  # effort: pairs of blocks, candidates, and explanations cross-validated
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
@@ -144,7 +144,8 @@ class Search:
                 best = self._likeliest(self._each(single.without()), every)
                 pair = single if best is None else single.without().put(*best)
                 tops += [single, self._up(pair, ~every)]  # its sizes alone
-        return self._up(self._up(max(tops, key=lambda one: round(self.log_odds(one), 9)), others), every)
+        top = max(tops, key=lambda one: round(self.log_odds(one), 9))
+        return self._up(self._up(self._up(top, others), others), every)
 
     def _up(self, state: State, allowed: NDArray[np.bool_]) -> State:
         """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each.

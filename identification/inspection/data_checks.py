@@ -62,7 +62,7 @@ def _bare(arm: Arm, measurements: Measurements) -> Arm:
     """The arm as it is drawn, a planar one anywhere; with one measured point where it has several and the rows name
     none."""
     chain = one_unnamed(arm.chain, measurements)
-    if chain.planar:
+    if chain.positions_in_plane:
         chain = replace(chain, known=chain.known - {BASE})
     return replace(arm, chain=chain, effects=(), calibration=None)
 

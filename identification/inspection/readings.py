@@ -381,7 +381,7 @@ def _placed(arm: Arm, rows: Measurements) -> Callable[[Reading], Reading]:
 
     def placed(reading: Reading) -> Reading:
         base, _, rms = place(reading)
-        turn = float(np.arctan2(base[1, 0], base[0, 0])) if len(arm.chain.turning) == 1 else None
+        turn = float(np.arctan2(base[1, 0], base[0, 0])) if arm.chain.positions_in_plane else None
         return replace(reading, rms=rms, turn=turn)
 
     return placed
@@ -433,7 +433,7 @@ def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, 
     """The model where the closed form places it, and zeros of joints to start from where they are clearly not those of
     the drawing: far from them a fit may end with frames turned over."""
     start = placed_model(model, measurements)
-    if start is model or (arm := model.arm).calibration is not None:
+    if start is model or (arm := model.arm).chain.planar or arm.calibration is not None:
         return start, {}
     rows = some(measurements, measurements.session_rows[0])  # later ones have another base
     left = rows.positions - start.position(rows.postures, conditions=rows.conditions)

@@ -31,7 +31,7 @@ AWAY = 0.02  # of the reach: a base this far from where the file has it stands e
 def turned_frame(arm: Arm, measurements: Measurements) -> list[str]:
     """How far the positions of a planar arm are turned against its drawing, in a sentence; none for less than a zero
     may be off by, or where the drawing does not explain the positions at any angle."""
-    if not arm.chain.planar or measurements.links != arm.links:
+    if not arm.chain.positions_in_plane or measurements.links != arm.links:
         return []
     reading = as_written(arm, measurements).written
     if reading.turn is None or abs(reading.turn) < FAR_ZERO or reading.rms > DRAWN * arm.reach:

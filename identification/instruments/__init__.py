@@ -3,8 +3,18 @@
 `KINDS` maps the words of arm files to classes (identification/README.md, "How to add an instrument").
 """
 
-from identification.instruments.base import KINDS, Coordinate, Guide, Instrument, OwnValue, register_instrument
+from identification.instruments.base import (
+    IN_PLANE,
+    KINDS,
+    Coordinate,
+    Guide,
+    Instrument,
+    OwnValue,
+    kinds,
+    register_instrument,
+)
 from identification.instruments.distance import Distance
+from identification.instruments.planar_distance import PlanarDistance
 from identification.instruments.plane import Plane
 from identification.instruments.search import Placement
 from identification.instruments.socket import Socket
@@ -12,6 +22,7 @@ from identification.instruments.sphere import Sphere
 from identification.instruments.tracker import TRACKER, Tracker
 
 __all__ = [
+    "IN_PLANE",
     "KINDS",
     "TRACKER",
     "Coordinate",
@@ -20,9 +31,11 @@ __all__ = [
     "Instrument",
     "OwnValue",
     "Placement",
+    "PlanarDistance",
     "Plane",
     "Socket",
     "Sphere",
     "Tracker",
+    "kinds",
     "register_instrument",
 ]

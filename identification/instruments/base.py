@@ -74,11 +74,13 @@ class Instrument:
     whose fields, numbers or tuples of them, are what is known of the instrument.
 
     kind : the word in arm files; empty: these need none
+    axes : of the points that it reads: `xyz`, or `xy` of planar arms
     keys : of `[instrument]` that it has, besides `kind`
     coordinates : of a reading; none: it reads nothing, a target is touched (`contact`)
     target : column of files that names what is touched, each with a place of its own; empty: there is none
-    own_targets : whether these have `parameters`, in the frame of the base, and rows name them as they name measured
-        points (`Measurements.marker`); else they count as sessions, each of which has a base
+    own_targets : word of the `parameters` of what is touched or measured from, `cup` of `cup[A].x`, where these stand
+        in the frame of the base and rows name them as they name measured points (`Measurements.marker`); empty: they
+        count as sessions, each of which has a base
     unsaid : number of the target where nothing is said of it
     offers : what effects may need of it (`Effect.needs`)
     reads_positions : whether a reading is the position of the measured point, or with its orientation the pose
@@ -86,10 +88,11 @@ class Instrument:
     """
 
     kind: ClassVar[str] = ""
+    axes: ClassVar[str] = "xyz"
     keys: ClassVar[frozenset[str]] = frozenset()
     coordinates: ClassVar[tuple[Coordinate, ...]] = ()
     target: ClassVar[str] = ""
-    own_targets: ClassVar[bool] = False
+    own_targets: ClassVar[str] = ""
     unsaid: ClassVar[float] = 0.0
     offers: ClassVar[frozenset[str]] = frozenset()
     reads_positions: ClassVar[bool] = False
@@ -190,10 +193,13 @@ class Instrument:
         """
         return starts, []
 
-    def with_targets(self, points: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Instrument:
-        """With `own_targets` where rows touch them.
+    def with_targets(
+        self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]
+    ) -> Instrument:
+        """With `own_targets` where rows find them.
 
-        points : (m, 3) measured ones in its frame, as best known;  numbers : (m,) of the targets, by their `names`
+        points, readings : (m, 3 or 2) measured points in its frame, as best known, and (m, d) what was read
+        numbers : (m,) of the targets, by their `names`
         """
         return self
 
@@ -233,7 +239,8 @@ PLACE = "base"  # kind of a parameter that says where something stands, as that 
 @lru_cache(maxsize=32)
 def _linearized(instrument: Instrument) -> Evaluate:
     """Compiled once for equal instruments."""
-    point, values, target = (ca.SX.sym(*name) for name in (("p", 3), ("v", len(instrument.parameters)), ("target",)))
+    sizes = {"p": len(instrument.axes), "v": len(instrument.parameters), "target": 1}
+    point, values, target = (ca.SX.sym(name, size) for name, size in sizes.items())
     reading = ca.SX(instrument.reading(point, values, target))
     outputs = [ca.densify(reading), ca.jacobian(reading, point), ca.jacobian(reading, values)]
     return vectorize(ca.Function("reading", [point, values, target], ca.cse(outputs)))
@@ -245,17 +252,23 @@ def relative(first: Array, base: Array) -> dict[str, float]:
     return {name: float(x) for name, x in zip((*AXES, *(f"w{axis}" for axis in AXES)), (*shift, *turn), strict=True)}
 
 
-KINDS: dict[str, type[Instrument]] = {}  # word of arm files -> class
+KINDS: dict[str, type[Instrument]] = {}  # word of files of arms in space -> class
+IN_PLANE: dict[str, type[Instrument]] = {}  # the same of planar arms
 OWN = "identification.instruments"
 
 
+def kinds(axes: str) -> dict[str, type[Instrument]]:
+    """Those of arms with these axes."""
+    return KINDS if axes == Instrument.axes else IN_PLANE
+
+
 def register_instrument(cls: type[Instrument]) -> type[Instrument]:
-    """Class decorator that makes an instrument known to arm files under its `kind`.
+    """Class decorator that makes an instrument known to files of arms with its `axes` under its `kind`.
 
     A user's own class may be defined again, as in notebooks. Raises `InputError` for a word that is taken.
     """
-    taken = KINDS.get(cls.kind)
+    taken = kinds(cls.axes).get(cls.kind)
     if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):
         raise InputError(f"instrument: the kind {cls.kind!r} is taken, allowed: another word")
-    KINDS[cls.kind] = cls
+    kinds(cls.axes)[cls.kind] = cls
     return cls

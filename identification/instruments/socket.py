@@ -50,7 +50,7 @@ class Socket(Instrument):
     kind = "socket"
     keys = frozenset({"cups", "distances_mm"})
     target = "cup"
-    own_targets = True
+    own_targets = "cup"
     unsaid = -1.0
     guide = Guide(
         about="a ball at the tool, seated in cups that stand anywhere",
@@ -144,7 +144,7 @@ class Socket(Instrument):
         moved = positions + turns @ tool
         return Placement(np.eye(4), tool, float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))))
 
-    def with_targets(self, points: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Socket:
+    def with_targets(self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Socket:
         """With a cup in the middle of the points of each."""
         touched = np.unique(numbers).tolist()
         cups = tuple((names[k], _triple(points[numbers == k].mean(axis=0))) for k in touched)

@@ -126,6 +126,11 @@ class SpatialChain(ByValue):
         return self.axes == IN_PLANE
 
     @property
+    def positions_in_plane(self) -> bool:
+        """Whether it is a planar arm of which positions are measured, as the closed form and the theorem have it."""
+        return self.planar and self.instrument.reads_positions
+
+    @property
     def dimension(self) -> int:
         """d, coordinates of a position: 3 in space, 2 in the plane."""
         return len(self.axes)
@@ -197,7 +202,8 @@ class SpatialChain(ByValue):
         """
         if self.planar:
             errors = [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
-            return chain_parameters(np.where(self.lengths + errors == 0.0, self.lengths, np.abs(self.lengths + errors)))
+            scales = np.where(self.lengths + errors == 0.0, self.lengths, np.abs(self.lengths + errors))
+            return ParameterSet.of((*chain_parameters(scales), *self.instrument.parameters))
         left_out = {PRISMATIC: TRANSLATION_ERROR, REVOLUTE: ROTATION_ERROR}
         along_axes = {
             f"{left_out[joint.type].removesuffix('error')}{AXES[k]}:{j}"
@@ -206,7 +212,7 @@ class SpatialChain(ByValue):
         }
         stands = BASE in self.known
         hidden = along_axes if stands else along_axes | self.instrument.hidden(self.base)
-        hidden |= {self.turning_with_targets} if self.instrument.own_targets else set()
+        hidden |= {self.turning_with_targets} if self.instrument.own_targets else frozenset()
         return ParameterSet.of(
             p
             for p in self.every_parameter
@@ -228,12 +234,17 @@ class SpatialChain(ByValue):
         k = int(np.argmax(moved))
         return f"{'rotation' if k < DIMENSION else 'translation'}_{AXES[k % DIMENSION]}:2"
 
+    @property
+    def held(self) -> frozenset[str]:
+        """Names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows."""
+        return self.fixed | (self.instrument.hidden(self.base) if self.planar else frozenset())
+
     @cached_property
     def every_parameter(self) -> ParameterSet:
         """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
         and six errors, in the plane lengths of links and offsets of joints, and last those of the instrument itself."""
         if self.planar:
-            return chain_parameters(self.lengths)
+            return ParameterSet.of((*chain_parameters(self.lengths), *self.instrument.parameters))
         parameters = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
         for name, place in self.tools.items():
             far = FARTHEST * (self.reach + float(np.linalg.norm(place)))
@@ -253,7 +264,7 @@ class SpatialChain(ByValue):
 
     def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets of a planar arm; None for others, see there."""
-        return PlanarClosedForm.of(self.lengths, parameters, others) if self.planar else None
+        return PlanarClosedForm.of(self.lengths, parameters, others) if self.positions_in_plane else None
 
     def along_base(self, shift: Mapping[str, float], values: Values, back: bool = False) -> dict[str, Any]:
         """A shift of the base along its own axes as one along those of the instrument, both by the names of its

@@ -27,7 +27,8 @@ ENOUGH = 500  # rows: a start is good to far less than the errors of the geometr
 
 def placed_model(model: Model, measurements: Measurements) -> Model:
     """The model with base and measured points from a closed form on the geometry as best known, the points named as in
-    the data; planar arms stay as they are. Of several sessions the first says where the arm stands.
+    the data, and with targets that stand in the frame of the base; planar arms of which positions are measured stay as
+    they are. Of several sessions the first says where the arm stands.
 
     Raises `InputError` for measured points that the arm does not have.
     """
@@ -55,8 +56,10 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if own_targets:
         frames = tip_frames(standing, measurements.postures, geometry)
         points = frames[:, :3, 3] + frames[:, :3, :3] @ next(iter(standing.tools.values()))
-        names = measurements.marker_names or ("1",)
-        chain = replace(chain, instrument=chain.instrument.with_targets(points, markers_of(measurements), names))
+        points, names = points[:, : chain.dimension], measurements.marker_names or ("1",)
+        readings = measurements.positions[:, : chain.instrument.dimension]
+        instrument = chain.instrument.with_targets(points, readings, markers_of(measurements), names)
+        chain = replace(chain, instrument=instrument)
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
 
 

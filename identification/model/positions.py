@@ -29,7 +29,7 @@ def of_positions(model: Model) -> Model:
     held_values = dict(model.known or {})
     for parameter in chain.instrument.parameters:
         held_values.pop(parameter.name, None)
-    held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names}
+    held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names} | (chain.held - chain.fixed)
     held |= {p.name for effect in model.effects if effect.needs & chain.instrument.offers for p in effect.parameters}
     return Model(arm, {**held_values, **dict.fromkeys(held, 0.0)})
 
@@ -52,11 +52,12 @@ def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None
         return jacobian
     if (m := len(points)) < FEWEST:
         raise InputError(f"postures: {m} for the error of the tip from lengths, allowed: at least {FEWEST}")
-    around = points - points.mean(axis=0)
-    turns = np.cross(np.eye(3), around[:, None, :])  # (m, 3, 3), a row of each axis
-    rigid = np.concatenate([np.tile(np.eye(3), (m, 1, 1)), np.swapaxes(turns, 1, 2)], axis=2)
-    basis = np.linalg.qr(rigid.reshape(3 * m, 6))[0]
-    flat = jacobian.reshape(3 * m, -1)
+    d = points.shape[1]
+    around = np.pad(points - points.mean(axis=0), ((0, 0), (0, 3 - d)))
+    turns = np.cross(np.eye(3)[[*model.arm.chain.turning]], around[:, None, :])[..., :d]  # a row of each axis
+    rigid = np.concatenate([np.tile(np.eye(d), (m, 1, 1)), np.swapaxes(turns, 1, 2)], axis=2)
+    basis = np.linalg.qr(rigid.reshape(d * m, -1))[0]
+    flat = jacobian.reshape(d * m, -1)
     return np.asarray((flat - basis @ (basis.T @ flat)).reshape(jacobian.shape))
 
 

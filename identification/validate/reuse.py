@@ -82,7 +82,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
 def _named(word: str, model: Model) -> set[str]:
     """Names of the parameters that a word means."""
     effects = {effect.key: effect for effect in model.effects}
-    if word == "base" and model.arm.chain.planar:
+    if word == "base" and model.arm.chain.positions_in_plane:
         named = {p.name for p in model.parameters if p.name in PLANAR_BASE}
     elif word in KINDS:
         named = {p.name for p in model.parameters if p.kind in KINDS[word]}

@@ -137,7 +137,9 @@ class Validation:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `validate` (identification/files/README.md, "JSON keys")."""
-        if self.arm.chain.planar:
+        if self.arm.chain.instrument.own_targets:
+            every = placed_model(Model(self.arm), self.measurements).arm.chain.every_parameter
+        elif self.arm.chain.planar:
             every = Model(with_base_offset(self.arm)).all_parameters
         else:
             every = with_markers(one_unnamed(self.arm.chain, self.measurements), self.measurements).every_parameter
@@ -451,6 +453,11 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
     if refit == "none":
         return Model(arm, values), np.zeros(0)
     offsets = [f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)] if refit == "offsets" else []
+    if not arm.chain.positions_in_plane:  # its targets are where it stands
+        model = placed_model(Model(arm), measurements)
+        free = {*offsets, *(p.name for p in model.arm.chain.instrument.parameters)}
+        model = replace(model, known={k: v for k, v in model.best_known.items() if k not in free})
+        return model, model.values
     model = Model(with_base_offset(arm), {k: value for k, value in values.items() if k not in (*PLANAR_BASE, *offsets)})
     start = model.parameters.vector(values)
     computed = model.position(measurements.postures, start, conditions)

@@ -23,9 +23,7 @@ from doe.studies.blind.simulator import (
     shift,
     turn,
 )
-from identification import Arm, Array, EffectSpec, Gravity, Measurements
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
-from identification.kinematics.spatial import planar_chain
+from identification import Arm, Array, DHRow, EffectSpec, Gravity, Measurements, chain_of, planar_chain
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,20 @@ from importlib.util import find_spec
 import numpy as np
 
 from doe.studies.blind.cells import DataSet
-from identification import Arm, Array, Calibration, EffectSpec, Measurements, Model
-from identification.estimation.uncertainty import freedom_of, quantile_95
+from identification import (
+    Arm,
+    Array,
+    Calibration,
+    EffectSpec,
+    Measurements,
+    Model,
+    freedom_of,
+    practical,
+    quantile_95,
+    rms_distance,
+)
 from identification.gap.fit import Rows, fit
 from identification.gap.hypotheses import hypotheses
-from identification.measurements import rms_distance
-from identification.model.minimal import practical
 
 LENGTHS = (0.5, 8.0)  # of the process's kernel; two postures are at most 2 sqrt(n) apart
 RATIOS = (1e-6, 1e6)  # of the kernel's parts to the mean square residual

@@ -33,8 +33,7 @@ from doe.studies.blind.rivals import (
     true_arm,
 )
 from doe.studies.blind.score import BARS, BlindStudy, contradictions, scored_table
-from identification import Diagnosis, InputError, Measurements, Model, Progress, diagnose, nearest, silent
-from identification.estimation.uncertainty import quantile_95
+from identification import Diagnosis, InputError, Measurements, Model, Progress, diagnose, nearest, quantile_95, silent
 from identification.files.io import write_together
 
 BATCH = 10  # sets per task

@@ -19,11 +19,14 @@ from pydantic import Field
 from doe.plan.plan import Plan, load_plan
 from doe.solvers import SOLVERS
 from identification import (
+    GEOMETRY,
     Arm,
     Calibration,
     EffectSpec,
     InputError,
     Model,
+    arm_from_tables,
+    dump_arm,
     library,
     load_arm,
     nearest,
@@ -31,11 +34,8 @@ from identification import (
     with_points,
     without_prior,
 )
-from identification.files.arm import arm_from_tables
-from identification.files.arm_text import dump_arm
 from identification.files.io import named_file, read_toml
 from identification.files.schema import StrictTable, validated
-from identification.kinematics.parameters import GEOMETRY
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"

@@ -38,13 +38,14 @@ from identification import (
     Measurements,
     Model,
     Progress,
+    arm_from_tables,
+    dump_arm,
+    estimate_batch,
+    estimate_each,
     silent,
     without_prior,
 )
-from identification.estimation import estimate_batch, estimate_each
 from identification.estimation.batch import sessions
-from identification.files.arm import arm_from_tables
-from identification.files.arm_text import dump_arm
 from identification.files.io import write_together
 from identification.information import covariance, covariances
 from identification.kinematics.counting import in_columns, in_joints

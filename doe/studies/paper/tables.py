@@ -26,9 +26,7 @@ from doe.bounds.planar_theorem import pair_means as table_1_sums
 from doe.jobs.rows import frame_of
 from doe.studies.monte_carlo.specification import Study, Truth
 from doe.studies.monte_carlo.study import dft_postures, run_study
-from identification import Arm, Array, Model, information_matrix
-from identification.estimation import estimate_batch, estimate_each
-from identification.kinematics.spatial import planar_chain
+from identification import Arm, Array, Model, estimate_batch, estimate_each, information_matrix, planar_chain
 
 PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text())  # what it prints
 LENGTHS, LENGTH_ERRORS = tuple(PAPER["lengths_mm"]), tuple(PAPER["length_errors_mm"])

@@ -299,3 +299,33 @@ def test_sockets_without_cups_have_no_plan(folder: Folder) -> None:
     refused = folder.armcal("simulate", "arm.toml", "plan.csv", "--truth", "arm.toml", "--out", "data.csv")
     assert refused.code == 2
     assert "instrument: found none of cups" in refused.err
+
+
+def test_the_loop_of_a_bar_beside_a_planar_arm(folder: Folder) -> None:
+    """Plan, simulated distances, fit, diagnosis, commands: where the center is nobody says."""
+    limits = "[joint_limits_deg]\nlower = [-150, -140, -140]\nupper = [150, 140, 140]\n"
+    arm = f"links_mm = [300.0, 250.0, 150.0]\n{limits}[measurement]\nsigma_mm = 0.02\n"
+    arm += '[instrument]\nkind = "distance"\n'
+    known = "[calibration]\nlength_errors_mm = [1.2, -0.7, 0.4]\njoint_offsets_deg = [0.0, 0.2, -0.3]\n"
+    folder.write("arm.toml", f"{arm}center_mm = [400.0, 300.0]\n")
+    folder.write("blank.toml", arm)
+    folder.write("truth.toml", f"{arm}center_mm = [400.0, 300.0]\n{known}{ECCENTRIC.replace('joint = 3', 'joint = 2')}")
+    plan = folder.armcal("design", "arm.toml", "--runs", "60", "--starts", "1", "--out", "seats.csv", "--json")
+    assert plan.code == 0, plan.err
+    assert plan.data["efficiency"] <= 1.0 + 1e-9
+    words = "arm.toml", "seats.csv", "--truth", "truth.toml", "--seed", "1", "--out", "data.csv"
+    assert folder.armcal("simulate", *words).code == 0
+    assert "distance_mm" in (folder.path / "data.csv").read_text()
+    assert folder.armcal("check", "blank.toml", "data.csv").code == 0
+    fit = folder.armcal("identify", "blank.toml", "data.csv", "--out", "geometry.toml", "--json")
+    assert fit.code == 0, fit.err
+    names = [entry["name"] for entry in fit.data["parameters"]]
+    assert {"center[1].x", "center[1].y"} < set(names)
+    assert "joint_offset:1" not in names
+    found = folder.armcal("diagnose", "blank.toml", "data.csv", "--out", "extended.toml", "--json")
+    assert found.code == 0, found.err
+    assert found.data["effects"] == ["encoder_eccentricity:2"]
+    folder.write("targets.csv", "x_mm,y_mm\n300,200\n-100,400\n")
+    done = folder.armcal("compensate", "extended.toml", "targets.csv", "--json")
+    assert done.code == 0, done.err
+    assert done.data["reached"] == 2

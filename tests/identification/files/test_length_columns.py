@@ -13,7 +13,7 @@ from identification.errors import InputError
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm
 from identification.files.measurement import load_measurements, measurement_text
-from identification.instruments import Distance, Plane, Sphere
+from identification.instruments import Distance, PlanarDistance, Plane, Sphere
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 
 CHAIN = chain_of([DHRow(300.0, 0.0, 10.0), DHRow(200.0, 1.0, 0.0)])
@@ -131,9 +131,24 @@ def test_where_a_plane_is(tmp_path: Path) -> None:
     np.testing.assert_allclose(base[:3, :3] @ base[:3, :3].T, np.eye(3), atol=1e-12)
 
 
-def test_planar_arms_have_no_instrument(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="instrument: found in the file of an arm that is not spatial"):
-        load_arm(saved(tmp_path, 'links_mm = [300.0]\n[instrument]\nkind = "distance"\n', "arm.toml"))
+def test_planar_arms_have_distances_alone(tmp_path: Path) -> None:
+    bar = 'links_mm = [300.0, 200.0]\n[instrument]\nkind = "distance"\ncenter_mm = [400.0, 100.0]\n'
+    arm = load_arm(saved(tmp_path, bar, "arm.toml"))
+    assert arm.chain.instrument == PlanarDistance((("1", (400.0, 100.0)),))
+    assert load_arm(saved(tmp_path, dump_arm(arm), "again.toml")).chain == arm.chain
+    data = load_measurements(saved(tmp_path, "q1_deg,q2_deg,distance_mm,session\n30,50,412.5,a\n-90,7,300,b\n"), arm)
+    np.testing.assert_array_equal(data.positions, [[412.5], [300.0]])
+    assert data.marker_names == data.sessions == ("a", "b")  # each with a center of its own
+    text = measurement_text(data, instrument=arm.chain.instrument)
+    again = load_measurements(saved(tmp_path, text), arm)
+    assert replace(again, provenance=data.provenance) == data
+    for lines, said in (
+        ('kind = "sphere"\n', "instrument.kind: found 'sphere' for a planar arm, allowed: distance"),
+        ('kind = "distance"\ncenter_mm = [1.0, 2.0, 3.0]\n', "center_mm: found 3 values, allowed: two numbers"),
+        ('kind = "distance"\n[[effects]]\nname = "base_offset"\n', "base_offset is of measured positions, found an"),
+    ):
+        with pytest.raises(InputError, match=said):
+            load_arm(saved(tmp_path, f"links_mm = [300.0]\n[instrument]\n{lines}", "arm.toml"))
 
 
 @pytest.mark.parametrize("arm", [BAR, BALL, FACE])

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from identification.arm import Arm
+from identification.errors import InputError
 from identification.estimation.grouped import GROUPS, Mean, groupings, mean_of, regions
 from identification.gap.confirmation import Confirmation, confirm, predicted_from_others, split
 from identification.gap.fit import Rows
@@ -204,3 +205,23 @@ def test_what_is_left_is_what_was_expected(given: bool) -> None:
     _, after, expected = left_by_others(simulated(3, sigma, given), np.arange(400) % 8)
     assert expected == pytest.approx(2.0 * np.mean(sigma**2), rel=0.1)
     assert np.mean(np.sum(after**2, axis=1)) == pytest.approx(expected, rel=0.3 if given else 0.15)
+
+
+def test_says_what_was_tested_and_what_failed() -> None:
+    rng = np.random.default_rng(6)
+    wrong = held_out(rng, 200, 2.0, present=0.0)
+    assert str(wrong).startswith("does not hold for other postures, the gap does not shrink and the gap exceeds")
+    assert wrong.to_json()["shrinks"] is False
+    assert str(held_out(rng, 200, 2.0)).startswith("holds for other postures: ")
+    assert str(held_out(rng, 1, 2.0)).startswith("too few rows to say whether it holds for other postures")
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -0.2, float("nan")])
+def test_a_share_is_between_none_and_all(share: float) -> None:
+    with pytest.raises(InputError, match="allowed: a share of the rows between 0 and 1"):
+        split(DATA, share, np.random.default_rng(0))
+
+
+def test_rows_of_one_posture_cannot_be_split() -> None:
+    with pytest.raises(InputError, match="of one posture"):
+        split(DATA.rows(NUMBER == 3), 0.5, np.random.default_rng(0))
