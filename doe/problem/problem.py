@@ -148,6 +148,8 @@ class DesignProblem:
         if kept.size and kept.shape[1:] != (self.joints,):
             raise InputError(f"kept: shape {kept.shape}, allowed: (k, {self.joints})")
         object.__setattr__(self, "kept", readonly(kept.reshape(-1, self.joints)))
+        if self.choices is not None and np.shape(self.choices)[1:] != (self.joints,):
+            raise InputError(f"candidates: shape {np.shape(self.choices)}, allowed: (N, {self.joints})")
         object.__setattr__(self, "deviations", dict(self.deviations))
         _ = self.precisions  # raises for deviations that do not fit
         if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):

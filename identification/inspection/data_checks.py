@@ -25,7 +25,6 @@ from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, tip_frames
 
-PLACED = 6  # numbers of a center, or a plane with three turns, and a measured point
 SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
 LARGE_ANGLE = 7.0  # [rad], more than a turn, above which numbers may be degrees
 ANGLES = {  # factors to radians as read, and what the numbers then were
@@ -70,8 +69,8 @@ def _bare(arm: Arm, measurements: Measurements) -> Arm:
 def _few(measurements: Measurements, arm: Arm) -> bool:
     """Whether base and measured points alone might explain the data in any unit."""
     points, chain = 1 if measurements.marker is None else len(measurements.marker_names), arm.chain
-    stands = chain.dimension + len(chain.turning)  # of each session
-    fitted = PLACED if measurements.dimension == 1 else stands + (0 if chain.planar else chain.dimension * points)
+    stands = chain.dimension + len(chain.turning) - len(chain.instrument.hidden(np.eye(4)))  # of each session
+    fitted = stands + (0 if chain.planar else chain.dimension * points)
     return measurements.positions.size < 4 * fitted * len(measurements.session_rows)
 
 
@@ -154,7 +153,7 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     if CLEARLY * misfits[best] >= misfits[1.0, 1.0]:
         return _Units(huge)
     turned, factor = best
-    axes = ("distance",) if measurements.dimension == 1 else "xyz"[: arm.dimension]
+    axes = [coordinate.name for coordinate in arm.chain.instrument.coordinates][: measurements.dimension]
     sentences = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
     sentences += huge
     if factor != 1.0:

@@ -59,6 +59,16 @@ def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> N
     assert calibration.provenance["sha256"] in campaign.read("gap.html")
 
 
+def test_the_next_step_names_the_file_that_was_diagnosed(campaign: Folder) -> None:
+    """Which other files are given beside the JSON object or not."""
+    campaign.write("diag.json", campaign.armcal("diagnose", "arm.toml", "other.csv", "--json").out)
+    for names in (["diag.json"], ["arm.toml", "data.csv", "diag.json"]):
+        done = campaign.armcal("report", *names, "--out", "page.html", "--force")
+        assert done.code == 0, done.err
+        assert "armcal identify arm.toml other.csv --out calibrated.toml" in campaign.read("page.html")
+        assert "armcal identify arm.toml data.csv" not in campaign.read("page.html")
+
+
 def test_commands_are_shown_with_what_has_none(campaign: Folder) -> None:
     campaign.write("targets.csv", "x_mm,y_mm\n400,100\n300,-50\n9000,0\n")
     made = campaign.armcal("compensate", "cal.toml", "targets.csv", "--out", "commands.csv", "--json").data

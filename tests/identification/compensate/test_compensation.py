@@ -1,16 +1,31 @@
-"""What is said of commands: counted and converted by hand, for targets that are reached, missed and forbidden."""
+"""What is said of commands: counted and converted by hand, for targets that are reached, missed and forbidden.
+
+Compensation: the commands are checked on the calibrated model and against two-link trigonometry.
+
+A pan-tilt unit: two joints reach a surface, and no measured position lies on it exactly.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from identification.arm import Arm, Calibration
+from identification.arm import Arm, Calibration, EffectSpec, Gravity
+from identification.arrays import Array
 from identification.compensate import compensate
 from identification.compensate.compensation import Compensation
+from identification.compensate.inverse_kinematics import TOLERANCE
+from identification.errors import InputError
+from identification.estimation import estimate
+from identification.files.measurement import commands_text
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.joint_range import joint_range
+from identification.measurements import Conditions, Measurements, directions_from_order
+from identification.model import Model
+from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 # of three targets the first is reached, the second 0.25 mm off, and the third's command misses a constraint by 3 mm
 FOUND = Compensation(
@@ -106,3 +121,323 @@ def test_joints_beyond_the_angles_of_the_identification_are_counted() -> None:
     assert whole.warnings == []
     near = compensate(arm, targets[:1], np.column_stack([first, bends])[:1])
     assert near.warnings == []
+
+
+LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
+CALIBRATION = Calibration.of(np.array([1.5, -0.6, -0.4, 0.7]), np.radians([0.5, -0.5, 0.7, -0.3]))
+GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0, 3.0]), np.full(4, 0.5), 10.0)
+LIMITS = np.radians([180.0, 120.0, 100.0, 90.0])
+
+
+def arm(*effects: EffectSpec, values: dict[str, float] | None = None) -> Arm:
+    calibration = replace(CALIBRATION, values={**CALIBRATION.values, **(values or {})})
+    return Arm(LENGTHS, -LIMITS, LIMITS, gravity=GRAVITY, effects=effects, calibration=calibration)
+
+
+def tip(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    z = (lengths * np.exp(1j * np.cumsum(q + offsets, axis=1))).sum(axis=1)
+    return np.column_stack([z.real, z.imag])
+
+
+def test_nominal_postures_are_corrected_by_little() -> None:
+    nominal = np.random.default_rng(0).uniform(-0.9, 0.9, (200, 4)) * LIMITS
+    found = compensate(arm(), postures=nominal)
+    np.testing.assert_allclose(found.targets, tip(nominal, LENGTHS, np.zeros(4)), rtol=0, atol=1e-10)
+    real = tip(found.commands, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets)
+    assert found.reached.all()
+    np.testing.assert_allclose(real, found.targets, rtol=0, atol=TOLERANCE)
+    assert np.all(np.abs(found.commands) <= LIMITS)
+    # uncompensated the tip is millimetres off; the shortest correction is of the size error / reach
+    assert np.max(np.linalg.norm(tip(nominal, LENGTHS + 1, CALIBRATION.joint_offsets) - found.targets, axis=1)) > 1.0
+    assert np.median(np.linalg.norm(found.commands - nominal, axis=1)) < np.radians(2.0)
+    figures = found.to_json()
+    assert figures["targets"] == figures["reached"] == 200
+    assert figures["max_error_mm"] <= TOLERANCE
+    assert figures["unreachable"] == []
+
+
+def test_shortest_correction_of_a_redundant_arm() -> None:
+    """To first order the correction is the minimum-norm solution: no motion along the arm's self-motion."""
+    nominal = np.random.default_rng(1).uniform(-0.6, 0.6, (20, 4)) * LIMITS
+    found = compensate(arm(), postures=nominal)
+    for q, command in zip(nominal, found.commands, strict=True):
+        links = np.cumsum((LENGTHS * np.exp(1j * np.cumsum(q)))[::-1])[::-1] * 1j
+        jacobian = np.array([links.real, links.imag])
+        correction = command - q
+        along = correction - np.linalg.pinv(jacobian) @ (jacobian @ correction)
+        assert np.linalg.norm(along) < 0.1 * np.linalg.norm(correction)
+
+
+def test_two_links_reach_positions_by_either_elbow() -> None:
+    two = Arm([300.0, 200.0], calibration=Calibration.of(np.array([1.0, -2.0]), np.array([0.01, -0.02])))
+    generator = np.random.default_rng(2)
+    radius, angle = generator.uniform(120.0, 480.0, 50), generator.uniform(-np.pi, np.pi, 50)
+    targets = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    found = compensate(two, targets)
+    assert found.reached.all()
+    elbow = np.arccos((radius**2 - 301.0**2 - 198.0**2) / (2 * 301.0 * 198.0))  # law of cosines
+    turned = found.commands[:, 1] - 0.02
+    np.testing.assert_allclose(np.abs(np.angle(np.exp(1j * turned))), elbow, rtol=0, atol=1e-6)
+
+
+def test_unreachable_targets_are_listed_and_approached() -> None:
+    targets = np.array([[300.0, 200.0], [700.0, 0.0], [0.0, 500.0], [2000.0, 100.0]])
+    found = compensate(arm(), targets)
+    assert found.to_json()["unreachable"] == [2, 4]
+    assert found.to_json()["reached"] == 2
+    reach = np.sum(LENGTHS + CALIBRATION.length_errors)
+    assert found.errors[1] == pytest.approx(700.0 - reach, abs=1e-3)  # the arm stretches towards it
+    assert np.all(np.abs(found.commands) <= LIMITS)
+    assert np.all(np.isfinite(found.errors))
+    assert np.isnan(found.safe_commands).any(axis=1).tolist() == [False, True, False, True]
+
+
+def test_limits_hold_where_the_correction_presses_against_them() -> None:
+    nominal = np.tile(LIMITS * [0.5, 1.0, 1.0, 0.3], (5, 1)) * np.linspace(0.9, 1.0, 5)[:, None]
+    nominal[:, 1:3] = LIMITS[1:3]
+    found = compensate(arm(), postures=nominal)
+    assert found.reached.all()
+    assert np.all(np.abs(found.commands) <= LIMITS)
+
+
+def test_effects_take_part() -> None:
+    effects = (EffectSpec("joint_compliance"), EffectSpec("backlash", 2), EffectSpec("encoder_eccentricity", 3))
+    values = {f"joint_compliance.c{j}": 1e-5 for j in (1, 2, 3, 4)} | {"backlash:2.b": 2e-3}
+    values |= {"encoder_eccentricity:3.a": 1e-3, "encoder_eccentricity:3.b": -2e-3}
+    real = arm(*effects, values=values)
+    nominal = np.random.default_rng(3).uniform(-0.8, 0.8, (30, 4)) * LIMITS
+    payload = np.linspace(0.0, 20.0, 30)
+    found = compensate(real, postures=nominal, conditions=Conditions(payload=payload))
+    conditions = Conditions(payload=payload, directions=directions_from_order(nominal))
+    position = Model(real).position(found.commands, conditions=conditions)
+    np.testing.assert_allclose(position, found.targets, rtol=0, atol=TOLERANCE)
+    without = compensate(real, postures=nominal)
+    assert np.max(np.abs(without.commands - found.commands)) > 1e-4  # the payload matters
+
+
+def test_bad_input() -> None:
+    with pytest.raises(InputError, match="calibration: the arm has none"):
+        compensate(Arm(LENGTHS), np.zeros((1, 2)))
+    with pytest.raises(InputError, match=r"targets: shape \(1, 3\), allowed: \(k, 2\)"):
+        compensate(arm(), np.zeros((1, 3)))
+    with pytest.raises(InputError, match=r"postures: shape \(1, 2\), allowed: \(k, 4\)"):
+        compensate(arm(), postures=np.zeros((1, 2)))
+    with pytest.raises(InputError, match="targets: none given"):
+        compensate(arm())
+    with pytest.raises(InputError, match="2 rows for 3 targets"):
+        compensate(arm(), np.zeros((3, 2)), np.zeros((2, 4)))
+
+
+def test_no_targets_are_no_error() -> None:
+    assert compensate(arm(), np.zeros((0, 2))).to_json()["max_error_mm"] is None
+
+
+def from_the_hole(goal: np.ndarray, real: Arm) -> float:
+    """Distance [mm] of a goal from the nearest point in reach, by brute force: a grid, then a finer one about its best.
+
+    Joint 1 turns all round, so only the distance from the base counts.
+    """
+    found = real.calibration
+    lengths = real.lengths + found.length_errors
+    low, high = real.lower[1:], real.upper[1:]
+    for levels in (121, 81, 81):
+        grids = [np.linspace(a, b, levels) for a, b in zip(low, high, strict=True)]
+        theta, z = 0.0, lengths[0] + 0.0j
+        for j, grid in enumerate(np.meshgrid(*grids, indexing="ij", sparse=True)):
+            theta = theta + grid + found.joint_offsets[j + 1]
+            z = z + lengths[j + 1] * np.exp(1j * theta)
+        distance = np.abs(np.abs(z) - np.linalg.norm(goal))
+        at = np.unravel_index(np.argmin(distance), distance.shape)
+        middle, step = np.array([grid[k] for grid, k in zip(grids, at, strict=True)]), (high - low) / (levels - 1)
+        low, high = np.maximum(middle - step, real.lower[1:]), np.minimum(middle + step, real.upper[1:])
+    return float(distance.min())
+
+
+def test_out_of_reach_the_command_is_the_nearest() -> None:
+    """About the base the paper's arm has a hole that it cannot reach into; folded, joints stand on their limits."""
+    generator = np.random.default_rng(21)  # damped least squares alone end up to 4 % off here
+    upper = np.radians([180.0, 120.0, 60.0, 90.0])
+    for _ in range(2):
+        calibration = Calibration.of(generator.normal(0.0, 1.0, 4), np.radians(generator.normal(0.0, 1.0, 4)))
+        real = Arm(LENGTHS, -LIMITS, upper, calibration=calibration)
+        goals = np.vstack([[0.0, 0.0], generator.uniform(-6.0, 6.0, 2), generator.normal(0.0, 2.0, 2)])
+        found = compensate(real, goals)
+        nearest = [from_the_hole(goal, real) for goal in goals]
+        assert min(nearest) > 0.1
+        np.testing.assert_allclose(found.errors, nearest, rtol=1e-5)  # the last grid is 2e-5 rad wide
+        np.testing.assert_allclose(found.errors, np.linalg.norm(Model(real).position(found.commands) - goals, axis=1))
+        assert np.all((found.commands >= real.lower) & (found.commands <= real.upper))
+
+
+@dataclass(frozen=True)
+class TipAbove:
+    """A constraint of the nominal tip: y >= least [mm]."""
+
+    least: float
+    kind: str = "tip_above"
+
+    def margin(self, postures: np.ndarray) -> np.ndarray:
+        return tip(postures, LENGTHS, np.zeros(4))[:, 1:] - self.least
+
+
+def test_nobody_may_drive_to_what_misses_a_constraint() -> None:
+    """A target below the line has no command in the file and says why; one above has, as without the constraint."""
+    found = compensate(arm(), [[300.0, -200.0], [300.0, 250.0]], constraints=[TipAbove(-100.0)])
+    assert found.reached.tolist() == [False, True]
+    assert np.isnan(found.safe_commands[0]).all()
+    np.testing.assert_array_equal(found.safe_commands[1], found.commands[1])
+    text = commands_text(found.safe_commands, found.targets, found.errors, messages=found.messages)
+    heading, missed, kept = text.splitlines()
+    assert heading.endswith("error_mm,message")
+    assert missed.startswith(",,,,300.0,-200.0,")
+    assert "constraint 1 (tip_above) is missed by" in missed
+    assert kept.endswith('""')
+
+
+def test_targets_are_reached_at_the_angles_of_the_identification() -> None:
+    """Where any posture will do, one inside the angles measured is taken: here the elbow is bent to one side only."""
+    low, high = np.radians([[-100.0, 20.0, 20.0, -60.0], [100.0, 100.0, 80.0, 60.0]])
+    inside = np.random.default_rng(3).uniform(low + 0.2, high - 0.2, (20, 4))
+    known = replace(arm().calibration, provenance={"joint_range_deg": np.degrees([low, high]).T.tolist()})
+    targets = tip(inside, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets)
+    found = compensate(replace(arm(), calibration=known), targets)
+    assert found.reached.all()
+    assert np.count_nonzero((found.commands < low) | (found.commands > high)) == 0
+
+
+def test_out_of_reach_the_command_stays_at_the_angles_of_the_identification() -> None:
+    """Two links: the nearest point of the box of angles, by a fine grid; what is given near a posture stays there."""
+    low, high = np.radians([[-60.0, 40.0], [60.0, 100.0]])
+    known = Calibration.of(np.zeros(2), np.zeros(2), provenance={"joint_range_deg": np.degrees([low, high]).T.tolist()})
+    two = Arm([300.0, 200.0], calibration=known)
+    targets = np.array([[700.0, 100.0], [300.0, 900.0], [20.0, 10.0]])  # two beyond 500 mm, one within 100 mm
+    found = compensate(two, targets)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 901).T, indexing="ij"), axis=-1).reshape(-1, 2)
+    tips = tip(grid, np.array([300.0, 200.0]), np.zeros(2))
+    inside = [np.linalg.norm(tips - goal, axis=1).min() for goal in targets]
+    assert np.all((found.commands >= low) & (found.commands <= high))
+    assert np.all(found.errors >= inside - np.array(0.7))  # of the grid: its step times the reach
+    room = 500.0 * 0.02 * np.linalg.norm(high - low)  # the room that is left at either end
+    assert np.all(found.errors <= inside + room)
+    assert not found.reached.any()
+    (said,) = found.warnings  # nothing of angles
+    assert said.startswith("3 of 3 targets are out of reach")
+    assert all("the nearest posture (within the angles identified) misses it" in said for said in found.messages)
+    stretched = compensate(two, targets[:1], np.array([[0.1, 0.1]]))
+    assert stretched.errors[0] == pytest.approx(np.hypot(700.0, 100.0) - 500.0, abs=1e-3)
+    assert stretched.warnings
+
+
+def test_nominal_postures_are_those_of_the_arm_where_it_stands() -> None:
+    """In the frame of a tracker: base and rotation are no errors of the arm, which nominal postures would not know of;
+    targets at the angles of the identification are reached there."""
+    turn, shift = np.radians(35.0), 1200.0 - 300.0j
+    place = {"base_offset.x0": shift.real, "base_offset.y0": shift.imag, "joint_offset:1": turn}
+    known = replace(
+        CALIBRATION,
+        values={**CALIBRATION.values, **place},
+        provenance={"joint_range_deg": np.degrees([-0.9 * LIMITS, 0.9 * LIMITS]).T.tolist()},
+    )
+    real = replace(arm(EffectSpec("base_offset")), calibration=known)
+
+    def seen(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        z = tip(q, lengths, np.r_[turn, offsets[1:]]) @ [1.0, 1.0j] + shift
+        return np.column_stack([z.real, z.imag])
+
+    nominal = np.random.default_rng(4).uniform(-0.8, 0.8, (20, 4)) * LIMITS
+    by_postures = compensate(real, postures=nominal)
+    np.testing.assert_allclose(by_postures.targets, seen(nominal, LENGTHS, np.zeros(4)), atol=1e-9)
+    assert by_postures.reached.all()
+    assert np.median(np.linalg.norm(by_postures.commands - nominal, axis=1)) < np.radians(2.0)
+    goals = seen(nominal, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets)
+    by_targets = compensate(real, goals)
+    assert by_targets.reached.all()
+    assert by_targets.warnings == []
+
+
+def test_the_side_of_the_approach_is_said() -> None:
+    """Gear play b s_j: driven in the order said the tip is there, with joint 2 coming from the other side 2 b lever."""
+    played, play = arm(EffectSpec("backlash", 2), values={"backlash:2.b": 2e-3}), np.array([0.0, 2e-3, 0.0, 0.0])
+    nominal = np.array([[0.1, 0.2, 0.1, 0.1], [0.2, 0.4, 0.3, 0.2]])  # every joint rising
+    found = compensate(played, postures=nominal)
+    (said,) = found.warnings
+    assert said.startswith("backlash: the error depends on the side that a joint comes from. Drive the targets in this")
+    assert found.to_json()["warnings"] == [said]
+    lengths, offsets = LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets
+    np.testing.assert_allclose(tip(found.commands + play, lengths, offsets), found.targets, rtol=0, atol=TOLERANCE)
+    missed = np.linalg.norm(tip(found.commands - play, lengths, offsets) - found.targets, axis=1)
+    assert np.all(missed > 1.0)  # 2 x 2e-3 rad on some 390 mm
+    given = Conditions(directions=np.ones((2, 4)))
+    assert compensate(played, postures=nominal, conditions=given).warnings == []
+    assert compensate(arm(), postures=nominal).warnings == []
+
+
+NOISE = 0.05  # [mm] of each coordinate
+REFLECTOR = np.array([50.0, 20.0, 30.0])
+CHAIN = chain_of([DHRow(80.0, np.radians(90.0), 300.0), DHRow(400.0, 0.0, 0.0)])
+ERRORS = {"translation_x:2": 0.4, "translation_z:2": -0.3, "rotation_x:2": 6e-4}
+
+
+def session(rows: int, seed: int, width: float = 1.2) -> tuple[Array, Array]:
+    generator = np.random.default_rng(seed)
+    q = generator.uniform(-width, width, (rows, 2))
+    tips = np.array([tip_by_exponentials(CHAIN, row, ERRORS, REFLECTOR) for row in q])
+    return q, tips + NOISE * generator.standard_normal(tips.shape)
+
+
+def calibrated() -> tuple[Arm, float]:
+    """The arm, and the RMS distance [mm] that its calibration expects of a right position: noise and its own error."""
+    arm = Arm(replace(CHAIN, tools={"1": REFLECTOR}, known=frozenset()), sigma=NOISE)
+    found = estimate(Model(arm), Measurements(*session(40, 0)))
+    assert found.expected_tip is not None
+    return replace(found.model.arm, calibration=found.calibration()), float(
+        np.hypot(found.rms_after, found.expected_tip)
+    )
+
+
+def test_measured_positions_are_reached() -> None:
+    arm, rms = calibrated()
+    q, positions = session(30, 1)
+    found = compensate(arm, positions)
+    assert found.tolerance == pytest.approx(rms * np.sqrt(chi2.isf(1e-3, 3) / 3.0), rel=1e-9)
+    assert found.errors.min() > TOLERANCE
+    assert found.reached.all()
+    # where they were measured: noise across 200 mm of lever, the shortest in these postures, and the calibration's own
+    np.testing.assert_allclose(found.commands, q, rtol=0, atol=5.0 * rms / 200.0)
+    assert found.to_json()["tolerance_mm"] == found.tolerance
+    (said,) = (warning for warning in found.warnings if "missed by" in warning)
+    assert said.startswith(f"30 of the targets reached are missed by {found.errors.max():.2g} mm at most")
+
+
+def test_targets_off_the_surface_are_not() -> None:
+    """Moved along the arm by ten times the tolerance, those in between are told apart by the distance alone."""
+    arm, _ = calibrated()
+    _, positions = session(6, 2)
+    axis = positions - positions.mean(axis=0)
+    tolerance = compensate(arm, positions).tolerance
+    far = compensate(arm, positions + 10.0 * tolerance * axis / np.linalg.norm(axis, axis=1, keepdims=True))
+    assert not far.reached[far.errors > tolerance].any()
+    assert far.reached[far.errors <= tolerance].all()
+    assert (far.errors > tolerance).any()
+
+
+def test_a_nominal_posture_is_not_left_for_what_nobody_can_tell() -> None:
+    """From the posture that was measured: no other branch of the arm is taken because it is nearer by some microns."""
+    arm, rms = calibrated()
+    q, positions = session(30, 3)
+    found = compensate(arm, positions, postures=q)
+    assert found.reached.all()
+    np.testing.assert_allclose(found.commands, q, rtol=0, atol=5.0 * rms / 200.0)
+
+
+def test_an_arm_that_can_reaches_exactly() -> None:
+    """In a plane two joints reach what is in reach, and the tolerance makes nothing worse."""
+    arm = Arm(np.array([300.0, 200.0]), sigma=0.1)
+    generator = np.random.default_rng(4)
+    q = generator.uniform(-2.0, 2.0, (40, 2))
+    tips = Model(arm).position(q) + 0.1 * generator.standard_normal((40, 2))
+    fitted = estimate(Model(arm), Measurements(q, tips))
+    found = compensate(replace(arm, calibration=fitted.calibration()), tips[np.linalg.norm(tips, axis=1) < 480.0])
+    assert found.tolerance > 0.1
+    assert found.errors.max() <= TOLERANCE
+    assert not found.warnings or not any("missed by" in warning for warning in found.warnings)

@@ -1,8 +1,12 @@
-"""Values to type in: planar ones against the parameters that they are made of, frames against scipy's rotations."""
+"""Values to type in: planar ones against the parameters that they are made of, frames against scipy's rotations.
+
+The corrected Denavit-Hartenberg table of a fit: it computes what the fit does, with deviations of its covariance.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +17,24 @@ from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.documents.identification import conventions, corrected_table
-from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.estimation import Identification, estimate, estimate_with_prior
+from identification.estimation.corrected_values import (
+    Calibrated,
+    CorrectedValue,
+    corrected_values,
+    dh_places,
+    dh_values,
+)
 from identification.estimation.prior import Prior
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm
+from identification.kinematics.corrected import corrected
+from identification.kinematics.corrected_dh import corrected_links, drawn_links
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
+from tests.identification.kinematics.test_corrected_dh import UR10, elementary
 
 HALF = np.pi / 2.0
 CHAIN = chain_of([DHRow(0.0, HALF, 127.3), DHRow(-612.0, 0.0, 0.0), DHRow(0.0, -HALF, 90.0, offset=np.pi)])
@@ -179,3 +192,51 @@ def test_a_calibrated_file_has_the_intervals_of_its_fit(kind: str, tmp_path: Pat
     (tmp_path / "arm.toml").write_text(dump_arm(found.calibrated_arm()))
     for row, kept in zip(found.corrected_values, corrected_values(load_arm(tmp_path / "arm.toml")), strict=True):
         assert (kept.low_95, kept.high_95) == pytest.approx((row.low_95, row.high_95), rel=1e-5, abs=1e-9)
+
+
+@cache
+def fitted() -> Identification:
+    arm = Arm(chain_of(UR10), sigma=0.05)
+    model, generator = Model(arm), np.random.default_rng(4)
+    parameters = model.parameters
+    truth = 0.3 * parameters.vector(model.prior, default=0.0) * generator.standard_normal(len(parameters))
+    truth[[parameters.index(f"tool[1].{axis}") for axis in "xyz"]] = [60.0, 30.0, 80.0]
+    q = generator.uniform(-2.5, 2.5, (40, 6))
+    return estimate(model, Measurements(q, model.position(q, truth) + generator.normal(0.0, 0.05, (40, 3))))
+
+
+def test_table_base_and_tool_say_what_the_fit_does() -> None:
+    found = fitted()
+    rows = {row.name: row.corrected for row in dh_values(Calibrated.of(found), UR10)}
+    places = dict(dh_places(Calibrated.of(found), UR10))
+    assert len(rows) == 18  # 27 of a complete set less six of the base and three of the point
+    for posture in np.random.default_rng(5).uniform(-2.0, 2.0, (4, 6)):
+        at = places["base"]
+        for j, (row, q) in enumerate(zip(UR10, posture, strict=True), start=1):
+            drawn = {
+                "theta": np.degrees(row.offset),
+                "d": row.d,
+                "a": row.a,
+                "alpha": np.degrees(row.alpha),
+                "beta": 0.0,
+            }
+            number = {name: rows.get(f"row {j} {name}", value) for name, value in drawn.items()}
+            at = at @ elementary("z", q + np.radians(number["theta"])) @ elementary("Z", number["d"])
+            at = at @ elementary("X", number["a"]) @ elementary("x", np.radians(number["alpha"]))
+            at = at @ elementary("y", np.radians(number["beta"]))
+        there = (at @ np.append(places["tool 1"], 1.0))[:3]
+        np.testing.assert_allclose(there, found.model.position(posture[None], found.parameters)[0], rtol=0, atol=1e-6)
+
+
+def test_deviations_are_those_of_samples_of_the_covariance() -> None:
+    """Of 400 samples a standard deviation is known to 1 / sqrt(800) = 3.5 %; five of them."""
+    found, generator = fitted(), np.random.default_rng(6)
+    drawn, samples = drawn_links(UR10), []
+    assert found.geometry is not None
+    for values in generator.multivariate_normal(found.parameters, found.covariance, 400):
+        named = {**found.geometry.values, **dict(zip(found.names, values, strict=True))}
+        links = corrected_links(corrected(found.geometry.chain, named), drawn).links
+        samples.append([links[1].a, np.degrees(links[1].beta or 0.0), links[3].d, np.degrees(links[4].theta)])
+    rows = {row.name: row for row in dh_values(Calibrated.of(found), UR10)}
+    stds = [rows[name].std for name in ("row 2 a", "row 2 beta", "row 4 d", "row 5 theta")]
+    assert stds == pytest.approx(np.std(samples, axis=0).tolist(), rel=0.18)

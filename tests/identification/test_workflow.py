@@ -1,0 +1,64 @@
+"""The verbs of identification as functions of Python: files in, files out, and the result behind the answer."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification import Arm, Calibration, Measurements, Model, load_arm
+from identification.document import Document
+from identification.errors import InputError
+from identification.workflow import VERBS, Written, compensate_files, identify_files, load_sessions, validate_files
+
+LENGTHS = [300.0, 200.0]
+REAL = Arm(LENGTHS, calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """An arm, and 30 exact measurements of another."""
+    (tmp_path / "arm.toml").write_text(f"links_mm = {LENGTHS}\n")
+    q = np.random.default_rng(1).uniform(-2.0, 2.0, (30, 2))
+    (tmp_path / "data.csv").write_text(Measurements(q, Model(REAL).position(q)).to_frame().write_csv())
+    (tmp_path / "targets.csv").write_text("x_mm,y_mm\n400,100\n")
+    return tmp_path
+
+
+def test_a_calibration_goes_round_in_python(folder: Path) -> None:
+    out = Written(folder / "calibrated.toml")
+    answer = identify_files(folder / "arm.toml", folder / "data.csv", out=out)
+    assert answer.exit_code == 0
+    np.testing.assert_allclose(answer.result.length_errors, [1.0, -2.0], atol=1e-9)
+    calibration = load_arm(out).calibration
+    assert calibration is not None
+    np.testing.assert_allclose([calibration.values[f"length_error:{j}"] for j in (1, 2)], [1.0, -2.0], atol=1e-9)
+    (document,) = answer.shown
+    assert isinstance(document, Document)
+    assert f"calibrated arm written to {out}" in document.parts
+    assert validate_files(out, folder / "data.csv").data["rms_mm"] < 1e-6
+    commands = compensate_files(out, folder / "targets.csv").result
+    np.testing.assert_allclose(Model(REAL).position(commands.commands), [[400.0, 100.0]], atol=1e-5)
+    with pytest.raises(InputError, match="exists"):
+        identify_files(folder / "arm.toml", folder / "data.csv", out=out)
+
+
+def test_each_file_is_a_session_and_none_is_given_twice(folder: Path) -> None:
+    (folder / "friday.csv").write_text((folder / "data.csv").read_text())
+    arm, names = load_arm(folder / "arm.toml"), [folder / "data.csv", folder / "friday.csv"]
+    assert load_sessions(names, arm).sessions == ("data", "friday")
+    with pytest.raises(InputError, match="given 2 times"):
+        load_sessions([names[0], names[0]], arm)
+
+
+def test_every_verb_says_what_it_is_for() -> None:
+    """What each option does stands in the docstring, which is the help of the command line."""
+    for name, (function, example) in VERBS.items():
+        assert example.startswith(f"armcal {name}")
+        text = inspect.getdoc(function) or ""
+        for parameter in inspect.signature(function).parameters.values():
+            if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
+                provided = parameter.name in ("seed", "progress", "page", "constraints")
+                assert provided == (f"\n{parameter.name} : " not in text), (name, parameter.name)
