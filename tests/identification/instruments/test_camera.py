@@ -27,6 +27,7 @@ class Camera(Instrument):
 
     focal: float = 2000.0
     coordinates = (Coordinate("u", "pixel"), Coordinate("v", "pixel"))
+    size_is_open = "pictures of one camera", "only [machining] tells"  # of an arm twice as large, twice as far away
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return self.focal * point[:2] / point[2]
