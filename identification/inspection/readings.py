@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.inspection.data_checks import CLEARLY, DRAWN
+from identification.instruments import Unplaced
 from identification.kinematics.counting import Counting
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import SpatialChain
@@ -364,8 +365,10 @@ def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callabl
 
         return in_plane
     frames, measured = frames_of_tip(chain), rows.positions[:, : chain.instrument.dimension]
-    place = partial(chain.instrument.place, reach=chain.reach, hopeless=hopeless)
-    return lambda reading: place(frames(reading.postures(rows.postures)), reading.positions(measured)).rms
+    rows_of = partial(Unplaced, reach=chain.reach, hopeless=hopeless)
+    return lambda reading: (
+        chain.instrument.place(rows_of(frames(reading.postures(rows.postures)), reading.positions(measured))).rms
+    )
 
 
 def _in_plane(arm: Arm, rows: Measurements, reading: Reading) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
