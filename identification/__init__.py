@@ -19,9 +19,8 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "kinematics.denavit_hartenberg": "DHRow chain_of",
     "files.arm": "arm_from_tables load_arm",
     "files.arm_text": "dump_arm with_effects",
-    "files.measurement": "load_measurements",
+    "files.measurement": "load_measurements plan_file_text read_plan",
     "files.measurement_columns": "csv_text posture_columns",
-    "files.plan": "plan_file_text read_plan",
     "workflow": "load_sessions",
     # what data say
     "estimation": "Identification estimate estimate_batch estimate_each",
@@ -54,9 +53,8 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.estimation.uncertainty import freedom_of, quantile_95
     from identification.files.arm import arm_from_tables, load_arm
     from identification.files.arm_text import dump_arm, with_effects
-    from identification.files.measurement import load_measurements
+    from identification.files.measurement import load_measurements, plan_file_text, read_plan
     from identification.files.measurement_columns import csv_text, posture_columns
-    from identification.files.plan import plan_file_text, read_plan
     from identification.for_design import (
         NEEDS_SIGMA,
         ArmModel,

@@ -88,7 +88,7 @@ def init_files(
     dh : A spatial arm from N Denavit-Hartenberg rows.
     base_link : Of the URDF file; left out: its root.
     tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
-    instrument : Of a spatial arm without a tracker: distance (ball bar), sphere, plane (touch probe), socket (ball in cups).
+    instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
     out : Folder; made if missing.
     force : Overwrite existing files.
     """
@@ -140,8 +140,7 @@ def check_files(arm: Path, data: Path, *, progress: Progress = silent) -> Answer
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
     """
-    from identification.files.arm import load_arm
-    from identification.files.arm_chain import urdf_masses
+    from identification.files.arm import load_arm, urdf_masses
     from identification.files.measurement import load_measurements
     from identification.inspection.inspection import inspect
 
@@ -167,8 +166,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     from identification.effects import build_all
     from identification.files.arm import load_arm
     from identification.files.io import write_together
-    from identification.files.measurement import measurement_text
-    from identification.files.plan import read_plan
+    from identification.files.measurement import measurement_text, read_plan
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)
@@ -435,7 +433,7 @@ def dh_table(
     values : corrected ones, the radius among them
     """
     from identification.estimation.corrected_values import dh_places, dh_values
-    from identification.files.arm_chain import dh_rows
+    from identification.files.arm import dh_rows
     from identification.kinematics.frames import point_table, pose_table
 
     if (table := dh_rows(arm)) is None:
@@ -505,7 +503,7 @@ def _write_calibrated(
     kept : the calibration before, of which parameters that were not estimated keep covariance and data, and the one
         that was the prior
     """
-    from identification.files.arm_chain import corrected_urdf
+    from identification.files.arm import corrected_urdf
     from identification.files.arm_text import urdf_beside, with_calibration, with_effects
     from identification.files.io import read_text, write_together
     from identification.sessions import SESSIONS, without_sessions
@@ -682,7 +680,7 @@ def compensate_files(
     from identification.compensate import compensate
     from identification.files.arm import load_arm
     from identification.files.io import write_together
-    from identification.files.target import commands_text, load_targets
+    from identification.files.measurement import commands_text, load_targets
     from identification.model import Model
     from identification.validate.origin import check_calibrated
 

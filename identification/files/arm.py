@@ -1,4 +1,8 @@
-"""Arm files, reading: TOML in millimetres and degrees -> `Arm` in millimetres and radians (`arm_text` writes)."""
+"""Arm files, reading: TOML in millimetres and degrees -> `Arm` in millimetres and radians (`arm_text` writes).
+
+The geometry is that of lengths of links, of a URDF file or of a Denavit-Hartenberg table. Keys of files end with their
+unit, names of our classes are the same without it: `in_api` reads `half_angle_deg` [deg] as `half_angle` [rad].
+"""
 
 from __future__ import annotations
 
@@ -12,27 +16,29 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
-from identification.files import arm_chain
-from identification.files.io import PathLike, read_toml
+from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import (
     ArmFile,
-    BoxTable,
     CalibrationTable,
-    ConstraintTable,
-    CylinderTable,
+    DHTable,
     EffectTable,
-    JointsTable,
-    SightTable,
+    MeasurementTable,
+    PoseTable,
     require_count,
     validated_arm,
 )
-from identification.instruments import IN_PLANE, KINDS
+from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
+from identification.instruments import Instrument, kinds
+from identification.kinematics.corrected import before_errors
 from identification.kinematics.counting import Counting, check_kinds
+from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
+from identification.kinematics.frames import from_own_axes, pose, rotation_to_z
 from identification.kinematics.parameters import (
     FILE_UNITS,
     GEOMETRY,
@@ -43,21 +49,19 @@ from identification.kinematics.parameters import (
     REVOLUTE,
     Parameter,
 )
-from identification.kinematics.spatial import SpatialChain
-from identification.workspace import (
-    ColumnLimits,
-    KeepOutCircle,
-    KeepOutCylinder,
-    LineOfSight,
-    WorkspaceBox,
-    WorkspaceConstraint,
-)
+from identification.kinematics.spatial import BASE, TOOL, SpatialChain, planar_chain
+from identification.workspace import ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 if TYPE_CHECKING:
     from identification.effects import Effect
 
 CURVE, CURVE_KEYS, GEOMETRY_KEY = "joint_error_curve", ("from_deg", "to_deg", "values_deg"), "geometry"
 MARKER = re.compile(r"tool\[.*\]\.(r?)[xyz]")
+UNIT = re.compile(r"_(mm|deg|kg|m_s2)$")
+RENAMED = {"range_mm": "reach"}  # keys that are called otherwise in our classes
+CONSTRAINTS = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
+CONSTRAINTS["keep_out_sphere"] = KeepOutCircle
+FREE = (-np.pi, np.pi)
 
 
 def load_arm(path: PathLike) -> Arm:
@@ -85,55 +89,164 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
     folder : where the files are that the tables name
     """
     file = validated_arm(tables)
-    chain = arm_chain.nominal_chain(file, folder) if file.links_mm is None else arm_chain.of_links(file)
-    n, kinds = len(chain), chain.joint_types
+    chain = _drawn_chain(file, folder)
+    n = len(chain)
     file.require_counts(n)
-    constraints = [_constraint(table) for table in file.constraints]
-    counting = None if file.joints is None else _counting(file.joints, kinds)
-    drawn = [(joint.lower, joint.upper) for joint in chain.joints]
-    lower, upper, tied = _joint_limits(file, kinds, np.array(drawn).T, counting)
+    constraints = [CONSTRAINTS[table.kind](**in_api(table, "kind")) for table in file.constraints]
+    counting = None
+    if file.joints is not None:  # what it leaves out is as usual
+        usual: dict[str, Any] = {"sign": (1,) * n, "coupled_to": (0,) * n, "zero": (0.0,) * n}
+        counting = Counting(**usual | in_api(file.joints))
+        check_kinds(counting, chain.joint_types)
+    lower, upper, tied = _joint_limits(file, chain, counting)
     effects = built([_spec(table, k, chain) for k, table in enumerate(file.effects, start=1)], chain)
-    _check_needs(file, effects)
-    if not chain.planar:
-        chain = arm_chain.with_limits(chain, lower, upper)
-        chain = arm_chain.with_measured_points(chain, file.calibration)
-    names = file_names(chain.parameters(), effects)
-    calibration = None if file.calibration is None else _calibration(file.calibration, names)
-    if not chain.planar and calibration is not None and file.calibration is not None:
-        chain, calibration = arm_chain.before_calibration(chain, calibration, file.calibration)
+    _check_needs(file, chain.instrument, effects)
+    if file.links_mm is None:  # so that they stand in its URDF file
+        limits = zip(chain.joints, lower.tolist(), upper.tolist(), strict=True)
+        chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in limits))
+    calibration = None
+    if (table := file.calibration) is not None:
+        if table.tools:  # which the file has where they are not known
+            chain = _with_tools(chain, table.tools)
+        calibration = _calibration(table, file_names(chain.parameters(), effects))
+        base, tools = None if table.base is None else _pose(table.base), dict(chain.tools) if table.tools else {}
+        axes = dict(chain.tool_axes) if tools and chain.angle_scale is not None else {}
+        calibration = replace(calibration, base=base, tools=tools, tool_axes=axes)
+        chain = before_errors(chain, calibration.values, base, tools, axes)
+    gravity = None if file.gravity is None else {"center_of_mass": (0.5,) * n} | in_api(file.gravity)
     return Arm(
         chain,
         lower=lower,
         upper=upper,
         sigma=None if file.measurement is None else file.measurement.sigma_mm,
         name=file.name,
-        gravity=_gravity(file, n),
+        gravity=None if gravity is None else Gravity(**gravity),
         constraints=(*constraints, *tied),
         effects=_with_geometry(effects, file.effects, chain.every_parameter),
         calibration=calibration,
         gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
-        machining=_machining(file),
+        machining=Machining() if file.machining is None else Machining(**in_api(file.machining)),
         counting=counting,
     )
 
 
+def in_api(table: BaseModel, *without: str) -> dict[str, Any]:
+    """What a table has, by the names of our classes, angles in radians, several numbers as a tuple.
+
+    without : keys that are left out
+    """
+    values = {}
+    for key, value in table.model_dump(exclude_none=True, exclude=set(without)).items():
+        value = np.radians(value).tolist() if key.endswith("_deg") else value
+        values[RENAMED.get(key) or UNIT.sub("", key)] = tuple(value) if isinstance(value, list) else value
+    return values
+
+
+# -- geometry ----------------------------------------------------------------------------------------------------------
+def _drawn_chain(file: ArmFile, folder: PathLike) -> SpatialChain:
+    """The geometry as drawn, with base and measured points where the file gives them; joint limits of the URDF.
+
+    folder : where the URDF file is
+    """
+    if file.links_mm is not None:
+        chain = planar_chain(file.links_mm)
+    elif file.dh is None:
+        tables = {REVOLUTE: file.joint_limits_deg, PRISMATIC: file.joint_limits_mm}
+        limited = [kind for kind, table in tables.items() if table is not None]
+        chain = _urdf(str(file.urdf), folder).chain(str(file.base_link), str(file.tip_link), limited)
+    else:
+        conventions = dict.fromkeys(row.convention for row in file.dh if row.convention)
+        if len(conventions) > 1:
+            raise InputError(f"dh: found conventions {' and '.join(conventions)}, allowed: one for all rows")
+        for k, row in enumerate(file.dh, start=1):
+            if row.joint == PRISMATIC and file.joint_limits_mm is None:
+                missing = "a prismatic joint without limits"
+                raise InputError(f"dh[{k}]: {missing}, allowed: lower and upper in [joint_limits_mm]")
+        chain = chain_of([replace(_row(row), limits=FREE) for row in file.dh], next(iter(conventions), STANDARD))
+    if file.base is not None:
+        chain = replace(chain, base=_pose(file.base), known=chain.known | {BASE})
+    if file.tool is not None:
+        chain = replace(_with_tools(chain, file.tool), known=chain.known | {TOOL})
+    if (table := file.instrument) is None:
+        return replace(chain, angle_scale=_angle_scale(file.measurement))
+    instrument = kinds(chain.axes)[table.kind].of_table(table.model_dump(exclude_none=True))
+    if file.base is not None and instrument.own_targets:
+        raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")
+    if table.center_mm is not None and not instrument.own_targets:
+        normal = np.array([0.0, 0.0, 1.0] if table.normal is None else table.normal, dtype=float)
+        turn = rotation_to_z(normal / np.linalg.norm(normal)).T
+        chain = replace(chain, base=pose(-turn @ np.array(table.center_mm), turn))
+    return replace(chain, instrument=instrument)
+
+
+def _urdf(name: str, folder: PathLike) -> Urdf:
+    """The URDF file that an arm file names, or its text."""
+    if name.lstrip().startswith("<"):
+        return parse_urdf(name, "urdf")
+    return read_urdf(named_file(folder, name, "urdf", "the arm file"))
+
+
+def _row(table: DHTable) -> DHRow:
+    return DHRow(table.a_mm, math.radians(table.alpha_deg), table.d_mm, math.radians(table.offset_deg), table.joint)
+
+
+def _angle_scale(table: MeasurementTable | None) -> float | None:
+    """[mm/rad] of orientations, whose residuals weigh as much as those of positions; None: they are not measured."""
+    if table is None or table.sigma_deg is None:
+        return None
+    if table.sigma_mm is None:
+        unused = "orientations are not used; what a degree weighs against a millimetre is not known"
+        warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=2)
+        return None
+    return table.sigma_mm / float(np.radians(table.sigma_deg))
+
+
+def _pose(table: PoseTable) -> Array:
+    angles = np.radians((table.rx_deg, table.ry_deg, table.rz_deg)).tolist()
+    return pose((table.x_mm, table.y_mm, table.z_mm), from_own_axes(*angles))
+
+
+def _with_tools(chain: SpatialChain, tables: Mapping[str, PoseTable]) -> SpatialChain:
+    """With measured points, by the names of their markers, of which a single one may have none."""
+    poses = {name or "1": _pose(table) for name, table in tables.items()}
+    tools = {name: readonly(matrix[:3, 3]) for name, matrix in poses.items()}
+    return replace(chain, tools=tools, tool_axes={name: readonly(matrix[:3, :3]) for name, matrix in poses.items()})
+
+
+def urdf_masses(path: PathLike) -> tuple[float, ...] | None:
+    """[kg] of the links, from the URDF file that an arm file names; None without one, or where it gives no mass."""
+    tables = read_toml(path)
+    if not isinstance(name := tables.get("urdf"), str):
+        return None
+    masses = _urdf(name, Path(path).parent).masses(str(tables["base_link"]), str(tables["tip_link"]))
+    return masses if any(masses) else None
+
+
+def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:
+    """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
+    tables = read_toml(path)
+    if not isinstance(name := tables.get("urdf"), str):
+        return urdf_text(chain, str(tables.get("name", "arm")))
+    urdf, ends = _urdf(name, Path(path).parent), (str(tables["base_link"]), str(tables["tip_link"]))
+    return with_origins(urdf, *ends, [joint.origin for joint in chain.joints])
+
+
+def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
+    """Rows and convention of the `[[dh]]` table of an arm file; None where it has none."""
+    if (tables := validated_arm(read_toml(path)).dh) is None:
+        return None
+    return [_row(table) for table in tables], next((table.convention for table in tables if table.convention), STANDARD)
+
+
 # -- joints ------------------------------------------------------------------------------------------------------------
-def _counting(table: JointsTable, kinds: Sequence[str]) -> Counting:
-    """As `[joints]` says; what it leaves out is as usual. Raises `InputError` for what no controller can have."""
-    n = len(kinds)
-    zeros = np.radians(table.zero_deg or [0.0] * n).tolist()
-    counting = Counting(tuple(table.sign or [1] * n), tuple(table.coupled_to or [0] * n), tuple(zeros))
-    check_kinds(counting, kinds)
-    return counting
-
-
 def _joint_limits(
-    file: ArmFile, kinds: Sequence[str], drawn: Array, counting: Counting | None
+    file: ArmFile, chain: SpatialChain, counting: Counting | None
 ) -> tuple[Array, Array, list[ColumnLimits]]:
     """(n,) lower and (n,) upper limits of the joints [rad, mm], and the controller's of joints that it couples.
 
-    Limits in tables of the file are the controller's; `drawn` (2, n), those of a URDF, are the joints' already.
+    Limits in tables of the file are the controller's, those of the chain, as of a URDF, are the joints' already.
     """
+    kinds, drawn = chain.joint_types, np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
     limits, written, tied = drawn.copy(), np.zeros(len(kinds), dtype=bool), []
     for kind, table in ((REVOLUTE, file.joint_limits_deg), (PRISMATIC, file.joint_limits_mm)):
         if table is not None:
@@ -155,50 +268,6 @@ def _joint_limits(
             tied.append(ColumnLimits(j + 1, tuple(counting.sums[j].tolist()), *ends))
         limits = np.where(written, counting.joint_limits(*limits), limits)
     return limits[0], limits[1], tied
-
-
-# -- what else the file says -------------------------------------------------------------------------------------------
-def _gravity(file: ArmFile, joints: int) -> Gravity | None:
-    """`[gravity]`, centers of mass in the middle of the links where the file does not say."""
-    if (table := file.gravity) is None:
-        return None
-    center = table.center_of_mass or [0.5] * joints
-    return Gravity(
-        readonly(table.acceleration_m_s2),
-        readonly(table.link_masses_kg),
-        readonly(center),
-        table.payload_kg,
-        None if table.payload_at_mm is None else readonly(table.payload_at_mm),
-    )
-
-
-def _machining(file: ArmFile) -> Machining:
-    table, usual = file.machining, Machining()
-    if table is None:
-        return usual
-    rotation = usual.rotation if table.rotation_deg is None else float(np.radians(table.rotation_deg))
-    return Machining(usual.translation if table.translation_mm is None else table.translation_mm, rotation)
-
-
-def _constraint(table: ConstraintTable) -> WorkspaceConstraint:
-    if isinstance(table, BoxTable):
-        return WorkspaceBox(_pair(table.x_mm), _pair(table.y_mm), None if table.z_mm is None else _pair(table.z_mm))
-    if isinstance(table, CylinderTable):
-        return KeepOutCylinder(_triple(table.start_mm), _triple(table.end_mm), table.radius_mm)
-    if not isinstance(table, SightTable):
-        return KeepOutCircle(tuple(table.center_mm), table.radius_mm)
-    half, accepted = np.radians((table.half_angle_deg, table.acceptance_deg or 90.0)).tolist()
-    facing = None if table.facing is None else _triple(table.facing)
-    reach = None if table.range_mm is None else _pair(table.range_mm)
-    return LineOfSight(tuple(table.tracker_mm), half, tuple(table.toward_mm), reach, facing, accepted)
-
-
-def _pair(values: list[float]) -> tuple[float, float]:
-    return values[0], values[1]
-
-
-def _triple(values: list[float]) -> tuple[float, float, float]:
-    return values[0], values[1], values[2]
 
 
 # -- effects -----------------------------------------------------------------------------------------------------------
@@ -297,18 +366,14 @@ def _with_geometry(
     return tuple(specs)
 
 
-def _check_needs(file: ArmFile, effects: Iterable[tuple[EffectSpec, Effect]]) -> None:
+def _check_needs(file: ArmFile, instrument: Instrument, effects: Iterable[tuple[EffectSpec, Effect]]) -> None:
     """Raises `InputError` for an effect of gravity on an arm without gravity, and for one of measured distances where
     something else is measured."""
-    kind = None if file.instrument is None else file.instrument.kind
-    known = KINDS if file.links_mm is None else IN_PLANE
-    offers = frozenset[str]() if kind is None else known[kind].offers
+    state = f"an [instrument] of kind {instrument.kind}" if file.instrument else "no [instrument] table"
     for spec, effect in effects:
-        if effect.of_positions and kind is not None:
-            state = f"found an [instrument] of kind {kind}"
-            raise InputError(f"effects: {spec.key} is of measured positions, {state}, allowed: without it")
-        if "distance" in effect.needs - offers:
-            state = "no [instrument] table" if kind is None else f"an [instrument] of kind {kind}"
+        if effect.of_positions and file.instrument:
+            raise InputError(f"effects: {spec.key} is of measured positions, found {state}, allowed: without it")
+        if "distance" in effect.needs - instrument.offers:
             raise InputError(f"effects: {spec.key} needs measured distances, found {state}, allowed: kind distance")
         if "gravity" in effect.needs and file.gravity is None:
             raise InputError(f"effects: {spec.key} needs gravity torques, found no [gravity] table, allowed: with one")

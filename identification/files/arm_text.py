@@ -8,25 +8,33 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import tomlkit
+from pydantic import BaseModel
 from tomlkit.items import AoT, Comment, Item, Table, Whitespace
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification.arm import Arm, Calibration, EffectSpec, Machining
 from identification.errors import InputError, JobError, nearest
-from identification.files.arm import GEOMETRY_KEY, FileName, arm_from_tables, built, curve_name, file_names
-from identification.files.io import PathLike, read_toml
-from identification.kinematics.parameters import GEOMETRY
-from identification.workspace import (
-    ColumnLimits,
-    KeepOutCircle,
-    KeepOutCylinder,
-    LineOfSight,
-    WorkspaceBox,
-    WorkspaceConstraint,
+from identification.files.arm import (
+    GEOMETRY_KEY,
+    RENAMED,
+    UNIT,
+    FileName,
+    arm_from_tables,
+    built,
+    curve_name,
+    file_names,
 )
+from identification.files.io import PathLike, read_toml
+from identification.files.schema import ConstraintTable, GravityTable, MachiningTable
+from identification.files.urdf import BASE_LINK, TIP, urdf_text
+from identification.kinematics.corrected import standing_in
+from identification.kinematics.frames import pose_table, tool_tables
+from identification.kinematics.parameters import GEOMETRY, PRISMATIC
+from identification.kinematics.spatial import BASE, TOOL, SpatialChain
+from identification.workspace import ColumnLimits, WorkspaceConstraint
 
 if TYPE_CHECKING:
     from identification.effects import Effect
@@ -40,21 +48,12 @@ def dump_arm(arm: Arm) -> str:
     That of a spatial arm has its drawing in it, as the text of a URDF file.
     Raises `InputError` for a spatial arm with a chosen set of parameters, which no file can say.
     """
-    calibration = arm.calibration
-    if arm.chain.planar:
-        tables: Plain = {"name": arm.name, "links_mm": _in_file(arm.lengths)}
-        if arm.chain.instrument.kind:
-            tables["instrument"] = arm.chain.instrument.table()
-        limits = np.stack(arm.column_limits)
-        if np.all(np.isfinite(limits)):
-            tables["joint_limits_deg"] = dict(zip(("lower", "upper"), _degrees(limits), strict=True))
-        elif np.any(np.abs([arm.lower, arm.upper]) != np.pi):
-            tied = "limits of coupled joints, none of which is the controller's"
-            raise InputError(f"arm {arm.name}: found {tied}, allowed: with a constraint ColumnLimits for each")
-    else:
-        from identification.files.arm_chain import chain_tables, with_places
-
-        tables, calibration = chain_tables(arm, arm.chain), with_places(arm.chain, calibration)
+    tables: Plain = {"name": arm.name} | _chain_tables(arm, arm.chain)
+    limits, sliding = np.stack(arm.column_limits), np.array(arm.joint_types) == PRISMATIC
+    for unit, joints, factor in (("deg", ~sliding, math.degrees(1.0)), ("mm", sliding, 1.0)):
+        if joints.any() and np.all(np.isfinite(limits[:, joints])):  # else those of the drawing
+            lower, upper = _in_file(limits[:, joints], factor)
+            tables[f"joint_limits_{unit}"] = {"lower": lower, "upper": upper}
     if (counting := arm.counting) is not None:
         signs = {"sign": list(counting.sign), "coupled_to": list(counting.coupled_to)}
         tables["joints"] = signs | {"zero_deg": _degrees(counting.zero)}
@@ -62,15 +61,13 @@ def dump_arm(arm: Arm) -> str:
         tables["gear_ratio"] = _in_file(arm.gear_ratios)
     if arm.sigma is not None:
         tables.setdefault("measurement", {})["sigma_mm"] = float(arm.sigma)
-    if (gravity := arm.gravity) is not None:
-        tables["gravity"] = {
-            "acceleration_m_s2": _in_file(gravity.acceleration),
-            "link_masses_kg": _in_file(gravity.link_masses),
-            "center_of_mass": _in_file(gravity.center_of_mass),
-            "payload_kg": float(gravity.payload),
-        } | ({} if gravity.payload_at is None else {"payload_at_mm": _in_file(gravity.payload_at)})
+    if arm.machining != Machining():
+        tables["machining"] = _table(MachiningTable, arm.machining)
+    if arm.gravity is not None:
+        tables["gravity"] = _table(GravityTable, arm.gravity)
     if constraints := [each for each in arm.constraints if not isinstance(each, ColumnLimits)]:
         tables["constraints"] = [_constraint_table(constraint) for constraint in constraints]
+    calibration = _with_places(arm.chain, arm.calibration)
     text = with_effects(tomlkit.dumps(tables), arm.effects)
     return text if calibration is None else with_calibration(text, calibration)
 
@@ -136,29 +133,64 @@ def _degrees(radians: Any) -> Any:
     return _in_file(radians, math.degrees(1.0))
 
 
+def _table(table: type[BaseModel], value: Any) -> Plain:
+    """What a table has of one of our classes; `in_api` reads it."""
+    entries: Plain = {}
+    for key in (key for key in table.model_fields if key != "kind"):
+        if (number := getattr(value, RENAMED.get(key) or UNIT.sub("", key), None)) is not None:
+            entries[key] = _in_file(number, math.degrees(1.0) if key.endswith("_deg") else 1.0)
+    return entries
+
+
 def _constraint_table(constraint: WorkspaceConstraint) -> Plain:
     """`[[constraints]]`, of the plane or of space."""
-    if isinstance(constraint, WorkspaceBox):
-        sides = zip("xyz", (constraint.x, constraint.y, constraint.z), strict=True)
-        return {"kind": "workspace_box"} | {f"{axis}_mm": _in_file(side) for axis, side in sides if side is not None}
-    if isinstance(constraint, KeepOutCircle):
-        kind = "keep_out_circle" if len(constraint.center) == 2 else "keep_out_sphere"
-        return {"kind": kind, "center_mm": _in_file(constraint.center), "radius_mm": float(constraint.radius)}
-    if isinstance(constraint, KeepOutCylinder):
-        ends = {"start_mm": _in_file(constraint.start), "end_mm": _in_file(constraint.end)}
-        return {"kind": "keep_out_cylinder", **ends, "radius_mm": float(constraint.radius)}
-    assert isinstance(constraint, LineOfSight)
-    table: Plain = {
-        "kind": "line_of_sight",
-        "tracker_mm": _in_file(constraint.tracker),
-        "half_angle_deg": _degrees(constraint.half_angle),
-        "toward_mm": _in_file(constraint.toward),
-    }
-    if constraint.reach is not None:
-        table["range_mm"] = _in_file(constraint.reach)
-    if constraint.facing is not None:
-        table |= {"facing": _in_file(constraint.facing), "acceptance_deg": _degrees(constraint.acceptance)}
-    return table
+    kind = constraint.kind if len(getattr(constraint, "center", ())) < 3 else "keep_out_sphere"
+    [table] = [each for each in get_args(ConstraintTable) if kind in get_args(each.model_fields["kind"].annotation)]
+    entries = {"kind": kind} | _table(table, constraint)
+    if "facing" not in entries:
+        entries.pop("acceptance_deg", None)
+    return entries
+
+
+def _chain_tables(arm: Arm, chain: SpatialChain) -> Plain:
+    """What an arm file says of the geometry, how it is measured, and what is known of base and measured points; the
+    drawing of an arm in space as the text of a URDF file."""
+    if chain.planar:
+        if not np.all(np.isfinite(arm.column_limits)) and np.any(np.abs([arm.lower, arm.upper]) != np.pi):
+            tied = "limits of coupled joints, none of which is the controller's"
+            raise InputError(f"arm {arm.name}: found {tied}, allowed: with a constraint ColumnLimits for each")
+        tables: Plain = {"links_mm": _in_file(arm.lengths)}
+        return tables | ({"instrument": chain.instrument.table()} if chain.instrument.kind else {})
+    if chain.fixed:
+        chosen = "has a chosen set of parameters"
+        raise InputError(f"arm {arm.name}: {chosen}, allowed: all of them; a file has no such key")
+    tables = {"kind": "spatial"}
+    tables["urdf"] = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
+    tables |= {"base_link": BASE_LINK, "tip_link": TIP}
+    if BASE in chain.known:
+        tables["base"] = pose_table(chain.base)
+    if TOOL in chain.known:
+        tables["tool"] = tool_tables(chain.tools, chain.tool_axes)
+    if chain.angle_scale is not None and arm.sigma is not None:
+        tables["measurement"] = {"sigma_deg": _degrees(arm.sigma / chain.angle_scale)}
+    if chain.instrument.kind:
+        tables["instrument"] = chain.instrument.table()
+    return tables
+
+
+def _with_places(chain: SpatialChain, calibration: Calibration | None) -> Calibration | None:
+    """The calibration, with where base and measured points are if they are somewhere without being known."""
+    somewhere = BASE not in chain.known and not np.array_equal(chain.base, np.eye(4))
+    named = TOOL not in chain.known and (
+        list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
+    )
+    if not somewhere and not named:
+        return calibration
+    placed = calibration or Calibration({})
+    stands = standing_in(chain, placed.values)
+    if somewhere:
+        placed = replace(placed, base=stands.base)
+    return replace(placed, tools=stands.tools, tool_axes=stands.tool_axes) if named else placed
 
 
 def _effect_table(spec: EffectSpec, effect: Effect, names: Mapping[str, FileName]) -> Plain:
@@ -180,22 +212,21 @@ def _effect_table(spec: EffectSpec, effect: Effect, names: Mapping[str, FileName
 def _calibration_table(arm: Arm, calibration: Calibration) -> Plain:
     chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
     by_api = {name.api: name for name in file_names(chain.parameters(), built(arm.effects, arm.chain))}
-    values = calibration.values if not chain.planar else calibration.effects
+    values = calibration.effects if chain.planar else calibration.values
     for name in (*values, *calibration.parameter_names):
         if name not in by_api:
             raise InputError(f"calibration: unknown parameter {name!r}, {nearest(name, by_api)}")
     in_file = {name: _in_file(value, by_api[name].factor) for name, value in values.items()}
     if chain.planar:
         calibration = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
-        tables: Plain = {
-            "length_errors_mm": _in_file(calibration.length_errors),
-            "joint_offsets_deg": _degrees(calibration.joint_offsets),
-        }
+        errors, offsets = _in_file(calibration.length_errors), _degrees(calibration.joint_offsets)
+        tables: Plain = {"length_errors_mm": errors, "joint_offsets_deg": offsets}
     else:
-        from identification.files.arm_chain import place_tables
-
         tables = {"values": {name: value for name, value in in_file.items() if GEOMETRY.fullmatch(name)}}
-        tables |= place_tables(calibration)
+    if calibration.base is not None:
+        tables["base"] = pose_table(calibration.base)
+    if calibration.tools:
+        tables["tools"] = tool_tables(calibration.tools, calibration.tool_axes)
     order = [by_api[api] for api in calibration.parameter_names]
     if order:
         tables["parameters"] = [name.file for name in order]

@@ -48,50 +48,48 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     """
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
     chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
-    instrument = None if chain.instrument.reads_positions else chain.instrument
-    axes = chain.axes
+    instrument, in_space = chain.instrument, not chain.planar
+    read: list[tuple[str, str]] = [(axis, LENGTH) for axis in chain.axes]
+    labels = ["session"]
+    if not instrument.reads_positions:
+        read = [coordinate[:2] for coordinate in instrument.coordinates]
+        # each target that is touched has a place of its own, as each session has
+        labels += filter(None, [instrument.target])
     postures = read_postures(table, types)
     n = postures.shape[1]
     poses = chain.angle_scale is not None
-    # each target that is touched has a place of its own, as each session has
-    labels = ["session", instrument.target] if instrument is not None and instrument.target else ["session"]
     names = [table.texts(column) for column in labels if column in table]
     targets = np.array(["/".join(parts) for parts in zip(*names, strict=True)]) if names else None
-    own_targets = instrument is not None and instrument.own_targets
-    session = targets if not own_targets else table.texts("session") if "session" in table else None
-    marker = targets if own_targets else table.texts("marker") if not chain.planar and "marker" in table else None
-    order = _order(table)
-    asked = any(_COMMANDED.match(column) for column in table.columns)
+    session, marker = targets, table.texts("marker") if in_space and "marker" in table else None
+    if instrument.own_targets:
+        session, marker = table.texts("session") if "session" in table else None, targets
+    commanded = [column for column in table.columns if _COMMANDED.match(column)]
+    has_sigma = any(f"sigma_{unit}" in table for unit in UNITS[LENGTH])
     fields: dict[str, Any] = {
         "postures": postures,
-        "positions": read_positions(table, axes) if instrument is None else _readings(table, instrument),
-        "order": order,
+        "positions": read_positions(table, chain.axes) if instrument.reads_positions else _readings(table, instrument),
+        "order": _order(table),
         **read_conditions(table, n if types is None else types),
-        "sigma": None,
+        "sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if has_sigma else None,
         "repeats": _repeats(table),
         "session": session,
         "gaps": _gaps(table, session) if "order" in table else None,
         "marker": marker,
         "orientations": read_orientations(table) if poses else None,
-        "commanded": _joints(table, "commanded", n, types) if asked else None,
+        "commanded": _joints(table, "commanded", n, types) if commanded else None,
         "fit": table.fit,
         "provenance": MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
     }
-    if any(f"sigma_{unit}" in table for unit in UNITS[LENGTH]):
-        fields["sigma"] = read_column(table, "sigma", LENGTH, SIGMA_RANGE)
-    read = [(axis, LENGTH) for axis in axes] if instrument is None else [one[:2] for one in instrument.coordinates]
     used = [f"{name}_{unit}" for name, quantity in (*read, ("sigma", LENGTH)) for unit in UNITS[quantity]]
-    used += ["order", "time_s", "temperature_C", "payload_kg", "posture", "session", "run"]
-    used += [*joint_columns(table, types), *(f"direction{j}" for j in range(1, n + 1))]
-    used += [column for column in table.columns if _COMMANDED.match(column)]
-    used += ["marker"] if not chain.planar and not own_targets else []
-    used += labels
+    used += ["order", "time_s", "temperature_C", "payload_kg", "posture", "run", *labels]
+    used += [*joint_columns(table, types), *(f"direction{j}" for j in range(1, n + 1)), *commanded]
+    used += ["marker"] if in_space and not instrument.own_targets else []
     used += orientation_columns_of(table) if poses else []
     hint = ""
-    if instrument is None and not chain.planar and not poses and orientation_columns_of(table):
-        hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
-    if instrument is not None and "x_mm" in table:
+    if not instrument.reads_positions and "x_mm" in table:
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"
+    elif instrument.reads_positions and in_space and not poses and orientation_columns_of(table):
+        hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
     warn_unknown(table, used, hint)
     return fields
 

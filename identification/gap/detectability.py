@@ -153,14 +153,14 @@ class Beside:
     """The columns of a problem beside the base model, and beside shifts of the rows that are left out, too large for
     anything else to explain them.
 
-    wrong : blocks of these rows
-
-    left : what they leave of the products;  freedom : residual degrees of freedom
+    wrong : blocks of these rows;  left, scores : these, and what they leave of the products
+    freedom : residual degrees of freedom
     """
 
     def __init__(self, problem: Linearized, wrong: Sequence[int] = ()) -> None:
         self.problem, self.products = problem, problem.products
         self.left = self.products.state([(block, len(SIZES) - 1) for block in wrong])
+        self.scores = self.left.without().scores
         self.freedom = self.products.freedom - len(self.products.places(wrong))
 
     def gram(self, own: Index) -> Array:
@@ -172,7 +172,7 @@ class Beside:
         """F statistic of a few blocks against the base model, and its p-value."""
         own = self.products.places(blocks)
         count, spare = max(len(own), 1), max(self.freedom - len(own), 1)
-        scores = self.left.without().scores[own]
+        scores = self.scores[own]
         # of unit size; a row that is left out may have a column alone
         gain = float(scores @ np.linalg.solve(self.gram(own) + 1e-12 * np.eye(len(own)), scores))
         f = gain / count / (max(self.left.squares - gain, 1e-300) / spare)

@@ -227,9 +227,9 @@ class Search:
                 block, size = divmod(k, len(SIZES))
                 at = bisect(blocks, block)
                 total[(*blocks[:at], block, *blocks[at:])][(*sizes[:at], size, *sizes[at:])] += float(shares[k])
-        # these draws have these odds together, and this share of the probability
+        # these draws have these odds together, and this share of the probability: of a single one, its frequency
         share = sum(total[tuple(b for b, _ in key)][tuple(s for _, s in key)] for key in odds)
-        evidence = float(logsumexp(list(odds.values())) - np.log(share))
+        evidence = float(logsumexp(list(odds.values())) - np.log(max(share, 1.0 / visits.total())))
         listed = [(sum(of_sizes.values()), blocks, of_sizes) for blocks, of_sizes in total.items()]
         return [
             Weighed(blocks, max(of_sizes, key=lambda sizes: (of_sizes[sizes], sizes)), float(np.log(p)) + evidence)

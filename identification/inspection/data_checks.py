@@ -1,7 +1,7 @@
 """Contradictions within a measurement file: units, conventions of orientations, swapped markers, lost beams.
 
-In space base and measured points are found by the closed form, so that what is left of the nominal arm is its errors,
-some millimetres; another unit or another point is off by far more. So it is for a planar arm, its base found.
+Base and measured points are found by the closed form, so that what is left of the nominal arm is its errors, some
+millimetres; another unit or another point is off by far more.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from identification.arrays import Array, rows_in_words
 from identification.errors import InputError
 from identification.kinematics.orientations import from_angles, to_angles
 from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.spatial import BASE
 from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, tip_frames
 
-STANDS = 6  # numbers of where an arm stands, of each session
-IN_PLANE = 3  # numbers of where a planar arm stands
 SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
 LARGE_ANGLE = 7.0  # [rad], more than a turn, above which numbers may be degrees
 ANGLES = {  # factors to radians as read, and what the numbers then were
@@ -59,16 +58,20 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
 
 
 def _bare(arm: Arm, measurements: Measurements) -> Arm:
-    """The arm as it is drawn; where it has several measured points and the rows name none, with one."""
-    return replace(arm, chain=one_unnamed(arm.chain, measurements), effects=(), calibration=None)
+    """The arm as it is drawn, a planar one anywhere; with one measured point where it has several and the rows name
+    none."""
+    chain = one_unnamed(arm.chain, measurements)
+    if chain.positions_in_plane:
+        chain = replace(chain, known=chain.known - {BASE})
+    return replace(arm, chain=chain, effects=(), calibration=None)
 
 
 def _few(measurements: Measurements, arm: Arm) -> bool:
     """Whether base and measured points alone might explain the data in any unit."""
-    points = 1 if measurements.marker is None else len(measurements.marker_names)
-    fitted = STANDS - len(arm.chain.instrument.hidden(np.eye(4))) + arm.dimension * points
-    unknowns = IN_PLANE if arm.chain.planar else fitted * len(measurements.session_rows)
-    return measurements.positions.size < 4 * unknowns
+    points, chain = 1 if measurements.marker is None else len(measurements.marker_names), arm.chain
+    stands = chain.dimension + len(chain.turning) - len(chain.instrument.hidden(np.eye(4)))  # of each session
+    fitted = stands + (0 if chain.planar else chain.dimension * points)
+    return measurements.positions.size < 4 * fitted * len(measurements.session_rows)
 
 
 def gap_notes(measurements: Measurements) -> list[str]:
@@ -125,7 +128,8 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
     largest = float(np.abs(measurements.postures[:, turning]).max(initial=0.0))
     angle = ANGLES["small"] if 0.0 < largest < SMALL_ANGLE else ANGLES["large"] if largest > LARGE_ANGLE else {}
-    drawn = {t: _spread(_drawn_tips(arm, measurements.postures * np.where(turning, t, 1.0))) for t in (1.0, *angle)}
+    tips = {t: tip_frames(arm.chain, measurements.postures * np.where(turning, t, 1.0)) for t in (1.0, *angle)}
+    drawn = {t: _spread(frames[:, : arm.dimension, 3]) for t, frames in tips.items()}
     if max(drawn.values()) < MOVED * arm.reach:  # one posture: what its repeats scatter by has no ratio to the drawing
         return _Units(huge)
     spread = 0.0  # contacts read nothing that has a unit
@@ -162,11 +166,6 @@ def _spread(points: Array) -> float:
     if these lie on all sides."""
     square = float(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))
     return float(np.sqrt(square * (3.0 if points.shape[1] == 1 else 1.0)))
-
-
-def _drawn_tips(arm: Arm, postures: Array) -> Array:
-    """(m, d) as drawn [mm]."""
-    return tip_frames(arm.chain, postures)[:, : arm.dimension, 3]
 
 
 def _length_factor(misfit: Callable[[float], float], guess: float) -> float:
@@ -231,10 +230,6 @@ def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> 
 def _misfit(measurements: Measurements, arm: Arm, turned: Array, unit: float) -> float:
     """Median distance [mm] from the nominal arm, with joints times factors (n,), positions times a `unit`."""
     read = replace(measurements, postures=measurements.postures * turned, positions=measurements.positions * unit)
-    if arm.chain.positions_in_plane:
-        drawn = _drawn_tips(arm, read.postures)
-        tip, seen = ((a - a.mean(axis=0)) @ np.array([1.0, 1.0j]) for a in (drawn, read.positions))
-        return float(np.median(np.abs(seen - tip * np.exp(1j * np.angle(np.vdot(tip, seen))))))
     return float(np.median(_distances(arm, read, np.ones(len(read), dtype=bool))))
 
 

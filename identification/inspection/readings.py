@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.inspection.data_checks import CLEARLY, DRAWN
-from identification.instruments import Unplaced
+from identification.instruments import Placement, Unplaced
 from identification.kinematics.counting import Counting
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
-from identification.kinematics.spatial import SpatialChain
+from identification.kinematics.spatial import TOOL, SpatialChain
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import frames_of_tip, placed_model, some
@@ -35,7 +35,6 @@ KEPT = 4  # effort: readings from which the next kind of change starts
 ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
 FINE, WHOLE = 1e-3, 0.02  # quarter turns, 0.1 and 2 deg: how well a zero is found; what is a whole quarter turn
 MANY = 6  # joints, up to which all combinations of signs are tried
-PLANE, SPACE = 3, 9  # numbers fitted: a pose in the plane; a pose and a point in space
 UPRIGHT, QUARTER = np.radians(20.0), np.radians(45.0)  # a base is this near to the frame's axes; or to a half turn
 PARALLEL = np.cos(np.radians(1.0))  # of drawings, whose angles may be rounded
 
@@ -196,25 +195,25 @@ def as_written(arm: Arm, measurements: Measurements) -> Readings:
     """What the columns say, and no other reading looked for."""
     reading = Reading.as_written(arm.links)
     arm, rows = anywhere(arm), some_of_one_point(measurements)
-    return Readings(_turned(arm, rows, replace(reading, rms=_distance(arm, rows)(reading))), None)
+    return Readings(_placed(arm, rows)(reading), None)
 
 
 @lru_cache(maxsize=2)  # a fit asks before it begins, and again when it has placed the arm
 def _read_differently(arm: Arm, rows: Measurements) -> Readings:
-    plain = Reading.as_written(arm.links)
-    written = replace(plain, rms=_distance(arm, rows)(plain))
+    written = _placed(arm, rows)(Reading.as_written(arm.links))
     if _few(arm, rows):
         return Readings(written, None)
     left = _distance(arm, rows, HOPELESS * max(DRAWN * arm.reach, written.rms / CLEARLY))
-    tried = {replace(written, rms=0.0): written}
+    plain = replace(written, rms=0.0, turn=None)
+    tried = {plain: replace(written, turn=None)}
     zero = partial(_moved_zero, left=left)
     for stage in (zero, zero, _absolute, _mirrored, _signs, _swaps, _zeros, _flips, _zeros, _pairs_and_zero):
         ranked = sorted(tried.values(), key=lambda reading: reading.rms)
         if ranked[0].rms < DRAWN * arm.reach:
             break
         whole = [reading for reading in ranked if not reading.moved_zeros][:KEPT]
-        starts = ranked[:1] if stage is zero else dict.fromkeys((written, *([] if stage is _pairs_and_zero else whole)))
-        for reading in (other for start in starts for other in stage(replace(start, rms=0.0), arm)):
+        starts = ranked[:1] if stage is zero else [tried[plain], *([] if stage is _pairs_and_zero else whole)]
+        for reading in (other for start in dict.fromkeys(starts) for other in stage(replace(start, rms=0.0), arm)):
             if reading not in tried:
                 tried[reading] = replace(reading, rms=left(reading))
     # the fewest changes of those that leave about as little as the best
@@ -224,10 +223,10 @@ def _read_differently(arm: Arm, rows: Measurements) -> Readings:
         return Readings(written, None)
     explained = best.rms < DRAWN * arm.reach
     if explained and not best.moved_zeros:  # the search ends early: at a zero, say, that a sign is as good as
-        tried |= {r: replace(r, rms=left(r)) for r in _signs(replace(written, rms=0.0), arm) if r not in tried}
+        tried |= {r: replace(r, rms=left(r)) for r in _signs(plain, arm) if r not in tried}
     as_simple = (r for r in tried.values() if explained and r.changes == best.changes and not r.moved_zeros)
     alike = sorted((r for r in as_simple if r != best and r.rms <= ALIKE * best.rms), key=lambda reading: reading.rms)
-    best, *alike = (_turned(arm, rows, reading) for reading in (best, *alike[:OTHERS]))
+    best, *alike = map(_placed(arm, rows), (best, *alike[:OTHERS]))
     counting = best.counting(arm.counting) if explained else None
     return Readings(written, best, tuple(alike), explained, counting)
 
@@ -330,9 +329,12 @@ def _pairs_and_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
 
 # -- what a reading leaves ---------------------------------------------------------------------------------------------
 def anywhere(arm: Arm) -> Arm:
-    """The arm as drawn, where it stands and what is measured on it left open."""
+    """The arm as drawn, where it stands left open, and in space what is measured on it."""
     chain = arm.chain
-    return replace(arm, chain=SpatialChain(chain.joints, chain.end, instrument=chain.instrument, axes=chain.axes))
+    tip = chain.known & {TOOL} if chain.planar else frozenset[str]()
+    return replace(
+        arm, chain=SpatialChain(chain.joints, chain.end, known=tip, instrument=chain.instrument, axes=chain.axes)
+    )
 
 
 def some_of_one_point(measurements: Measurements) -> Measurements:
@@ -348,41 +350,43 @@ def some_of_one_point(measurements: Measurements) -> Measurements:
 
 
 def _few(arm: Arm, rows: Measurements) -> bool:
-    """Whether another reading would fit by chance."""
-    return rows.positions.size < EQUATIONS * (PLANE if arm.chain.planar else SPACE)
+    """Whether another reading would fit by chance: of a pose, and of a point where it is open."""
+    point = 0 if TOOL in anywhere(arm).chain.known else arm.dimension
+    return rows.positions.size < EQUATIONS * (arm.dimension + len(arm.chain.turning) + point)
 
 
 def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], float]:
     """Root mean square distance [mm] of the drawing from the positions of a reading, its place fitted; of lengths
     roughly, where it is `hopeless`."""
-    if (chain := arm.chain).positions_in_plane:
+    place = _place(arm, rows, hopeless)
+    return lambda reading: place(reading).rms
 
-        def in_plane(reading: Reading) -> float:
-            tip, measured = _in_plane(arm, rows, reading)
-            crossed = abs(np.vdot(tip, measured))  # at the best rotation
-            squares = np.sum(np.abs(tip) ** 2 + np.abs(measured) ** 2) - 2.0 * crossed
-            return float(np.sqrt(max(squares, 0.0) / len(tip)))
 
-        return in_plane
-    frames, measured = frames_of_tip(chain), rows.positions[:, : chain.instrument.dimension]
-    rows_of = partial(Unplaced, reach=chain.reach, hopeless=hopeless)
-    return lambda reading: (
-        chain.instrument.place(rows_of(frames(reading.postures(rows.postures)), reading.positions(measured))).rms
+def _place(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], Placement]:
+    """Where the drawing stands by a reading."""
+    chain = anywhere(arm).chain
+    frames = _frames(chain)
+    measured = rows.positions[:, : chain.coordinates]
+    tool = np.zeros(3) if TOOL in chain.known else None
+    read = partial(Unplaced, reach=chain.reach, tool=tool, hopeless=hopeless)
+    return lambda reading: chain.instrument.place(
+        read(frames(reading.postures(rows.postures)), reading.positions(measured))
     )
 
 
-def _in_plane(arm: Arm, rows: Measurements, reading: Reading) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """(m,) tips as drawn and as measured, each less its mean."""
-    tip = np.exp(1j * np.cumsum(reading.postures(rows.postures), axis=1)) @ arm.lengths
-    measured = reading.positions(rows.positions) @ np.array([1.0, 1.0j])
-    return tip - tip.mean(), measured - measured.mean()
+_frames = lru_cache(maxsize=4)(frames_of_tip)
 
 
-def _turned(arm: Arm, rows: Measurements, reading: Reading) -> Reading:
-    """The reading with the turn of the base, in the plane."""
-    if not arm.chain.positions_in_plane:
-        return reading
-    return replace(reading, turn=float(np.angle(np.vdot(*_in_plane(arm, rows, reading)))))
+def _placed(arm: Arm, rows: Measurements) -> Callable[[Reading], Reading]:
+    """A reading with what it leaves, and with the turn of the base in the plane."""
+    place = _place(arm, rows)
+
+    def placed(reading: Reading) -> Reading:
+        base, _, rms = place(reading)
+        turn = float(np.arctan2(base[1, 0], base[0, 0])) if arm.chain.positions_in_plane else None
+        return replace(reading, rms=rms, turn=turn)
+
+    return placed
 
 
 # -- what else the drawing tells ---------------------------------------------------------------------------------------

@@ -14,19 +14,22 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.instruments.search import ENOUGH, Placement, starts_of_tool
-from identification.kinematics.frames import pose
 
 ROUNDS = 200  # effort: of each start
 STILL = 0.01  # motion of a point 1 mm from the flange's center [mm] (RMS): less is lost in the errors of a drawing
 
 
 def registered(points: Array, measured: Array) -> Array:
-    """(4, 4) pose that brings points (m, 3) closest to the measured ones (m, 3) in least squares."""
-    center, target = points.mean(axis=0), measured.mean(axis=0)
-    left, _, right = np.linalg.svd((measured - target).T @ (points - center))
-    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = left @ mirror @ right
-    return pose(target - rotation @ center, rotation)
+    """(4, 4) pose that brings points (m, 3) closest to the measured ones (m, d) in least squares; in the plane, d = 2,
+    it is a turn about z."""
+    d = measured.shape[1]
+    center, target = points[:, :d].mean(axis=0), measured.mean(axis=0)
+    left, _, right = np.linalg.svd((measured - target).T @ (points[:, :d] - center))
+    left[:, -1] *= np.sign(np.linalg.det(left @ right))  # no mirror
+    frame = np.eye(4)
+    frame[:d, :d] = left @ right
+    frame[:d, 3] = target - frame[:d, :d] @ center
+    return frame
 
 
 def placed(frames: Array, measured: Array, reach: float) -> Placement:

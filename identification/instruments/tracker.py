@@ -33,7 +33,8 @@ class Tracker(Instrument):
         else:
             return placed(frames, readings, reach)
         points = (frames[:, :3, 3] + frames[:, :3, :3] @ tool) @ base[:3, :3].T + base[:3, 3]
-        return Placement(base, tool, float(np.sqrt(np.mean(np.sum((readings - points) ** 2, axis=1)))))
+        left = readings - points[:, : readings.shape[1]]
+        return Placement(base, tool, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))))
 
 
 TRACKER = Tracker()

@@ -19,10 +19,8 @@ from identification.estimation.doubts import outside_limits
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm
 from identification.files.csv import read_table
-from identification.files.measurement import load_measurements, measurement_text
+from identification.files.measurement import commands_text, load_measurements, load_targets, measurement_text, read_plan
 from identification.files.measurement_columns import read_postures
-from identification.files.plan import read_plan
-from identification.files.target import commands_text, load_targets
 from identification.kinematics.counting import Counting, JointKinds
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements

@@ -16,8 +16,7 @@ from identification.errors import InputError
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm
 from identification.files.csv import read_table
-from identification.files.measurement import load_measurements
-from identification.files.target import load_targets
+from identification.files.measurement import load_measurements, load_targets
 from tests.fuzz.arms import ArmText, arms
 from tests.fuzz.commands import Case, cases
 from tests.fuzz.judge import Outcome, broken, by_runner, prepare, run_here

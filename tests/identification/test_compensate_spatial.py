@@ -14,7 +14,7 @@ from identification.compensate import compensate
 from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.documents.use import compensation_document
 from identification.errors import InputError
-from identification.files.target import commands_text, load_targets
+from identification.files.measurement import commands_text, load_targets
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
 from identification.kinematics.spatial import SpatialChain

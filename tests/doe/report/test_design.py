@@ -27,7 +27,7 @@ from doe.report.design import (
 )
 from identification.arm import Arm, Gravity
 from identification.document import Pictures, Sheet, as_text
-from identification.files.plan import read_plan
+from identification.files.measurement import read_plan
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox

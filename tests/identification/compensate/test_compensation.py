@@ -20,7 +20,7 @@ from identification.compensate.compensation import Compensation
 from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.errors import InputError
 from identification.estimation import estimate
-from identification.files.target import commands_text
+from identification.files.measurement import commands_text
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.joint_range import joint_range
 from identification.measurements import Conditions, Measurements, directions_from_order

@@ -13,8 +13,7 @@ import pytest
 from doe.plan.plan import load_plan
 from doe.studies.monte_carlo.specification import parse_study
 from identification.files.arm import load_arm
-from identification.files.measurement import load_measurements
-from identification.files.target import load_targets
+from identification.files.measurement import load_measurements, load_targets
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "identification/files/README.md"

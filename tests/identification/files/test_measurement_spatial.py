@@ -10,8 +10,7 @@ import pytest
 from doe.plan.plan import Plan, load_plan, plan_text
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.files.measurement import load_measurements, measurement_text
-from identification.files.target import commands_text, load_targets
+from identification.files.measurement import commands_text, load_measurements, load_targets, measurement_text
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 
 ARM = Arm(chain_of([DHRow(300.0, 0.0, 10.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))]))

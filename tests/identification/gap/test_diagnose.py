@@ -145,6 +145,19 @@ def test_unknown_effects_are_placed() -> None:
     assert (found.verdict, found.where) == ("unknown", "joint:2")
 
 
+def test_a_curve_is_as_sure_as_it_is_beside_the_geometry_that_goes_with_it() -> None:
+    """Over few angles geometry and curve can make up for each other, by five times what the shape is unsure of."""
+    rng = np.random.default_rng(4)
+    low, high = [-0.5, 0.3, -np.pi], [0.5, 0.9, np.pi]
+    run = simulator.session(TRUTH, rng.uniform(low, high, (120, 3)), rng)
+    data = simulator.measure(TRUTH, run, rng, "white")
+    error = 2e-3 * np.tanh((data.postures[:, 1] - 0.6) / 0.05)
+    lever = Model(ARM).joint_levers(data.postures, None, data.conditions)[:, :, 1]
+    (curve,) = diagnose(ARM, replace(data, positions=data.positions + lever * error[:, None])).curves
+    assert curve.joint == 2
+    assert np.sqrt(np.mean(curve.std**2)) < 0.1 * np.sqrt(np.mean(curve.error**2))
+
+
 @pytest.mark.parametrize(("name", "effect"), [("free_ripple", "transmission_ripple:2"), ("step_drift", "base_step")])
 def test_waves_of_any_order_and_steps_in_time_are_named(name: str, effect: str) -> None:
     found = diagnosed(name)

@@ -10,7 +10,7 @@ import pytest
 from identification.arm import Arm
 from identification.estimation import estimate
 from identification.gap.noise import NoiseFloor
-from identification.inspection.enough import sufficiency
+from identification.inspection.inspection import sufficiency
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model

@@ -12,7 +12,7 @@ from identification.arm import Arm
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
-from identification.inspection.sag import Sag, sag
+from identification.inspection.inspection import Sag, sag
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.small_arm import COMPLIANCE, MASSES, OTHERS, drawn_arm, measured, random_postures, small_arm
