@@ -197,6 +197,15 @@ class ArmModel:
         warnings.warn(f"instrument: plans are chosen from {what}, and bounds are over these", stacklevel=2)
         return kept
 
+    def plan_columns(self, postures: Array) -> dict[str, list[str]]:
+        """What a plan says of its postures (m, n) besides: the target that each touches, where there are several."""
+        instrument = self.arm.chain.instrument
+        if not (instrument.contact and instrument.targets):
+            return {}
+        points = of_positions(self.model).position(postures)
+        apart = [np.linalg.norm(points - place, axis=1) for place in instrument.targets.values()]
+        return {instrument.target: np.array([*instrument.targets])[np.argmin(apart, axis=0)].tolist()}
+
     def gaps(self, postures: Array) -> Array:
         """(m,) how far the measured point is from what it is to touch [mm] at postures (m, n)."""
         return np.asarray(np.linalg.norm(self.model.position(postures) - self.arm.chain.instrument.touched, axis=1))
@@ -378,11 +387,10 @@ def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
         refuse_contacts(chain)
     if (chain.instrument.contact or chain.instrument.own_targets) and not stands:
         keys = sorted(chain.instrument.keys & {"center_mm", "normal", "cups"})
-        reason, how = (
-            f"kind {chain.instrument.kind} without {keys[0]}: where it is touched is not known",
-            " and ".join(keys),
+        reason = f"kind {chain.instrument.kind} without {keys[0]}: where it is touched is not known"
+        raise InputError(
+            f"instrument: found {reason}, allowed for plans: with {' and '.join(keys)}, or a calibrated arm"
         )
-        raise InputError(f"instrument: found {reason}, allowed for plans: with {how}, or a calibrated arm")
     if stands:
         return chain
     away = AHEAD * chain.reach

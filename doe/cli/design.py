@@ -95,7 +95,11 @@ def command(
     extra += [] if expected is None else [str(expected)]
     if search.order is not None:
         design = _ordered(design, search.order, seed, data, extra)
-    text = plan_text(design.plan, loaded.joint_types)
+    from doe.problem.model import offers
+
+    model: Any = design.problem.model
+    columns = model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
+    text = plan_text(design.plan, loaded.joint_types, columns)
     extra += written({out: text, picture: lambda: plan_drawing(loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""

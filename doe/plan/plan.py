@@ -8,7 +8,7 @@ smallest, while too many, take one where (n_i - 1) / w_i is largest. No rounding
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from os import PathLike
@@ -103,9 +103,14 @@ def load_plan(path: str | PathLike[str], joints: int | Sequence[str] | None = No
     return Plan(file.postures, file.weights, fit=file.fit)
 
 
-def plan_text(plan: Plan, joint_types: int | Sequence[str] | None = None) -> str:
-    """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad)."""
-    return plan_file_text(plan.postures, plan.weights, plan.fit, joint_types)
+def plan_text(
+    plan: Plan, joint_types: int | Sequence[str] | None = None, columns: Mapping[str, Sequence[str]] | None = None
+) -> str:
+    """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad).
+
+    columns : of names, (m,) each, that are written besides
+    """
+    return plan_file_text(plan.postures, plan.weights, plan.fit, joint_types, columns)
 
 
 # -- from weights to whole numbers of runs -----------------------------------------------------------------------------

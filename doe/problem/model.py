@@ -101,6 +101,10 @@ class Offers(Protocol):
         """(N, n) of these, to choose from, within limits (n,) and `feasible`;  units : (n,) that count as a radian."""
         ...
 
+    def plan_columns(self, postures: Array) -> Mapping[str, Sequence[str]]:
+        """Columns of names that a plan file has besides postures (m, n)."""
+        ...
+
     # -- accuracy where the arm will work ------------------------------------------------------------------------------
     def tip_jacobian(self, postures: ArrayLike) -> Array:
         """(k, P, c, p) derivative of the positions of P points [mm], their x, y and z first; else what is measured."""

@@ -4,7 +4,7 @@ millimetres and radians."""
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -94,7 +94,7 @@ def read_plan(
     n = postures.shape[1]
     weights = None
     if not carried_out:
-        further = ["weight", "payload_kg", "temperature_C", *(f"direction{j}" for j in range(1, n + 1))]
+        further = ["weight", "payload_kg", "temperature_C", "cup", *(f"direction{j}" for j in range(1, n + 1))]
         warn_unknown(table, ["run", *joint_columns(table, joints), *further])
         if "weight" in table:
             weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
@@ -109,9 +109,19 @@ def read_plan(
     return PlanFile(postures, weights, table.fit, cells, rows)
 
 
-def plan_file_text(postures: Array, weights: Array | None = None, fit: str = "", joint_types: JointTypes = None) -> str:
-    """The text of a plan file; `read_plan` reads the same from it, to rounding (1e-14 rad)."""
+def plan_file_text(
+    postures: Array,
+    weights: Array | None = None,
+    fit: str = "",
+    joint_types: JointTypes = None,
+    further: Mapping[str, Sequence[str]] | None = None,
+) -> str:
+    """The text of a plan file; `read_plan` reads the same from it, to rounding (1e-14 rad).
+
+    further : columns of names, (m,) each
+    """
     columns = {"run": np.arange(1, len(postures) + 1), **posture_columns(postures, joint_types)}
+    columns |= {name: np.array(texts, dtype=np.str_) for name, texts in (further or {}).items()}
     return csv_text(columns if weights is None else columns | {"weight": weights}, fit)
 
 

@@ -239,6 +239,9 @@ def test_the_loop_of_a_socket(folder: Folder) -> None:
         words = "arm.toml", f"{name}.csv", "--truth", "truth.toml", "--seed", seed, "--out", f"{name}d.csv"
         done = folder.armcal("simulate", *words)
         assert done.code == 0, done.err
+    planned = (folder.path / "seats.csv").read_text().splitlines()
+    seated = (folder.path / "seatsd.csv").read_text().splitlines()
+    assert [line.split(",")[-1] for line in planned] == [line.split(",")[-1] for line in seated]  # the cup of each
     header, first = (folder.path / "seatsd.csv").read_text().splitlines()[:2]
     assert header.split(",")[-1] == "cup"
     assert first.split(",")[-1] in "ABCD"
