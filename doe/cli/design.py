@@ -18,6 +18,7 @@ from identification.workflow import Picture, Written
 
 if TYPE_CHECKING:
     from doe.design import Design
+    from doe.problem.model import offers
     from doe.problem.problem import DesignProblem
     from identification import Arm
 
@@ -95,8 +96,6 @@ def command(
     extra += [] if expected is None else [str(expected)]
     if search.order is not None:
         design = _ordered(design, search.order, seed, data, extra)
-    from doe.problem.model import offers
-
     model: Any = design.problem.model
     columns = model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
     text = plan_text(design.plan, loaded.joint_types, columns)
