@@ -22,6 +22,7 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "files.measurement": "load_measurements plan_file_text read_plan",
     "files.measurement_columns": "csv_text posture_columns",
     "workflow": "load_sessions",
+    "campaign": "Campaign",
     # what data say
     "estimation": "Identification estimate estimate_batch estimate_each",
     "estimation.uncertainty": "freedom_of quantile_95",
@@ -46,6 +47,7 @@ __all__ = sorted(_PLACES)
 if TYPE_CHECKING:  # the same for type checkers
     from identification.arm import LARGEST_MASS, Arm, Calibration, EffectSpec, Gravity
     from identification.arrays import Array, ByValue, readonly
+    from identification.campaign import Campaign
     from identification.data_frames import frame_of_columns
     from identification.effects import library
     from identification.errors import ArmcalError, InputError, JobError, in_one_line, nearest

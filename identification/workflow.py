@@ -88,7 +88,7 @@ def init_files(
     dh : A spatial arm from N Denavit-Hartenberg rows.
     base_link : Of the URDF file; left out: its root.
     tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
-    instrument : Of a spatial arm without a tracker: distance (ball bar, draw wire), sphere, plane (touch probe).
+    instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
     out : Folder; made if missing.
     force : Overwrite existing files.
     """

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from doe.cli.common import stated, verb, with_collisions
-from doe.cli.options import Seconds, written
+from doe.cli.options import Names, Seconds, written
 from identification import InputError, Progress, silent
 from identification.document import Answer
-from identification.workflow import Names, Picture
+from identification.workflow import Picture
 
 
 @verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")

@@ -79,6 +79,7 @@ class WholeNumbersType(click.ParamType):
 FOLDER = FilePath("dir", written=True)
 Seconds = Annotated[float, SecondsRange(min=0, min_open=True)]
 Workers = Annotated[int, click.IntRange(1, 4096)]  # each is a process of about 100 MB
+Names = Annotated[str, "NAMES"]
 Count = Annotated[int, click.IntRange(min=1)]
 WholeNumbers = Annotated[list[int], WholeNumbersType()]
 

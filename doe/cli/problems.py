@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from doe.cli.options import words
+from doe.cli.options import Names, words
 from identification import InputError, nearest
-from identification.workflow import Names
 
 if TYPE_CHECKING:
     from doe.criteria import Criterion

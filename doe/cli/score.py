@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from doe.cli.common import verb, with_collisions
-from doe.cli.options import Content, Seconds, plan_drawing, written
+from doe.cli.options import Content, Names, Seconds, plan_drawing, written
 from doe.cli.problems import CriterionOptions, design_problem
 from identification import InputError
 from identification.document import Answer
-from identification.workflow import Names, Picture
+from identification.workflow import Picture
 
 if TYPE_CHECKING:
     from doe.design import Design

@@ -9,8 +9,7 @@ from typing import ClassVar
 
 from doe.plan.plan import Plan
 from doe.report.design import design_verdict, plan_actions, plan_section
-from identification import Arm, read_plan
-from identification.campaign import Campaign
+from identification import Arm, Campaign, read_plan
 from identification.document import Action, Section
 
 

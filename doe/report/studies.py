@@ -21,7 +21,7 @@ from doe.studies.monte_carlo.specification import CELL
 from doe.studies.monte_carlo.study import StudyResult
 from doe.studies.paper.study import PaperStudy
 from identification import Array
-from identification.document import Part, Sheet, picture_bytes
+from identification.document import Sheet, picture_bytes
 from identification.files.io import write_together
 
 Setting = tuple[str, int]  # solver and starts
@@ -37,9 +37,9 @@ def cell_text(value: Any, kind: str = ".4g") -> str:
 FLOOR = 1e-9  # losses below this are shown there
 
 
-def comparison_parts(rows: pl.DataFrame) -> list[Part]:
+def comparison_parts(rows: pl.DataFrame) -> list[Any]:
     """One table per problem, the best setting first, and what went wrong, equal sentences once."""
-    parts: list[Part] = []
+    parts: list[Any] = []
     runs = with_hits(rows)
     headings = ("solver", "best", "median", "effi-\nciency", "hits", "time\n[s]", "to hit\n[s]", "MB", "wrong")
     for part in summary(rows).partition_by(*PROBLEM, maintain_order=True):
@@ -162,9 +162,9 @@ def _styles(settings: list[Any]) -> dict[Setting, tuple[Any, str, str]]:
 
 
 # -- armcal study STUDY.toml -------------------------------------------------------------------------------------------
-def monte_carlo_parts(result: StudyResult) -> list[Part]:
+def monte_carlo_parts(result: StudyResult) -> list[Any]:
     """One table per cell, up to twelve, and the cells that could not be simulated."""
-    parts: list[Part] = [str(result)]
+    parts: list[Any] = [str(result)]
     cells = result.cells.partition_by(*CELL, maintain_order=True)
     for cell in cells[:12]:
         rows = cell.to_dicts()
@@ -188,14 +188,14 @@ def cell_table(title: str, rows: Sequence[dict[str, Any]]) -> Sheet:
 
 
 # -- armcal study paper ------------------------------------------------------------------------------------------------
-def paper_parts(result: PaperStudy) -> list[Part]:
+def paper_parts(result: PaperStudy) -> list[Any]:
     """Verdict, printed, theory and simulation side by side, and the errata with their evidence."""
     tables = result.tables
     every = [verdict for name in ("table_1", "table_2", "table_3", "text") for verdict in tables[name]["verdict"]]
     words = {"agrees": "agree", "erratum": "are errata", "not identifiable": "cannot be identified"}
     counts = ", ".join(f"{every.count(word)} {text}" for word, text in (words | {"added": "added here"}).items())
     sentence = f"theory and simulation {'agree everywhere' if result.passed else 'DISAGREE somewhere'}"
-    parts: list[Part] = [f"The paper reproduced: {sentence}. Printed statements: {counts}."]
+    parts: list[Any] = [f"The paper reproduced: {sentence}. Printed statements: {counts}."]
     formats = {"printed": ".3f", "theory": ".5f", "simulated": ".5f"}
     headings = ["place", "links", "runs", "item", *formats, "unit", "verdict"]
     for name, title in (("table_3", "Table III and joint limits"), ("text", "Numbers in the text (Section VI)")):
@@ -287,9 +287,9 @@ FURTHER = ("right", "right, gravity", "right, others", "right, alone", "class", 
 WAYS = {"next": "{} of armcal discriminate", "loaded": "{}, two payloads", "random": "{} at random"}
 
 
-def blind_parts(result: BlindStudy) -> list[Part]:
+def blind_parts(result: BlindStudy) -> list[Any]:
     """Verdict, figures of the cells, further postures, reliability, targets, and the most frequent mistakes."""
-    parts: list[Part] = [str(result)]
+    parts: list[Any] = [str(result)]
     cells = {
         part["cell"][0]: {row["measure"]: row for row in part.iter_rows(named=True)}
         for part in result.cells.partition_by("cell", maintain_order=True)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.inspection.data_checks import CLEARLY, DRAWN
-from identification.instruments.search import Placement
+from identification.instruments import Placement, Unplaced
 from identification.kinematics.counting import Counting
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import TOOL, SpatialChain
@@ -368,8 +368,10 @@ def _place(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[
     frames = _frames(chain)
     measured = rows.positions[:, : chain.coordinates]
     tool = np.zeros(3) if TOOL in chain.known else None
-    place = partial(chain.instrument.place, reach=chain.reach, tool=tool, hopeless=hopeless)
-    return lambda reading: place(frames(reading.postures(rows.postures)), reading.positions(measured))
+    read = partial(Unplaced, reach=chain.reach, tool=tool, hopeless=hopeless)
+    return lambda reading: chain.instrument.place(
+        read(frames(reading.postures(rows.postures)), reading.positions(measured))
+    )
 
 
 _frames = lru_cache(maxsize=4)(frames_of_tip)

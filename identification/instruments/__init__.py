@@ -16,7 +16,7 @@ from identification.instruments.base import (
 from identification.instruments.distance import Distance
 from identification.instruments.planar_distance import PlanarDistance
 from identification.instruments.plane import Plane
-from identification.instruments.search import Placement
+from identification.instruments.search import Placement, Unplaced
 from identification.instruments.socket import Socket
 from identification.instruments.sphere import Sphere
 from identification.instruments.tracker import TRACKER, Tracker
@@ -36,6 +36,7 @@ __all__ = [
     "Socket",
     "Sphere",
     "Tracker",
+    "Unplaced",
     "kinds",
     "register_instrument",
 ]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.instruments.search import Placement, searched
+from identification.instruments.search import Placement, Unplaced, searched
 from identification.kinematics.frames import AXES, own_axes_angles
 from identification.kinematics.parameters import Parameter
 from identification.vectorize import Evaluate, vectorize
@@ -168,22 +168,9 @@ class Instrument:
         return "", ""
 
     # -- where a fit starts ----------------------------------------------------------------------------------------
-    def place(
-        self,
-        frames: Array,
-        readings: Array,
-        reach: float,
-        base: Array | None = None,
-        tool: Array | None = None,
-        hopeless: float = np.inf,
-    ) -> Placement:
-        """Base and measured point that explain readings (m, d) best, from nothing.
-
-        frames : (m, 4, 4) nominal poses of the tip in the base;  reach : [mm] that gives the starts their size
-        base, tool : (4, 4) and (3,), known; None: to be found
-        hopeless : root mean square residual; where more must be left the search may end early, and say about how much
-        """
-        return searched(self, frames, readings, reach, base, tool, hopeless)
+    def place(self, rows: Unplaced) -> Placement:
+        """Base and measured point that explain readings best, from nothing."""
+        return searched(self, rows)
 
     def settled(self, starts: Array, residuals: Callable[[Array], Array], own: list[int]) -> tuple[Array, list[int]]:
         """Starts (K, p) with its own parameters, whose numbers are `own`, as they explain the readings best, and the

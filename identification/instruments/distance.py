@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import casadi as ca
-import numpy as np
 
 from identification.arrays import Array
 from identification.instruments.base import Coordinate, Guide, Instrument, register_instrument, relative
-from identification.instruments.search import Placement
+from identification.instruments.search import Placement, Unplaced
 from identification.instruments.surfaces import CenterStarts, placed_by_lengths
 from identification.kinematics.frames import AXES
 
@@ -44,16 +43,8 @@ class Distance(Instrument):
     def between(self, first: Array, base: Array) -> tuple[dict[str, float], frozenset[str]]:
         return relative(first, base), frozenset(f"w{axis}" for axis in AXES)
 
-    def place(
-        self,
-        frames: Array,
-        readings: Array,
-        reach: float,
-        base: Array | None = None,
-        tool: Array | None = None,
-        hopeless: float = np.inf,
-    ) -> Placement:
-        return placed_by_lengths(CenterStarts, frames, readings[:, 0], reach, base, tool, hopeless)
+    def place(self, rows: Unplaced) -> Placement:
+        return placed_by_lengths(CenterStarts, rows)
 
 
 def distance_to_center(point: ca.SX) -> ca.SX:

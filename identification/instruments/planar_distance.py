@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.instruments.base import PLACE, Coordinate, Instrument, OwnValue, register_instrument
 from identification.instruments.distance import distance_to_center
-from identification.instruments.search import Placement
+from identification.instruments.search import Placement, Unplaced
 from identification.instruments.surfaces import CenterStarts, placed_by_lengths
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import JOINT_OFFSET, Parameter
@@ -70,17 +70,9 @@ class PlanarDistance(Instrument):
     def stands(self, base: Array) -> bool:
         return bool(self.centers)
 
-    def place(
-        self,
-        frames: Array,
-        readings: Array,
-        reach: float,
-        base: Array | None = None,
-        tool: Array | None = None,
-        hopeless: float = np.inf,
-    ) -> Placement:
+    def place(self, rows: Unplaced) -> Placement:
         """The center alone is to be found, and is the origin of the base that is found."""
-        return placed_by_lengths(CenterStarts, frames, readings[:, 0], reach, None, np.zeros(3), hopeless)
+        return placed_by_lengths(CenterStarts, rows._replace(base=None, tool=np.zeros(3)))
 
     def with_targets(
         self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]
@@ -88,9 +80,9 @@ class PlanarDistance(Instrument):
         """With the center that explains the distances of each best."""
         reach, measured, centers = float(np.abs(points).max()), np.unique(numbers).tolist(), []
         for number in measured:
-            rows = numbers == number
-            frames = np.array([pose((*point, 0.0)) for point in points[rows]])
-            x, y, _ = (-self.place(frames, readings[rows], reach).base[:3, 3]).tolist()
+            chosen = numbers == number
+            frames = np.array([pose((*point, 0.0)) for point in points[chosen]])
+            x, y, _ = (-self.place(Unplaced(frames, readings[chosen], reach)).base[:3, 3]).tolist()
             centers.append((names[number], (x, y)))
         return replace(self, centers=tuple(centers), numbers=tuple(measured))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.instruments.base import Guide, Instrument, register_instrument, relative
-from identification.instruments.search import Placement
+from identification.instruments.search import Placement, Unplaced
 from identification.instruments.surfaces import PlaneStarts, placed_by_lengths
 from identification.kinematics.frames import AXES, from_own_axes, pose, rotation_about
 
@@ -55,16 +55,8 @@ class Plane(Instrument):
     def size_is_open(self) -> tuple[str, str]:
         return "contacts with planes", "only [machining] tells"
 
-    def place(
-        self,
-        frames: Array,
-        readings: Array,
-        reach: float,
-        base: Array | None = None,
-        tool: Array | None = None,
-        hopeless: float = np.inf,
-    ) -> Placement:
-        return placed_by_lengths(PlaneStarts, frames, readings[:, 0], reach, base, tool, hopeless)
+    def place(self, rows: Unplaced) -> Placement:
+        return placed_by_lengths(PlaneStarts, rows)
 
 
 def _tilting(first: Array, rotation: Mapping[str, float], held: str) -> float:

@@ -30,6 +30,22 @@ class Placement(NamedTuple):
     rms: float
 
 
+class Unplaced(NamedTuple):
+    """Rows of which base and measured point are to be found.
+
+    frames : (m, 4, 4) nominal poses of the tip in the base;  readings : (m, d) of one target
+    reach : [mm] that gives the starts their size;  base, tool : (4, 4) and (3,), known; None: to be found
+    hopeless : root mean square residual; where more must be left the search may end early, and say about how much
+    """
+
+    frames: Array
+    readings: Array
+    reach: float
+    base: Array | None = None
+    tool: Array | None = None
+    hopeless: float = np.inf
+
+
 class Reads(Protocol):
     """What is asked of an instrument here, see `Instrument`."""
 
@@ -69,16 +85,9 @@ def starts_of_tool(reach: float) -> Array:
     return np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * reach
 
 
-def searched(
-    instrument: Reads,
-    frames: Array,
-    readings: Array,
-    reach: float,
-    base: Array | None,
-    tool: Array | None,
-    hopeless: float,
-) -> Placement:
-    """Base and measured point that explain readings best; arguments as of `Instrument.place`."""
+def searched(instrument: Reads, rows: Unplaced) -> Placement:
+    """Base and measured point that explain readings best."""
+    frames, readings, reach, base, tool, hopeless = rows
     generator, count = np.random.default_rng(0), DRAWN if base is None else len(starts_of_tool(reach))
     if base is None:
         vectors = generator.standard_normal((count, 4))

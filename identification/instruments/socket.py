@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.instruments.base import PLACE, Guide, Instrument, OwnValue, register_instrument
-from identification.instruments.search import Placement
+from identification.instruments.search import Placement, Unplaced
 from identification.kinematics.frames import AXES
 from identification.kinematics.parameters import Parameter
 
@@ -127,16 +127,9 @@ class Socket(Instrument):
         return np.ones(len(points), dtype=bool)
 
     # -- where a fit starts --------------------------------------------------------------------------------------------
-    def place(
-        self,
-        frames: Array,
-        readings: Array,
-        reach: float,
-        base: Array | None = None,
-        tool: Array | None = None,
-        hopeless: float = np.inf,
-    ) -> Placement:
+    def place(self, rows: Unplaced) -> Placement:
         """Of rows in one cup: the point of the tip that moves least, in closed form."""
+        frames, tool = rows.frames, rows.tool
         positions, turns = frames[:, :3, 3] - frames[:, :3, 3].mean(axis=0), frames[:, :3, :3]
         turns = turns - turns.mean(axis=0)
         if tool is None:

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from identification.arrays import Array
 from identification.instruments.base import PLACE, Guide, OwnValue, register_instrument
 from identification.instruments.distance import Distance, distance_to_center
-from identification.instruments.search import Placement
+from identification.instruments.search import Placement, Unplaced
 from identification.instruments.surfaces import CenterStarts, FreeSphereStarts, placed_by_lengths
 from identification.kinematics.parameters import Parameter
 
@@ -68,18 +67,10 @@ class Sphere(Distance):
     def size_is_open(self) -> tuple[str, str]:
         return ("contacts with spheres of unknown radius", "give radius_mm") if self.radius is None else ("", "")
 
-    def place(
-        self,
-        frames: Array,
-        readings: Array,
-        reach: float,
-        base: Array | None = None,
-        tool: Array | None = None,
-        hopeless: float = np.inf,
-    ) -> Placement:
+    def place(self, rows: Unplaced) -> Placement:
         """Of an unknown radius readings may be any constant: they are heights above the ball."""
         state = FreeSphereStarts if self.radius is None else CenterStarts
-        return placed_by_lengths(state, frames, readings[:, 0], reach, base, tool, hopeless)
+        return placed_by_lengths(state, rows)
 
     def settled(self, starts: Array, residuals: Callable[[Array], Array], own: list[int]) -> tuple[Array, list[int]]:
         """An unknown radius is the mean distance from the center. An arm that shrinks with its sphere would explain any

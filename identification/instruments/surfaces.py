@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE
-from identification.instruments.search import ENOUGH, Placement, starts_of_tool
+from identification.instruments.search import ENOUGH, Placement, Unplaced, starts_of_tool
 from identification.kinematics.frames import pose
 
 ROUNDS, SOME = 50, 10  # effort: Gauss-Newton steps of each start, and where a radius is taken that is not right
@@ -22,19 +22,13 @@ FIRST = 3  # steps, after which the best start of 99 of 100 wrong readings leave
 RADII = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
 
 
-def placed_by_lengths(
-    surface: type[CenterStarts],
-    frames: Array,
-    lengths: Array,
-    reach: float,
-    base: Array | None,
-    tool: Array | None,
-    hopeless: float,
-) -> Placement:
-    """Base and tool that explain lengths (m,) best; what they leave open of the base is along the arm's own axes.
+def placed_by_lengths(surface: type[CenterStarts], rows: Unplaced) -> Placement:
+    """Base and tool that explain lengths (m, 1) best; what they leave open of the base is along the arm's own axes.
 
-    surface : what the lengths are from;  other arguments as of `Instrument.place`
+    surface : what the lengths are from
     """
+    frames, readings, reach, base, tool, hopeless = rows
+    lengths = readings[:, 0]
     tools = starts_of_tool(reach) if tool is None else tool[None]
     state = surface.started(frames, lengths, reach, tools, base, tool is None, hopeless)
     best = _settled(state, base is None, tool is None, hopeless)

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from identification.arrays import Array
 from identification.instruments.base import Coordinate, Instrument
 from identification.instruments.registration import placed, placed_tool, registered
-from identification.instruments.search import Placement
+from identification.instruments.search import Placement, Unplaced
 
 
 @dataclass(frozen=True)
@@ -24,16 +23,9 @@ class Tracker(Instrument):
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return point
 
-    def place(
-        self,
-        frames: Array,
-        readings: Array,
-        reach: float,
-        base: Array | None = None,
-        tool: Array | None = None,
-        hopeless: float = np.inf,
-    ) -> Placement:
+    def place(self, rows: Unplaced) -> Placement:
         """In closed form, whatever is `hopeless`."""
+        frames, readings, reach, base, tool, _ = rows
         if base is not None:
             tool = placed_tool(frames, readings, base) if tool is None else tool
         elif tool is not None:

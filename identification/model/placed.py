@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError, nearest
+from identification.instruments import Unplaced
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.orientations import mean_rotation
 from identification.kinematics.spatial import BASE, DIMENSION, TOOL, SpatialChain
@@ -173,13 +174,13 @@ def placed_chain(
         places = np.array([tools[name] for name in names])[markers]
         at_points = np.array(frames)  # of frames whose origins are the measured points
         at_points[:, :3, 3] += np.einsum("mij,mj->mi", frames[:, :3, :3], places)
-        base = place(at_points, readings, chain.reach, tool=np.zeros(3)).base
+        base = place(Unplaced(at_points, readings, chain.reach, tool=np.zeros(3))).base
     elif BASE not in chain.known:
         most = markers == np.bincount(markers).argmax()
-        base = place(frames[most], readings[most], chain.reach).base
+        base = place(Unplaced(frames[most], readings[most], chain.reach)).base
     for number, name in enumerate(names if TOOL not in chain.known else ()):
         if (of_marker := markers == number).any():
-            tools[name] = place(frames[of_marker], readings[of_marker], chain.reach, base).tool
+            tools[name] = place(Unplaced(frames[of_marker], readings[of_marker], chain.reach, base)).tool
     return replace(chain, base=base, tools=tools)
 
 

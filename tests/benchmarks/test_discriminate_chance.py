@@ -2,7 +2,7 @@
 
 Random choices of 40 rows of the sample of series C; where the diagnosis of one is ambiguous, 4 further rows are chosen
 among all others by `discriminate`, or at random, and the diagnosis is made again. Settled: one of the candidates is
-named and the others are gone. Run it with -s; figures in identification/README.md, "Real data".
+named and the others are gone. Run it with -s.
 """
 
 from __future__ import annotations

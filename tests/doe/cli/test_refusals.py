@@ -72,7 +72,7 @@ CASES: list[tuple[str | list[str], tuple[str, ...], dict[str, str]]] = [
     (DESIGN, ("sigma_mm", "[measurement]"), {"bad.toml": "sigma_mm = 0.1\n" + ARM}),
     (DESIGN, ("lengths_mm", "'links_mm'"), {"bad.toml": "lengths_mm = [1.0]\n" + ARM}),
     (DESIGN, ("description",), {"bad.toml": "description = 'x'\n" + ARM}),
-    (DESIGN, ("instrument", "spatial"), added("[instrument]")),
+    (DESIGN, ("instrument.kind", "planar"), added('[instrument]\nkind = "plane"')),
     (DESIGN, ("base", "spatial"), added("[base]")),
     (DESIGN, ("limits", "'joint_limits_deg'"), added("[limits]")),
     (DESIGN, ("joint_limits_deg.min", "'lower'"), changed("lower =", "min =")),

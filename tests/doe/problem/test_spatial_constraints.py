@@ -16,6 +16,7 @@ from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification.arrays import Array
+from identification.instruments import Distance
 from identification.kinematics.denavit_hartenberg import DHRow
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
@@ -49,6 +50,13 @@ def links(posture: Array) -> list[Array]:
     places = [frame[:3, 3] for frame in frames(posture)]
     places = [places[0], *places[:6], (frames(posture)[-1] @ np.r_[REFLECTOR, 1.0])[:3]]
     return [a + SHARES * (b - a) for a, b in pairwise(places)]
+
+
+def test_the_box_is_of_space_whatever_is_read() -> None:
+    """A length is one number, the tip has three coordinates: the margins are those of an arm with a tracker."""
+    bar = replace(ARM, chain=replace(ARM.chain, instrument=Distance()), constraints=(BOX,))
+    margins = constraints_of(Model(bar))[0].margin(POSTURES[:50])
+    np.testing.assert_allclose(margins, MADE[0].margin(POSTURES[:50]), atol=1e-9)
 
 
 def test_the_box_has_a_floor_and_a_ceiling() -> None:

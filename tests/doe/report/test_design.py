@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from doe.bounds.certificate import Bound
+from doe.bounds.column_generation import relax
 from doe.design import score
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
@@ -23,6 +24,7 @@ from doe.report.design import (
     missing_payload,
     plan_section,
     plan_steps,
+    relax_document,
     remarks,
 )
 from identification.arm import Arm, Gravity
@@ -169,3 +171,13 @@ def test_a_plan_is_shown_with_everything_that_is_known_of_it(plan: np.ndarray) -
     assert ("first 24 of 30; --out writes all" in text) is (len(plan) > 24)
     assert ("no log det" in text) is (len(plan) == 4)
     assert ("Expected standard deviations" in text) is (len(plan) > 4)
+
+
+def test_weights_that_would_print_as_zero_are_counted() -> None:
+    """Column generation may leave a posture with a weight of rounding."""
+    shares = np.array([0.5, 0.5 - 1e-9, 1e-9])
+    weights = relax(DesignProblem.of(Model(Arm([300.0, 200.0]))), 5)
+    text = as_text(relax_document(replace(weights, plan=Plan(np.eye(3, 2), shares))))
+    assert text.count("0.50000") == 2
+    assert "0.00000" not in text
+    assert "and 1 more of less weight than 5e-06" in text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.instruments import Distance, Instrument, Plane, Sphere, surfaces
+from identification.instruments import Distance, Instrument, Plane, Sphere, Unplaced, surfaces
 from tests.identification.exponentials import Exponentials
 
 TOOL = np.array([60.0, -40.0, 120.0])
@@ -26,7 +26,7 @@ def points(frames: np.ndarray) -> np.ndarray:
 
 def test_a_center(frames: np.ndarray) -> None:
     lengths = np.linalg.norm(points(frames) - CENTER, axis=1)
-    found = Distance().place(frames, lengths[:, None], REACH)
+    found = Distance().place(Unplaced(frames, lengths[:, None], REACH))
     np.testing.assert_allclose(found.base[:3, 3], -CENTER, atol=1e-6)
     np.testing.assert_array_equal(found.base[:3, :3], np.eye(3))
     np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
@@ -42,17 +42,17 @@ def test_a_ball_of_unknown_radius(radius: float) -> None:
     normals = generator.standard_normal((40, 3))
     places = CENTER + radius * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     frames[:, :3, 3] = places - frames[:, :3, :3] @ TOOL
-    found = Sphere().place(frames, np.full(40, 7.0)[:, None], REACH)
+    found = Sphere().place(Unplaced(frames, np.full(40, 7.0)[:, None], REACH))
     np.testing.assert_allclose(found.base[:3, 3], -CENTER, atol=1e-6)
     np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
     assert found.rms < 1e-7
-    by_base = Sphere().place(frames, np.zeros(40)[:, None], REACH, base=found.base)
+    by_base = Sphere().place(Unplaced(frames, np.zeros(40)[:, None], REACH, base=found.base))
     np.testing.assert_allclose(by_base.tool, TOOL, atol=1e-6)
 
 
 def test_a_plane_stands_below_the_arm(frames: np.ndarray) -> None:
     heights = points(frames) @ NORMAL - HEIGHT  # of an indicator that reads them
-    found = Plane().place(frames, heights[:, None], REACH)
+    found = Plane().place(Unplaced(frames, heights[:, None], REACH))
     np.testing.assert_allclose(found.base[2], [*NORMAL, -HEIGHT], atol=1e-6)
     np.testing.assert_allclose(found.base[:3, :3] @ found.base[:3, :3].T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
@@ -60,34 +60,34 @@ def test_a_plane_stands_below_the_arm(frames: np.ndarray) -> None:
 
 def test_what_is_known_stays(frames: np.ndarray) -> None:
     lengths = np.linalg.norm(points(frames) - CENTER, axis=1)
-    free = Distance().place(frames, lengths[:, None], REACH)
-    by_tool = Distance().place(frames, lengths[:, None], REACH, tool=TOOL)
+    free = Distance().place(Unplaced(frames, lengths[:, None], REACH))
+    by_tool = Distance().place(Unplaced(frames, lengths[:, None], REACH, tool=TOOL))
     np.testing.assert_array_equal(by_tool.tool, TOOL)
     np.testing.assert_allclose(by_tool.base, free.base, atol=1e-6)
-    by_base = Distance().place(frames, lengths[:, None], REACH, base=free.base)
+    by_base = Distance().place(Unplaced(frames, lengths[:, None], REACH, base=free.base))
     assert by_base.base is free.base
     np.testing.assert_allclose(by_base.tool, TOOL, atol=1e-6)
     heights = points(frames) @ NORMAL - HEIGHT
-    plane = Plane().place(frames, heights[:, None], REACH)
-    again = Plane().place(frames, heights[:, None], REACH, base=plane.base)
+    plane = Plane().place(Unplaced(frames, heights[:, None], REACH))
+    again = Plane().place(Unplaced(frames, heights[:, None], REACH, base=plane.base))
     np.testing.assert_allclose(again.tool, TOOL, atol=1e-6)
 
 
 def test_few_rows_have_a_start(frames: np.ndarray) -> None:
     """Fewer than unknowns: anything that explains them will do."""
     lengths = np.linalg.norm(points(frames[:4]) - CENTER, axis=1)
-    assert Distance().place(frames[:4], lengths[:, None], REACH).rms < 1.0
+    assert Distance().place(Unplaced(frames[:4], lengths[:, None], REACH)).rms < 1.0
 
 
 @pytest.mark.parametrize("rows", [1, 2, 4])
 def test_a_few_contacts_have_a_ball(rows: int, frames: np.ndarray) -> None:
-    assert Sphere().place(frames[:rows], np.zeros(rows)[:, None], REACH).rms < 1e-3 * REACH
+    assert Sphere().place(Unplaced(frames[:rows], np.zeros(rows)[:, None], REACH)).rms < 1e-3 * REACH
 
 
 @pytest.mark.parametrize("rows", [1, 2])
 def test_one_or_two_contacts_have_a_plane(rows: int, frames: np.ndarray) -> None:
     """Any of those through them."""
-    found = Plane().place(frames[:rows], np.zeros(rows)[:, None], REACH)
+    found = Plane().place(Unplaced(frames[:rows], np.zeros(rows)[:, None], REACH))
     assert found.rms < 1e-6 * REACH
     np.testing.assert_allclose(found.base[:3, :3] @ found.base[:3, :3].T, np.eye(3), atol=1e-12)
 
@@ -101,12 +101,12 @@ def test_what_no_surface_explains_is_given_up_early(
     step = surfaces.CenterStarts.step
     monkeypatch.setattr(surfaces.CenterStarts, "step", lambda *words: steps.append(1) or step(*words))
     lengths = np.zeros(40)
-    exact = instrument.place(frames, lengths[:, None], REACH)
+    exact = instrument.place(Unplaced(frames, lengths[:, None], REACH))
     followed = len(steps)
-    again = instrument.place(frames, lengths[:, None], REACH, hopeless=1.01 * exact.rms)
+    again = instrument.place(Unplaced(frames, lengths[:, None], REACH, hopeless=1.01 * exact.rms))
     assert again.rms == pytest.approx(exact.rms, rel=1e-6)
     steps.clear()
-    rough = instrument.place(frames, lengths[:, None], REACH, hopeless=0.1 * exact.rms)
+    rough = instrument.place(Unplaced(frames, lengths[:, None], REACH, hopeless=0.1 * exact.rms))
     surfaces_tried = 2 if instrument.parameters else 1  # of known radii first
     assert len(steps) <= surfaces_tried * surfaces.FIRST < followed
     assert rough.rms > 0.1 * exact.rms

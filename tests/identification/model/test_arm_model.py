@@ -17,7 +17,7 @@ from identification.model import Model
 GRAVITY_ACCELERATION = np.array([1.5, -9.6])  # not along an axis, so that both components are tested
 
 
-# -- an independent implementation: one posture, complex numbers; identification/README.md, "Effects" ----------------
+# -- an independent implementation of the formulas: one posture, complex numbers ---------------------------------------
 def mass_points(arm: Arm, q: np.ndarray, payload: float) -> list[tuple[float, int, complex]]:
     """(mass [kg], link, place [m]) of every load at the nominal pose."""
     links = arm.lengths / 1000.0 * np.exp(1j * np.cumsum(q))

@@ -1,4 +1,4 @@
-"""The two implementations of the effects agree: plain numpy from identification/README.md, "Effects", and CasADi."""
+"""The two implementations of the effects agree: plain numpy from their formulas, and CasADi."""
 
 from __future__ import annotations
 
