@@ -47,14 +47,14 @@ class Mixture:
     effective: float
 
 
-def mixture_of(found: Posterior) -> Mixture:
+def mixture_of(posterior: Posterior) -> Mixture:
     """Mean and covariance of the parameters of the base and of the blocks that are likely enough.
 
     The base's are those beside what an arm file can have: what it cannot have stays with the base.
     """
     # with the rest of the library, dozens of effects, only where it is likelier than not
-    rest = sum(one.probability for one in found.explanations if one.rest) >= 0.5
-    likely = [one for one in found.explanations if rest or not one.rest]
+    rest = sum(one.probability for one in posterior.explanations if one.rest) >= 0.5
+    likely = [one for one in posterior.explanations if rest or not one.rest]
     total = sum(one.probability for one in likely)
     shares: dict[str, float] = {}
     blocks: dict[str, Block] = {}
@@ -63,26 +63,26 @@ def mixture_of(found: Posterior) -> Mixture:
         blocks |= inside
         for label in inside:
             shares[label] = shares.get(label, 0.0) + one.probability / total
-    order = {label: k for k, label in enumerate(found.order)}
+    order = {label: k for k, label in enumerate(posterior.order)}
     kept = [b for b in blocks.values() if shares[b.label] >= LEVEL and not b.row]
     kept.sort(key=lambda b: order.get(b.label, len(order)))
-    widths = {b.label: c.shape[2] for p in found.problems for b, c in zip(p.blocks, p.columns, strict=True)}
-    g = len(found.whole.base)
+    widths = {b.label: c.shape[2] for p in posterior.problems for b, c in zip(p.blocks, p.columns, strict=True)}
+    g = len(posterior.whole.base)
     ends = g + np.cumsum([0, *(_width(b) or widths[b.label] for b in kept)])
     places = {b.label: (b, np.arange(low, high)) for b, low, high in zip(kept, ends[:-1], ends[1:], strict=True)}
-    count, base = int(ends[-1]), found.whole.base
+    count, base = int(ends[-1]), posterior.whole.base
     mean, second, response = np.zeros(count), np.zeros((count, count)), np.zeros((g, count))
     squares = effective = 0.0
-    for number, problem in enumerate(found.problems):
+    for number, problem in enumerate(posterior.problems):
         weight = sum(one.probability for one in likely if one.noise == number) / total
-        drawn = [m for m in found.moments[number][: 1 + rest] if m.count]
+        drawn = [m for m in posterior.moments[number][: 1 + rest] if m.count]
         if not drawn or weight == 0.0:
             continue
         turn, draws = _to_parameters(problem, places, g, count), sum(m.count for m in drawn)
-        there, moved = turn @ sum(m.first for m in drawn) / draws, np.zeros(count)
+        standing, moved = turn @ sum(m.first for m in drawn) / draws, np.zeros(count)
         moved[:g] = problem.base - base
-        mean += weight * (there + moved)
-        across = np.outer(there, moved)
+        mean += weight * (standing + moved)
+        across = np.outer(standing, moved)
         products = turn @ sum(m.second for m in drawn) @ turn.T / draws
         second += weight * (products + across + across.T + np.outer(moved, moved))
         variance = sum(m.variance for m in drawn) / draws
@@ -96,7 +96,7 @@ def mixture_of(found: Posterior) -> Mixture:
     covariance = second - np.outer(mean, mean)
     covariance = (covariance + covariance.T) / 2.0
     mean[:g] += base
-    best = found.problems[found.best.noise].normal
+    best = posterior.problems[posterior.best.noise].normal
     return Mixture(places, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
 
 
@@ -157,17 +157,17 @@ class PredictingModel:
         return self.model.jacobian(postures, self.values, conditions), self.covariance
 
 
-def averaged(found: Posterior, rows: int) -> PredictingModel:
+def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
-    held = found.writable
-    mixed, library = mixture_of(held), found.library
-    g, arm = len(found.whole.base), library.arm
+    held = posterior.writable
+    mixed, library = mixture_of(held), posterior.library
+    g, arm = len(posterior.whole.base), library.arm
     members = [(b.member, at) for b, at in mixed.places.values() if b.member is not None]
     specs = tuple(member.spec for member, _ in members)
     plain = Model(arm.with_effects(*arm.effects, *specs))
-    own = [p.name for e in library.base.effects for p in e.parameters]
+    names = [p.name for e in library.base.effects for p in e.parameters]
     longer = [p.name for e in plain.effects for p in e.parameters]
-    renamed = dict(zip(own, longer[: len(own)], strict=True))
+    renamed = dict(zip(names, longer[: len(names)], strict=True))
     place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
     for (_, at), effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
         place |= {p.name: k for p, k in zip(effect.parameters, at.tolist(), strict=True)}
@@ -195,32 +195,32 @@ def averaged(found: Posterior, rows: int) -> PredictingModel:
     covariance = beside_known(mixed.covariance, index, of_curves)
     written = PredictingModel(model, values, covariance, entries, curves, mixed.sigma, freedom, spread)
     more = float(np.sum(gram * mixed.covariance[np.ix_(every, every)]) - np.sum(inside * covariance))
-    lacking = held.noise_variance - found.noise_variance
+    lacking = held.noise_variance - posterior.noise_variance
     return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
 
 
-def beside_known(covariance: Array, kept: Index, known: Index) -> Array:
+def beside_known(covariance: Array, kept: Index, conditioned: Index) -> Array:
     """Covariance of the parameters `kept` once those `known` have their values.
 
     Combinations of the known ones that hardly vary are taken as not known: what is there of them is rounding, which
     their inverse would amplify.
     """
-    sizes = np.sqrt(np.diag(covariance)[known].clip(min=0.0))
+    sizes = np.sqrt(np.diag(covariance)[conditioned].clip(min=0.0))
     scale = np.where(sizes > 0.0, sizes, np.inf)
-    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(covariance[np.ix_(conditioned, conditioned)] / np.outer(scale, scale))
     seen = values > VISIBLE
-    across = covariance[np.ix_(kept, known)] / scale @ (vectors[:, seen] / np.sqrt(values[seen]))
+    across = covariance[np.ix_(kept, conditioned)] / scale @ (vectors[:, seen] / np.sqrt(values[seen]))
     return covariance[np.ix_(kept, kept)] - across @ across.T
 
 
-def _curve(found: Posterior, mixed: Mixture, block: Block, part: Index, values: Array, model: Model) -> Curve:
+def _curve(posterior: Posterior, mixed: Mixture, block: Block, part: Index, values: Array, model: Model) -> Curve:
     """The error curve of a joint."""
     basis = block.basis
     assert basis is not None
     angles = np.linspace(basis.start, basis.stop, 2 * WAVES + 1)
     functions = basis.at(angles)
     # beside the geometry that goes with it: what the two exchange makes no difference to any point
-    base = found.library.base.names
+    base = posterior.library.base.names
     covariance = beside_known(mixed.covariance, part, np.arange(len(base)))
     error, variance = functions @ mixed.mean[part], np.sum((functions @ covariance) * functions, axis=1)
     geometry = dict(zip(base, mixed.response[:, part] @ mixed.mean[part], strict=True))
@@ -234,5 +234,5 @@ def _tied(model: Model, geometry: Mapping[str, float], values: Array) -> dict[st
     """The part of the geometry that was fitted together with a curve; shifts of the base along its axes."""
     by_name, chain = model.parameters.mapping(values), model.arm.chain
     kept = {name: float(value) for name, value in geometry.items() if not name.startswith(f"{SESSIONS}.")}
-    own = {name: float(value) for name, value in chain.along_base(kept, by_name, back=True).items() if name in kept}
-    return {**kept, **own}
+    named = {name: float(value) for name, value in chain.along_base(kept, by_name, back=True).items() if name in kept}
+    return {**kept, **named}

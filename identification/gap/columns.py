@@ -76,14 +76,14 @@ class Formulas:
     @cached_property
     def places(self) -> list[list[list[tuple[int, int]]]]:
         """For each effect and parameter the pairs (place, index of the slope) of its nonzero slopes."""
-        found, count = [], 0
+        places, count = [], 0
         for slopes in self._slopes:
             listed: list[list[tuple[int, int]]] = [[] for _ in range(slopes.shape[1])]
             for row, column in zip(*slopes.sparsity().get_triplet(), strict=True):
                 listed[column].append((row, count))
                 count += 1
-            found.append(listed)
-        return found
+            places.append(listed)
+        return places
 
     @cached_property
     def function(self) -> Callable[..., tuple[np.ndarray, ...]]:
@@ -193,8 +193,8 @@ class Where:
     @cached_property
     def moments(self) -> Array:
         """(m, n) of gravity about the joints, their mean square 1."""
-        found = self.model.on_chain(lambda chain: chain.torques)(self.postures, self.conditions)
-        return np.asarray(found / max(float(np.sqrt(np.mean(np.square(found)))), 1e-300))
+        torques = self.model.on_chain(lambda chain: chain.torques)(self.postures, self.conditions)
+        return np.asarray(torques / max(float(np.sqrt(np.mean(np.square(torques)))), 1e-300))
 
     def turned(self, joint: int, functions: Array) -> Array:
         """(m, d, w) columns of functions (m, w) that are added to the angle of a joint (from 0)."""

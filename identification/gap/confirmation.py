@@ -257,13 +257,13 @@ def other_set_up(test: Confirmation | None) -> list[str]:
     return [f"the hold-out is of another set-up: {words} refitted to its rows, for both models"] if words else []
 
 
-def parameter_part(found: Fit | PredictingModel, rows: Measurements, there: Conditions) -> Mean:
+def parameter_part(fitted: Fit | PredictingModel, rows: Measurements, there: Conditions) -> Mean:
     """Mean square distance [mm^2] in other rows due to errors of the parameters.
 
     With G = mean of J_i^T J_i over the rows and C the covariance, the mean of |J_i e|^2 is e^T G e: its expectation is
     tr(G C), its variance 2 tr(G C G C).
     """
-    columns, covariance = found.uncertain(rows.postures, there)
+    columns, covariance = fitted.uncertain(rows.postures, there)
     tall = columns[:, POINT].reshape(-1, columns.shape[-1])
     product = tall.T @ tall / len(rows) @ covariance
     return Mean(float(np.trace(product)), 2.0 * float(np.trace(product @ product)), np.inf)
@@ -311,7 +311,7 @@ def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
 
 # -- each part of the rows predicted from the others -------------------------------------------------------------------
 def cross_validation(
-    found: Posterior,
+    posterior: Posterior,
     measurements: Measurements,
     kept: NDArray[np.bool_],
     generator: np.random.Generator,
@@ -333,24 +333,24 @@ def cross_validation(
     }
     tests = []
     for transfer, folds in parts.items():
-        before, after, expected = predicted_from_others(found, kept, folds)
+        before, after, expected = predicted_from_others(posterior, kept, folds)
         predicted, sigma = Mean(expected, 0.0, np.inf), float(np.sqrt(expected / after.shape[1]))
         level = LEVEL / len(parts)  # Bonferroni
         tests.append(confirm(before, after, predicted, sigma, by_groups, transfer, "cross-validation", level, named))
     return tuple(tests)
 
 
-def predicted_from_others(found: Posterior, kept: NDArray[np.bool_], folds: Groups) -> tuple[Array, Array, float]:
+def predicted_from_others(posterior: Posterior, kept: NDArray[np.bool_], folds: Groups) -> tuple[Array, Array, float]:
     """Each part of the kept rows predicted from the others;  folds : (kept rows,) number of each row's part.
 
     The likeliest sets of the posterior are weighed again by their likelihood on the other rows alone, at the sizes that
     they have, and their predictions averaged. Returns (m, d) residuals [mm] of the base model and of the average, and
     the mean square distance [mm^2] that the latter expects.
     """
-    number = found.best.noise
-    problem, rows, model = found.problems[number], found.noises[number].rows.pick(kept), found.at.model
-    y, jacobian, base = found.library.as_base(found.at, rows)
-    sets = [one for one in found.explanations if one.noise == number][:MOST]
+    number = posterior.best.noise
+    problem, rows, model = posterior.problems[number], posterior.noises[number].rows.pick(kept), posterior.at.model
+    y, jacobian, base = posterior.library.as_base(posterior.at, rows)
+    sets = [one for one in posterior.explanations if one.noise == number][:MOST]
     blocks = sorted({b for one in sets for b in one.weighed.blocks if not problem.blocks[b].row})
     part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
     pairs = [

@@ -163,18 +163,18 @@ class Beside:
         self.scores = self.left.without().scores
         self.freedom = self.products.freedom - len(self.products.places(wrong))
 
-    def gram(self, own: Index) -> Array:
+    def gram(self, places: Index) -> Array:
         """(k, k) products of these columns."""
-        across = self.left.rows[:, own]
-        return np.asarray(self.products.gram[np.ix_(own, own)] - across.T @ self.left.covariance @ across)
+        across = self.left.rows[:, places]
+        return np.asarray(self.products.gram[np.ix_(places, places)] - across.T @ self.left.covariance @ across)
 
     def f_test(self, blocks: Sequence[int]) -> tuple[float, float]:
         """F statistic of a few blocks against the base model, and its p-value."""
-        own = self.products.places(blocks)
-        count, spare = max(len(own), 1), max(self.freedom - len(own), 1)
-        scores = self.scores[own]
+        places = self.products.places(blocks)
+        count, spare = max(len(places), 1), max(self.freedom - len(places), 1)
+        scores = self.scores[places]
         # of unit size; a row that is left out may have a column alone
-        gain = float(scores @ np.linalg.solve(self.gram(own) + 1e-12 * np.eye(len(own)), scores))
+        gain = float(scores @ np.linalg.solve(self.gram(places) + 1e-12 * np.eye(len(places)), scores))
         f = gain / count / (max(self.left.squares - gain, 1e-300) / spare)
         return f, float(fdtrc(count, spare, f))
 
@@ -187,10 +187,11 @@ def assess(library: HypothesisSet, beside: Beside, rows: Rows, sigma: float) -> 
     detectable: dict[str, Size] = {}
     for member in filter(library.acts, library.members):
         parameter, count, number = member.effect.parameters[0], member.size, problem.numbers.get(member.label)
-        size, fraction, own = Size(None, parameter.file_unit), 0.0, products.places([] if number is None else [number])
-        if number is not None and len(own) == count:  # else a combination of its parameters cannot be seen
+        size, fraction = Size(None, parameter.file_unit), 0.0
+        places = products.places([] if number is None else [number])
+        if number is not None and len(places) == count:  # else a combination of its parameters cannot be seen
             back = np.linalg.inv(problem.roots[number])  # from the parameters to the coefficients of the columns
-            gram, moving = back.T @ beside.gram(own) @ back, problem.columns[number]
+            gram, moving = back.T @ beside.gram(places) @ back, problem.columns[number]
             lengths = np.maximum(np.linalg.norm(rows.whiten(moving), axis=0), 1e-150)
             least, fraction = np.sqrt([_least(gram), _least(gram / np.outer(lengths, lengths))]).tolist()
             if count < freedom and least > VISIBLE * lengths.max():
@@ -202,11 +203,11 @@ def assess(library: HypothesisSet, beside: Beside, rows: Rows, sigma: float) -> 
         # of several settings the one that is hardest to see
         detectable[member.key] = max(detectable.get(member.key, size), size, key=Size.order)
         if not member.scanned:
-            plain.append((member.key, fraction, own))
+            plain.append((member.key, fraction, places))
     return Detectability(
         tuple(key for key, _, _ in plain),
         readonly(np.array([fraction for _, fraction, _ in plain])),
-        readonly(likenesses(products.gram, [own for _, _, own in plain])),
+        readonly(likenesses(products.gram, [places for _, _, places in plain])),
         detectable,
         freedom,
         library.skipped,
@@ -252,9 +253,9 @@ def likenesses(gram: Array, parts: Sequence[Index]) -> Array:
     """
     bases, ends = [], np.cumsum([0, *map(len, parts)])
     for part in parts:
-        own = gram[np.ix_(part, part)]
-        lengths = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        values, vectors = np.linalg.eigh(own / np.outer(lengths, lengths))
+        within = gram[np.ix_(part, part)]
+        lengths = np.sqrt(np.maximum(np.diag(within), 1e-300))
+        values, vectors = np.linalg.eigh(within / np.outer(lengths, lengths))
         seen = significant(values, VISIBLE)
         bases.append(vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None])
     widths, every = np.array([basis.shape[1] for basis in bases], dtype=np.int64), np.concatenate([ends[:0], *parts])
@@ -326,12 +327,12 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
             continue
         names = {parameter.name for parameter in effect.parameters}
         rest = np.array([k for k, name in enumerate(model.names) if name not in names], dtype=np.int64)
-        own = p + 2 * number + np.arange(6)  # of the wave, and of those beside it
-        own = own if order > 1.0 else np.delete(own, [2, 3])
-        across = gram[np.ix_(own, rest)]
+        block = p + 2 * number + np.arange(6)  # of the wave, and of those beside it
+        block = block if order > 1.0 else np.delete(block, [2, 3])
+        across = gram[np.ix_(block, rest)]
         inner = product_inverse(gram[np.ix_(rest, rest)])
-        left = gram[np.ix_(own, own)] - across @ inner @ across.T
-        parts = list(np.arange(len(own)).reshape(-1, 2))
+        left = gram[np.ix_(block, block)] - across @ inner @ across.T
+        parts = list(np.arange(len(block)).reshape(-1, 2))
         if likenesses(left, parts)[0, 1:].max() >= NEAR:
             q = rows.postures[:, effect.joint_index]
             apart = 2.0 * np.pi / (np.sqrt(12.0) * np.std(q))  # the range of even angles with this standard deviation

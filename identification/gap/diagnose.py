@@ -31,7 +31,7 @@ from identification.gap.detectability import Beside, assess, look_alikes, order_
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import misfit, noise_floor, repeat_finding
-from identification.gap.posterior import MOST_ROWS, NOISES, PASSES, Explanation, Posterior, posterior
+from identification.gap.posterior import MOST_ROWS, NOISES, PASSES, Explanation, Posterior, posterior_of
 from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, candidate_of, trials
 from identification.gap.scatter import Finding
@@ -94,9 +94,11 @@ def diagnose(
     if holdout is not None:
         check_same_arm(base, measurements, holdout)
     shares = iter(np.linspace(0.1, 0.7, PASSES + NOISES + 1, endpoint=False).tolist())
-    found = posterior(library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}"))
+    posterior = posterior_of(
+        library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}")
+    )
     progress(0.7, 1.0, "step 3 of 3: fits, tests on other rows")
-    result = diagnosis_of(found, measurements, holdout, generator, numbers + 1)
+    result = diagnosis_of(posterior, measurements, holdout, generator, numbers + 1)
     result = replace(result, warnings=(*result.warnings, *copies))
     progress(1.0, 1.0, result.sentence)
     return result if arm is given else of_first_session(result, given)
@@ -131,21 +133,23 @@ def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
 
 
 def diagnosis_of(
-    found: Posterior,
+    posterior: Posterior,
     measurements: Measurements,
     holdout: Measurements | None,
     generator: np.random.Generator,
     numbers: NDArray[np.int64],
 ) -> Diagnosis:
     """Everything that is read off the posterior;  numbers : (m,) of the rows in the table that was given, from 1"""
-    library, conditions, rows = found.library, measurements.conditions, found.rows
+    library, conditions, rows = posterior.library, measurements.conditions, posterior.rows
     kept = np.ones(len(rows), dtype=bool)
-    kept[list(found.best.wrong)] = False
+    kept[list(posterior.best.wrong)] = False
     base = fit(library.base, rows.pick(kept))
-    beside = Beside(found.whole, [found.whole.numbers[block.label] for block in found.best.blocks if block.row])
+    beside = Beside(
+        posterior.whole, [posterior.whole.numbers[block.label] for block in posterior.best.blocks if block.row]
+    )
 
     # what predicts best, and what it leaves
-    predicting = averaged(found, int(kept.sum()) * rows.dimension)
+    predicting = averaged(posterior, int(kept.sum()) * rows.dimension)
     after = predicting.position_residuals(measurements, conditions)
     rank = after[kept].size - predicting.freedom
     repeats = repeat_finding(after, rank, measurements, kept)
@@ -155,20 +159,23 @@ def diagnosis_of(
         predicting = predicting.allowing(scale * (1.0 - over_sigma.ratio**-2))
 
     # the verdict, and the sets that it speaks of, each fitted once more
-    likely = probabilities(found)
+    likely = probabilities(posterior)
     trusted = [] if measurements.sigma is None or over_sigma is None else [over_sigma.p_value]
     if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < IMPOSSIBLE:
         likely = likely.not_none(p)
     unknown, something = likely.verdict == "unknown", likely.verdict != "none"
-    sets = [likeliest_with(found, names) for names in likely.rivals]
-    sets = sets or [likeliest_with(found, (), outside=unknown and likely.place is not None)]
-    fits = [fit(library.model(one.effects), found.noises[one.noise].rows.pick(kept), found.at.by_name) for one in sets]
+    sets = [likeliest_with(posterior, names) for names in likely.rivals]
+    sets = sets or [likeliest_with(posterior, (), outside=unknown and likely.place is not None)]
+    fits = [
+        fit(library.model(one.effects), posterior.noises[one.noise].rows.pick(kept), posterior.at.by_name)
+        for one in sets
+    ]
     shown, fitted = sets[0], fits[0]
-    candidates = [candidate_in(found, likely, beside, *pair) for pair in zip(sets, fits, strict=True)]
+    candidates = [candidate_in(posterior, likely, beside, *pair) for pair in zip(sets, fits, strict=True)]
     named = candidates[0]
 
     # tests on other rows
-    tests = cross_validation(found, measurements, kept, generator, something)
+    tests = cross_validation(posterior, measurements, kept, generator, something)
     if tests[0].shrinks is False and tests[0].after > tests[0].before:
         predicting = geometry(base)
         after = predicting.position_residuals(measurements, conditions)
@@ -179,7 +186,7 @@ def diagnosis_of(
     # what these rows show
     before = base.position_residuals(measurements, conditions)
     floor = noise_floor(after, measurements, kept, library.arm.sigma)
-    sees = assess(library, beside, found.noises[0].rows, predicting.sigma)
+    sees = assess(library, beside, posterior.noises[0].rows, predicting.sigma)
     place = likely.place if unknown and likely.place != REST else None
     joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
     curves = tuple(curve for curve in predicting.curves if curve.joint in joints)
@@ -196,14 +203,14 @@ def diagnosis_of(
         candidates=tuple(candidates) if likely.rivals or (unknown and named.effects) else (),
         named=named,
         predicting=replace(named, specs=predicting.specs, calibration=average, freedom=tuple(freedom.tolist())),
-        aliases=look_alikes(found.whole, sees, {label for one in candidates for label in one.effects}),
+        aliases=look_alikes(posterior.whole, sees, {label for one in candidates for label in one.effects}),
         where=place,
         shape=shape_of(place, curves, shown),
-        scatter=noise_findings(found, repeats),
+        scatter=noise_findings(posterior, repeats),
         outlier_rows=tuple(numbers[~kept].tolist()),
         unexplained_rows=tuple(numbers[far].tolist()),
         gap=Gap.of(rms_distance(before[kept]), rms_distance(after[kept]), floor, confirmation),
-        trials=trials(found, beside),
+        trials=trials(posterior, beside),
         detectability=sees,
         residuals=Residuals.of(library.arm, measurements, before, after),
         sigma=fitted.sigma,
@@ -222,17 +229,19 @@ def diagnosis_of(
         ),
         shapes=order_ranges(fitted, named.effects),
         replication=replications(
-            fitted, measurements.session_names, named.effects, curve_columns(found, shown, fitted, curves)
+            fitted, measurements.session_names, named.effects, curve_columns(posterior, shown, fitted, curves)
         ),
         curves=curves,
     )
-    return replace(result, notes=tuple(notes(result, found, measurements, fitted, holdout, numbers)))
+    return replace(result, notes=tuple(notes(result, posterior, measurements, fitted, holdout, numbers)))
 
 
-def candidate_in(found: Posterior, likely: Probabilities, beside: Beside, one: Explanation, fitted: Fit) -> Candidate:
+def candidate_in(
+    posterior: Posterior, likely: Probabilities, beside: Beside, one: Explanation, fitted: Fit
+) -> Candidate:
     """A fitted explanation with its probability."""
-    numbers, noise = [found.whole.numbers[h.label] for h in one.effects], found.noises[one.noise].name
-    candidate = candidate_of(fitted, len(numbers), found.library.arm.sigma, doubtful=bool(noise))
+    numbers, noise = [posterior.whole.numbers[h.label] for h in one.effects], posterior.noises[one.noise].name
+    candidate = candidate_of(fitted, len(numbers), posterior.library.arm.sigma, doubtful=bool(noise))
     candidate = replace(candidate, f=beside.f_test(numbers)[0])
     if likely.verdict == "unknown":
         return candidate
@@ -240,12 +249,12 @@ def candidate_in(found: Posterior, likely: Probabilities, beside: Beside, one: E
     return replace(candidate, probability=p, delta_bic=2.0 * float(np.log(best / p)) if likely.rivals else 0.0)
 
 
-def noise_findings(found: Posterior, repeats: Sequence[Finding]) -> tuple[Finding, ...]:
+def noise_findings(posterior: Posterior, repeats: Sequence[Finding]) -> tuple[Finding, ...]:
     """Properties of the noise that are likelier than not, and what repeats say that is none of them."""
     shares: dict[str, float] = {}
     sizes: dict[str, float] = {}
-    for one in found.explanations:
-        noise = found.noises[one.noise]
+    for one in posterior.explanations:
+        noise = posterior.noises[one.noise]
         shares[noise.name] = shares.get(noise.name, 0.0) + one.probability
         sizes.setdefault(noise.name, noise.size)
     findings = [Finding(name, 1.0 - p, sizes[name]) for name, p in shares.items() if name and p >= 0.5]

@@ -154,19 +154,23 @@ def repeat_finding(
     return ()
 
 
-def with_repeats_doubted(found: Identification, measurements: Measurements) -> Identification:
+def with_repeats_doubted(identified: Identification, measurements: Measurements) -> Identification:
     """The fit with a first doubt if its residuals scatter more than repeats of one posture: the same where nothing is
     repeated, and where chi2 says it already or the data have no noise."""
-    left = found.residuals_after
-    if found.misfit is not None or found.dof <= 0 or only_rounding(left, measurements):
-        return found
-    kept = ~np.isin(np.arange(len(left)) + 1, found.outlier_rows)
+    left = identified.residuals_after
+    if identified.misfit is not None or identified.dof <= 0 or only_rounding(left, measurements):
+        return identified
+    kept = ~np.isin(np.arange(len(left)) + 1, identified.outlier_rows)
     floor = noise_floor(left, measurements, kept, None).value
-    if not repeat_finding(left, left.size - found.dof, measurements, kept) or floor is None or found.scatter is None:
-        return found
+    if (
+        not repeat_finding(left, left.size - identified.dof, measurements, kept)
+        or floor is None
+        or identified.scatter is None
+    ):
+        return identified
     repeats = floor / float(np.sqrt(left[:, POINT].shape[1]))
-    figures = f"{found.scatter:.3g} mm per axis, not {repeats:.3g} mm"
-    scatter = f"{MISFIT} {found.scatter / repeats:.2g} times as much as repeats of one posture ({figures})"
+    figures = f"{identified.scatter:.3g} mm per axis, not {repeats:.3g} mm"
+    scatter = f"{MISFIT} {identified.scatter / repeats:.2g} times as much as repeats of one posture ({figures})"
     hidden = "what that does to the parameters is not in their intervals"
     doubt = f"{scatter}: the model misses an effect, and {hidden}; armcal diagnose looks for it"
-    return replace(found, doubts=(doubt, *found.doubts))
+    return replace(identified, doubts=(doubt, *identified.doubts))

@@ -132,7 +132,7 @@ class Climbed(NamedTuple):
         return [k for k in order if self.scores[k] > self.scores.max() + np.log(LEVEL)]
 
 
-def posterior(
+def posterior_of(
     library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell = say_nothing
 ) -> Posterior:
     """The posterior of these rows.
@@ -237,14 +237,14 @@ def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: 
             search = search_of(climbed.library, problem)
             under = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
         models.append((noise, *_near_walk(under, generator), float(climbed.offset[k])))
-    found = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
-    lacking = sum(one.probability for one in found.explanations if not all(map(_holds, one.blocks)))
+    mixture = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
+    lacking = sum(one.probability for one in mixture.explanations if not all(map(_holds, one.blocks)))
     if lacking < LEVEL:
-        return found
+        return mixture
     alone = _writable(climbed)
     tell("what an arm file can have")
     model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
-    return replace(found, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
+    return replace(mixture, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
 
 
 def _near_walk(climbed: Climbed, generator: np.random.Generator) -> tuple[Linearized, Walked]:

@@ -290,11 +290,11 @@ class Diagnosis:
     def probability(self) -> dict[str, float]:
         """Probability of `none`, of each candidate (by title), of `unknown`, something outside the library, and of
         `other sets` of effects, with sum 1."""
-        found = {"none": self.probabilities.none}
-        found |= {c.title: self.probabilities.of(c.keys) for c in self.candidates if self.verdict != "unknown"}
-        found["unknown"] = self.probabilities.outside
-        rest = 1.0 - sum(found.values())
-        return found | ({"other sets": rest} if rest > 1e-9 else {})
+        shares = {"none": self.probabilities.none}
+        shares |= {c.title: self.probabilities.of(c.keys) for c in self.candidates if self.verdict != "unknown"}
+        shares["unknown"] = self.probabilities.outside
+        rest = 1.0 - sum(shares.values())
+        return shares | ({"other sets": rest} if rest > 1e-9 else {})
 
     @property
     def likely(self) -> str:
@@ -312,8 +312,8 @@ class Diagnosis:
         """Title -> probability of the explanations in the 90 % credible set, most probable first."""
         titles = {tuple(sorted(c.keys)): c.title for c in self.candidates}
         titles |= {(): "none"}
-        found = self.probabilities.credible.items()
-        return {"unknown" if n is None else titles.get(n) or self.probabilities.title(n): p for n, p in found}
+        shares = self.probabilities.credible.items()
+        return {"unknown" if n is None else titles.get(n) or self.probabilities.title(n): p for n, p in shares}
 
     @property
     def tests(self) -> tuple[Confirmation, ...]:
@@ -342,16 +342,16 @@ class Diagnosis:
 
     def calibration_of(self, chosen: Candidate) -> Calibration:
         """All estimates of a model, with the verdict, its rivals and its confirmation as provenance."""
-        said: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
+        entries: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
         if self.confirmed is not None:
-            said["confirmed"] = self.confirmed
+            entries["confirmed"] = self.confirmed
         if self.offered is not None:
-            said["better_than_geometry"] = self.offered.better
-        said |= {name: value for name, value in self.gap.to_json().items() if value is not None}
-        said["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
-        said["probability"] = self.probability
+            entries["better_than_geometry"] = self.offered.better
+        entries |= {name: value for name, value in self.gap.to_json().items() if value is not None}
+        entries["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
+        entries["probability"] = self.probability
         named = chosen.calibration
-        named = replace(named, provenance=MappingProxyType({**named.provenance, **said}))
+        named = replace(named, provenance=MappingProxyType({**named.provenance, **entries}))
         return placed_calibration(self.arm, named)
 
     def to_json(self) -> dict[str, Any]:
@@ -394,7 +394,7 @@ class Diagnosis:
     def to_frame(self, kind: str = "polars") -> Any:
         """Data frame with a row for each parameter of each candidate;  kind : `polars` or `pandas`."""
         sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
-        return frame_of_rows([{**said, **p._asdict()} for said, parameters in sets for p in parameters], kind)
+        return frame_of_rows([{**entries, **p._asdict()} for entries, parameters in sets for p in parameters], kind)
 
     def document(
         self,

@@ -38,15 +38,15 @@ def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
     An order number identifies one row of a session, so numbers that occur in both mean two sessions; so does a pause
     between them that is longer than the data.
     """
-    own, other = measurements.order, holdout.order
-    if own is None or other is None:
+    ours, other = measurements.order, holdout.order
+    if ours is None or other is None:
         return OTHER_ROWS
-    pause = max(other.min() - own.max(), own.min() - other.max())
-    if len(np.intersect1d(own, other)) or pause > np.ptp(own):
+    pause = max(other.min() - ours.max(), ours.min() - other.max())
+    if len(np.intersect1d(ours, other)) or pause > np.ptp(ours):
         return SESSION
-    if other.min() > own.max():
+    if other.min() > ours.max():
         return "a later time"
-    return "an earlier time" if other.max() < own.min() else "other postures"
+    return "an earlier time" if other.max() < ours.min() else "other postures"
 
 
 def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Conditions:
@@ -58,10 +58,10 @@ def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Co
     conditions = replace(holdout.conditions, marker=point_names(measurements, holdout)[0])
     if measurements.temperature is not None and holdout.temperature is not None:
         conditions = replace(conditions, temperature=holdout.temperature - measurements.reference_temperature)
-    own, other = measurements.order, holdout.order
-    if own is None or other is None or transfer_of(measurements, holdout) == SESSION or np.ptp(own) == 0.0:
+    ours, other = measurements.order, holdout.order
+    if ours is None or other is None or transfer_of(measurements, holdout) == SESSION or np.ptp(ours) == 0.0:
         return conditions
-    return replace(conditions, time=(other - own.min()) / np.ptp(own) - 0.5)
+    return replace(conditions, time=(other - ours.min()) / np.ptp(ours) - 0.5)
 
 
 def point_names(measurements: Measurements, holdout: Measurements) -> tuple[Array | None, tuple[str, ...]]:
@@ -76,8 +76,8 @@ def point_names(measurements: Measurements, holdout: Measurements) -> tuple[Arra
     if len(names) == 1 == len(there):
         return np.zeros(len(holdout)), ()
     number = {name: k for k, name in enumerate(names)}
-    own = np.array([number.get(name, 0) for name in holdout.marker_names], dtype=float)
-    return own[numbers], tuple(name for name in holdout.marker_names if name in there and name not in number)
+    ours = np.array([number.get(name, 0) for name in holdout.marker_names], dtype=float)
+    return ours[numbers], tuple(name for name in holdout.marker_names if name in there and name not in number)
 
 
 class SetUp(NamedTuple):
@@ -131,10 +131,10 @@ class Predicted(NamedTuple):
         return np.asarray(left * np.sqrt(left.size / max(left.size - self.count(set_up), 1.0)))
 
     def _in_plane(self) -> Array:
-        own, goal = (a @ np.array([1.0, 1.0j]) for a in (self.points, self.measured))
-        center, target = own.mean(), goal.mean()
-        turn = np.exp(1.0j * np.angle(np.vdot(own - center, goal - target)))
-        left = goal - target - turn * (own - center)
+        from_model, goal = (a @ np.array([1.0, 1.0j]) for a in (self.points, self.measured))
+        center, target = from_model.mean(), goal.mean()
+        turn = np.exp(1.0j * np.angle(np.vdot(from_model - center, goal - target)))
+        left = goal - target - turn * (from_model - center)
         return np.column_stack([left.real, left.imag])
 
     def _in_space(self, axes: Array, set_up: SetUp) -> Array:
@@ -189,9 +189,9 @@ def placed_residuals(
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """(m, d) residuals [mm] of both models in a hold-out, and in words what another set-up of it has had refitted: the
     least that the second model needs, the same for both."""
-    there = held_out_conditions(measurements, holdout)
+    conditions = held_out_conditions(measurements, holdout)
     renamed = not {*holdout.marker_names} <= {*measurements.marker_names}
     elsewhere = renamed or transfer_of(measurements, holdout) in (SESSION, OTHER_ROWS)
-    own = Predicted.of(model, holdout, there)
-    set_up = set_up_of(own, point_names(measurements, holdout)[1], elsewhere)
-    return Predicted.of(base, holdout, there).residuals(set_up), own.residuals(set_up), set_up.words
+    predicted = Predicted.of(model, holdout, conditions)
+    set_up = set_up_of(predicted, point_names(measurements, holdout)[1], elsewhere)
+    return Predicted.of(base, holdout, conditions).residuals(set_up), predicted.residuals(set_up), set_up.words

@@ -46,8 +46,8 @@ class Probabilities:
 
     def beside(self, candidates: Iterable[Names]) -> dict[Names, float]:
         """Sets of effects other than the candidates that are not `NEGLIGIBLE`, most probable first."""
-        known = {tuple(sorted(keys)) for keys in candidates}
-        rest = [(names, p) for names, p in self.sets.items() if p >= NEGLIGIBLE and names not in known]
+        listed = {tuple(sorted(keys)) for keys in candidates}
+        rest = [(names, p) for names, p in self.sets.items() if p >= NEGLIGIBLE and names not in listed]
         return dict(sorted(rest, key=lambda pair: -pair[1]))
 
     @property
@@ -58,12 +58,12 @@ class Probabilities:
         contains the truth about as often as stated. () is nothing missing, None something outside the library.
         """
         every: list[tuple[Names | None, float]] = [((), self.none), *self.sets.items(), (None, self.outside)]
-        found: dict[Names | None, float] = {}
+        credible_sets: dict[Names | None, float] = {}
         for names, p in sorted(every, key=lambda pair: -pair[1]):
-            if found and sum(found.values()) + 0.5 * p >= CREDIBLE:
+            if credible_sets and sum(credible_sets.values()) + 0.5 * p >= CREDIBLE:
                 break
-            found[names] = p
-        return found
+            credible_sets[names] = p
+        return credible_sets
 
     @property
     def best(self) -> Names:
@@ -104,13 +104,13 @@ def keys_of(one: Explanation) -> Names:
     return tuple(sorted(h.key for h in one.effects))
 
 
-def probabilities(found: Posterior) -> Probabilities:
+def probabilities(posterior: Posterior) -> Probabilities:
     """Probabilities of explanations, noise models and settings summed over."""
     none = outside = 0.0
     sets: dict[Names, float] = {}
     places: dict[str, float] = {}
     titles: dict[Names, str] = {}
-    for one in found.explanations:
+    for one in posterior.explanations:
         names, p = keys_of(one), one.probability
         if one.outside:
             outside += p
@@ -124,8 +124,8 @@ def probabilities(found: Posterior) -> Probabilities:
     return Probabilities(none, sets, places, titles, outside)
 
 
-def likeliest_with(found: Posterior, names: Names, outside: bool = False) -> Explanation:
+def likeliest_with(posterior: Posterior, names: Names, outside: bool = False) -> Explanation:
     """The likeliest explanation with exactly these effects;  outside : or, with something outside beside any effects"""
     if outside:
-        return next((one for one in found.explanations if one.outside), found.best)
-    return next(one for one in found.explanations if not one.outside and keys_of(one) == names)
+        return next((one for one in posterior.explanations if one.outside), posterior.best)
+    return next(one for one in posterior.explanations if not one.outside and keys_of(one) == names)

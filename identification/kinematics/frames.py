@@ -141,14 +141,14 @@ class Frame:
 
     def point(self, place: ca.SX) -> ca.SX:
         """(3,) position in the world of a point (3,) that is given in this frame."""
-        if self.about_z is not None:
-            return self.origin + ca.mtimes(self.axes, place)
-        moved = self.shift + ca.mtimes(self.rotation, place)
-        return moved if self.before is None else self.before.point(moved)
+        frame: Frame | None = self
+        while frame is not None and frame.about_z is None:
+            place, frame = frame.shift + ca.mtimes(frame.rotation, place), frame.before
+        return place if frame is None else frame.origin + ca.mtimes(frame.axes, place)
 
     def shifted(self, shift: ca.SX) -> Frame:
         """Shifted by a vector (3,) of this frame."""
-        return Frame(self, shift, ca.SX.eye(3), self.about_z)
+        return self._followed(shift, ca.SX.eye(3), self.about_z)
 
     def moved(self, axis: int, distance: ca.SX | float) -> Frame:
         """Shifted along an own axis."""
@@ -161,13 +161,20 @@ class Frame:
     def turned(self, axis: int, angle: ca.SX | float) -> Frame:
         """Turned by an angle [rad] about an own axis."""
         about_z = None if self.about_z is None or axis != 2 else self.about_z + angle
-        return Frame(self, ca.SX(3, 1), _turn(axis, angle), about_z)
+        return self._followed(ca.SX(3, 1), _turn(axis, angle), about_z)
 
     def placed(self, matrix: Array) -> Frame:
         """A frame whose pose (4, 4) in this one is constant."""
         placed = ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
         straight = np.array_equal(matrix[:3, :3], np.eye(3))
-        return Frame(self, placed[:3, 3], placed[:3, :3], self.about_z if straight else None)
+        return self._followed(placed[:3, 3], placed[:3, :3], self.about_z if straight else None)
+
+    def _followed(self, shift: ca.SX, rotation: ca.SX, about_z: ca.SX | None) -> Frame:
+        """The frame after this one; where it is cheap its origin follows at once, and not through all at the end."""
+        frame = Frame(self, shift, rotation, about_z)
+        if about_z is not None:
+            vars(frame)["origin"] = self.origin + ca.mtimes(self.axes, shift)
+        return frame
 
 
 def _turn(axis: int, angle: ca.SX | float) -> ca.SX:

@@ -16,7 +16,7 @@ from identification.errors import InputError
 from identification.files.arm import arm_from_tables
 from identification.files.schema import ArmFile, json_schema
 from tests.identification.files.test_arm import FULL
-from tests.identification.files.test_arm_chain import BY_TABLE, BY_URDF, URDF
+from tests.identification.files.test_arm_spatial import BY_TABLE, BY_URDF, URDF
 
 JOINTS = "[joints]\nsign = [1, -1, 1, 1]\ncoupled_to = [0, 0, 2, 0]\nzero_deg = [0.0, 5.0, 0.0, 0.0]\n"
 CURVE = (

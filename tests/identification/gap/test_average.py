@@ -13,7 +13,7 @@ from identification.gap.average import _to_parameters, averaged, beside_known
 from identification.gap.evidence import SIZES
 from identification.gap.fit import Rows
 from identification.gap.hypotheses import hypotheses
-from identification.gap.posterior import Explanation, Posterior, posterior
+from identification.gap.posterior import Explanation, Posterior, posterior_of
 from identification.gap.search import Moments, Weighed
 from identification.measurements import Measurements
 from identification.model import Model
@@ -30,7 +30,7 @@ def found() -> Posterior:
     values = {f"encoder_eccentricity:2.{name}": 8e-4 for name in "ab"}
     exact = model.position(q, model.parameters.vector(values))
     rows = Rows.of(Measurements(q, exact + 0.05 * rng.normal(size=(50, 2))))
-    walked = posterior(hypotheses(ARM, frozenset(), rows), rows, rng)
+    walked = posterior_of(hypotheses(ARM, frozenset(), rows), rows, rng)
     problem, numbers = walked.whole, walked.whole.numbers
     explanations, moments = [], (Moments(problem.products), Moments(problem.products))
     for labels, share in zip(SETS, SHARES, strict=True):

@@ -14,7 +14,7 @@ from identification.estimation.grouped import GROUPS, Mean, groupings, mean_of, 
 from identification.gap.confirmation import Confirmation, confirm, predicted_from_others, split
 from identification.gap.fit import Rows
 from identification.gap.hypotheses import hypotheses
-from identification.gap.posterior import posterior
+from identification.gap.posterior import posterior_of
 from identification.measurements import Measurements
 
 SIGMA = 0.1  # per coordinate
@@ -175,7 +175,7 @@ def simulated(seed: int, sigma: np.ndarray, given: bool = False, ripple: float =
 
 def left_by_others(data: Measurements, folds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     rows = Rows.of(data)
-    found = posterior(hypotheses(Arm([300.0, 200.0]), frozenset(), rows), rows, np.random.default_rng(0))
+    found = posterior_of(hypotheses(Arm([300.0, 200.0]), frozenset(), rows), rows, np.random.default_rng(0))
     return predicted_from_others(found, np.ones(len(data), dtype=bool), folds)
 
 
