@@ -18,7 +18,6 @@ from identification.workflow import Picture, Written
 
 if TYPE_CHECKING:
     from doe.design import Design
-    from doe.problem.model import offers
     from doe.problem.problem import DesignProblem
     from identification import Arm
 
@@ -74,6 +73,7 @@ def command(
     from doe.plan.accuracy import tip_beside_random
     from doe.plan.order import check_order
     from doe.plan.plan import plan_text
+    from doe.problem.model import offers
     from doe.problem.uncertain import with_choices
     from doe.report.design import design_document, missing_lines
     from identification import load_arm
