@@ -14,8 +14,8 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "effects": "library",
     "measurements": "Conditions Measurements rms_distance",
     "kinematics.parameters": "EFFECT GEOMETRY JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
-    "kinematics.turns": "turned_into",
-    "kinematics.spatial": "planar_chain",
+    "kinematics.counting": "turned_into",
+    "kinematics.chain": "planar_chain",
     "kinematics.denavit_hartenberg": "DHRow chain_of",
     "files.arm": "arm_from_tables load_arm",
     "files.arm_text": "dump_arm with_effects",
@@ -71,6 +71,8 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.gap.result import Diagnosis
     from identification.information import identifiability, information_matrix, spectrum
     from identification.installed import additions
+    from identification.kinematics.chain import planar_chain
+    from identification.kinematics.counting import turned_into
     from identification.kinematics.denavit_hartenberg import DHRow, chain_of
     from identification.kinematics.parameters import (
         EFFECT,
@@ -82,8 +84,6 @@ if TYPE_CHECKING:  # the same for type checkers
         Parameter,
         ParameterSet,
     )
-    from identification.kinematics.spatial import planar_chain
-    from identification.kinematics.turns import turned_into
     from identification.measurements import Conditions, Measurements, rms_distance
     from identification.model import Model
     from identification.model.minimal import practical

@@ -18,6 +18,7 @@ from identification.arrays import Array, ByValue, readonly
 from identification.document import html_lines, html_table
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
+from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.counting import Counting, JointKinds, check_kinds
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
@@ -28,7 +29,6 @@ from identification.kinematics.parameters import (
     chain_parameters,
     of_effects,
 )
-from identification.kinematics.spatial import SpatialChain, planar_chain
 from identification.workspace import ColumnLimits, WorkspaceConstraint
 
 # what files may say: beyond these, squares overflow and sines of angles are noise
@@ -168,7 +168,7 @@ class Arm(ByValue):
     counting : how the controller counts the joints, whose columns, commands and limits files have; None: as the model
     """
 
-    chain: SpatialChain
+    chain: KinematicChain
     lower: Array = None  # type: ignore[assignment]
     upper: Array = None  # type: ignore[assignment]
     sigma: float | None = None
@@ -182,7 +182,7 @@ class Arm(ByValue):
     counting: Counting | None = None
 
     def __post_init__(self) -> None:
-        chain = self.chain if isinstance(self.chain, SpatialChain) else _of_links(self.chain)
+        chain = self.chain if isinstance(self.chain, KinematicChain) else _of_links(self.chain)
         _require(1 <= (n := len(chain)) <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
         lower, upper = _joint_limits(self.lower, self.upper, chain)
         if self.sigma is not None:
@@ -266,7 +266,7 @@ def _html(arm: Arm) -> str:
     return html_lines([summary]) + html_table(heads, rows)
 
 
-def _of_links(lengths: ArrayLike) -> SpatialChain:
+def _of_links(lengths: ArrayLike) -> KinematicChain:
     """The planar chain of links [mm]; raises `InputError` for none, too many or lengths that are not positive."""
     links = readonly(lengths, -1)
     _require(1 <= links.size <= MAX_LINKS, f"links_mm: {links.size} links, allowed: 1 to {MAX_LINKS}")
@@ -276,7 +276,7 @@ def _of_links(lengths: ArrayLike) -> SpatialChain:
 
 
 def _joint_limits(
-    lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, chain: SpatialChain
+    lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, chain: KinematicChain
 ) -> tuple[Array, Array]:
     """(n,) lower and upper, those of the chain where None. Raises `InputError` for others than n pairs in order."""
     n, sliding = len(chain), [j for j, kind in enumerate(chain.joint_types) if kind != REVOLUTE]

@@ -26,8 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, Conditions
 from identification.errors import InputError
+from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
-from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import directions_from_order, past_from_order, session_time
 from identification.model import Model
 from identification.model.contacts import led_to_contact
@@ -38,7 +38,7 @@ from identification.workspace import WorkspaceConstraint, circle_across, nearest
 if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.gap.detectability import Detectability
-    from identification.gap.library.library_prior import LibraryPrior
+    from identification.gap.library_prior import LibraryPrior
     from identification.kinematics.parameters import ParameterSet
 
 NEEDS_SIGMA = (  # the end of a sentence
@@ -266,7 +266,7 @@ class ArmModel:
     def missing_effects(self, names: Sequence[str] | None, fastest: float) -> LibraryPrior:
         """Effects that the arm may have too, with their sizes;  names : of them, None: all;  fastest : order of the
         fastest wave of an error curve. Raises `InputError` for unknown names."""
-        from identification.gap.library.library_prior import library_prior
+        from identification.gap.library_prior import library_prior
 
         return library_prior(self.arm, names=names, fastest=fastest)
 
@@ -275,7 +275,7 @@ class ArmModel:
         parameters; and the mean square [mm^2] of the tip's distance at postures (k, n) that no plan can lower."""
         own_error = missing.prior.own_error
         arm = replace(missing.arm, sigma=float(np.hypot(self.sigma or 0.0, own_error)))
-        model = replace(Model(arm), known=self.model.known)
+        model = replace(Model(arm), held=self.model.held)
 
         def beyond(poses: Array) -> float:
             levers = of_positions(model).joint_levers(poses)
@@ -367,14 +367,14 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
     return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is taken for it."
 
 
-def refuse_contacts(chain: SpatialChain) -> None:
+def refuse_contacts(chain: KinematicChain) -> None:
     """Raises `InputError` for a chain whose probe touches a surface, where postures have to be free."""
     if chain.instrument.contact:
         reason = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
         raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 
 
-def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
+def with_center(chain: KinematicChain, contacts: bool = False) -> KinematicChain:
     """The chain with the center of measured distances where the arm says, or before it; any other chain as it is.
 
     contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
@@ -382,7 +382,7 @@ def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
     """
     if chain.instrument.reads_positions:
         return chain
-    stands = BASE in chain.known or chain.instrument.stands(chain.base)
+    stands = BASE in chain.settled or chain.instrument.stands(chain.base)
     if not contacts:
         refuse_contacts(chain)
     if (chain.instrument.contact or chain.instrument.own_targets) and not stands:
@@ -399,12 +399,12 @@ def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
     return replace(chain, base=pose([-away, 0.0, 0.0]))
 
 
-def with_points(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
+def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain:
     """The chain with the measured points that it does not know beside the last axis, evenly around it, and a center of
     distances `with_center`."""
     chain = with_center(chain, contacts)
     names = [name for name, place in chain.tools.items() if not np.any(place)]
-    if TOOL in chain.known or not names:
+    if TOOL in chain.settled or not names:
         return chain
     beside = ", ".join(names) if len(chain.tools) > 1 else "the measured point"
     warnings.warn(f"tool: {beside} is not known, {OFF_AXIS:g} mm beside the last axis is assumed", stacklevel=2)

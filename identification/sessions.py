@@ -15,9 +15,9 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.instruments import IN_PLANE, KINDS
+from identification.kinematics.chain import BASE as STAND
+from identification.kinematics.chain import TOOL
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
-from identification.kinematics.spatial import BASE as STAND
-from identification.kinematics.spatial import TOOL
 from identification.measurements import POINT, Measurements
 from identification.model import Model
 from identification.model.placed import placed_model, session_bases

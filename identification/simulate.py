@@ -11,7 +11,7 @@ from identification.arrays import Array, rows_in_words
 from identification.effects import build, build_all
 from identification.effects.noise import NoiseEffect, Scene
 from identification.errors import InputError
-from identification.kinematics.orientations import turned
+from identification.kinematics.frames import turned
 from identification.measurements import Conditions, Measurements, directions_from_order
 from identification.model import Model
 from identification.model.contacts import led_to_contact
@@ -80,7 +80,6 @@ def _seated(model: Model, session: Measurements, noise: float, generator: np.ran
     Raises `InputError` for a truth that does not say where targets are, and where one cannot be reached.
     """
     chain = model.arm.chain
-    assert chain is not None
     targets = chain.instrument.targets
     if not targets:
         keys = ", ".join(sorted(chain.instrument.keys))

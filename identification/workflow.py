@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.estimation import Identification
     from identification.estimation.corrected_values import Calibrated, CorrectedValue
-    from identification.gap.library.library_prior import LibraryPrior
+    from identification.gap.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
 
@@ -348,7 +348,7 @@ def identify_files(
 
 def _with_library(arm: Arm, rows: Measurements, names: Sequence[str] | None) -> tuple[LibraryPrior, Arm]:
     """The library's effects that these rows can show, or those named, held by a prior; and the arm with them."""
-    from identification.gap.library.library_prior import given_by, library_prior
+    from identification.gap.library_prior import given_by, library_prior
 
     library = library_prior(arm, given_by(rows), names)
     return library, library.arm

@@ -29,7 +29,7 @@ TESTED = {  # module -> tests that must notice
         *(f"{ESTIMATION}/test_{name}.py" for name in ("estimate", "batch", "estimate_each")),
         "tests/identification/kinematics/test_closed_form.py",
     ],
-    "identification/kinematics/spatial.py": [*MODEL, "tests/identification/model/test_minimal.py"],
+    "identification/kinematics/chain.py": [*MODEL, "tests/identification/model/test_minimal.py"],
     "identification/estimation/levenberg_marquardt.py": [f"{ESTIMATION}/test_levenberg_marquardt.py"],
     "identification/estimation/uncertainty.py": [f"{ESTIMATION}/test_uncertainty.py"],
     "identification/estimation/estimate.py": [f"{ESTIMATION}/test_estimate.py", f"{ESTIMATION}/test_prior.py"],

@@ -46,7 +46,6 @@ LAYERS = {
     "identification.conditions": 2,
     "identification.row_digests": 1,
     "identification.measurements": 2,
-    "identification.measurement_values": 2,
     "identification.files.schema": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names
     "identification.files.arm_text": 2,

@@ -11,7 +11,7 @@ Designs for an arm whose model may lack something: what it may lack enters with 
 
 The parameters are those of the model and of all effects of the library, error curves among them; the latter have a
 normal prior of zero mean, and each posture has an error of its own, which is noise to all others
-(`identification.gap.library.library_prior`). With K the information of the prior the posterior of a plan is
+(`identification.gap.library_prior`). With K the information of the prior the posterior of a plan is
 (sum B^T B + K)^-1 sigma^2, and every criterion of it is concave as before (doe/README.md, "Prior information").
 """
 

@@ -31,9 +31,8 @@ from identification.document import Document
 from identification.documents.use import compensation_document
 from identification.errors import InputError
 from identification.kinematics.corrected import standing_in
-from identification.kinematics.counting import counting_in, in_columns
+from identification.kinematics.counting import counting_in, in_columns, turned_into
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.turns import turned_into
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.positions import in_own_frame

@@ -12,15 +12,15 @@ from functools import cache
 from types import MappingProxyType
 
 from identification.arm import EffectSpec
-from identification.effects import aliases, curve, instrument, joint, link, mounting, noise, rare, space  # noqa: F401  (they register themselves)
+from identification.effects import joint, link, mounting, noise, rare  # noqa: F401  (they register themselves)
 from identification.effects.base import _LIBRARY, Effect, register
 from identification.effects.chain import Chain
 from identification.effects.places import measured_position
 from identification.effects.settings import Scope, Setting
 from identification.errors import InputError, nearest, suggestion
 from identification.installed import additions
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
-from identification.kinematics.spatial import SpatialChain
 from identification.spelling import close_names
 
 __all__ = [
@@ -79,7 +79,7 @@ def of_dimension(dimension: int) -> Mapping[str, type[Effect]]:
     return {name: cls for name, cls in library().items() if dimension in cls.dimensions}
 
 
-def build_all(specs: Sequence[EffectSpec], chain: SpatialChain) -> tuple[Effect, ...]:
+def build_all(specs: Sequence[EffectSpec], chain: KinematicChain) -> tuple[Effect, ...]:
     """Build the effects of an arm; where two have the same name and joint, their keys include the settings.
 
     Raises `InputError` as `build` does, and for two effects with the same name, joint and settings.
@@ -92,7 +92,7 @@ def build_all(specs: Sequence[EffectSpec], chain: SpatialChain) -> tuple[Effect,
     return effects
 
 
-def build(spec: EffectSpec, chain: SpatialChain, tagged: bool = False) -> Effect:
+def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effect:
     """Build the effect of one `[[effects]]` entry of an arm file.
 
     tagged : the key includes the settings

@@ -21,8 +21,8 @@ from identification.effects.chain import Chain
 from identification.effects.settings import Setting
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
-from identification.kinematics.spatial import SpatialChain
 
 
 class Effect:
@@ -83,7 +83,7 @@ class Effect:
 
     def __init__(
         self,
-        chain: SpatialChain,
+        chain: KinematicChain,
         joint: int | None = None,
         chosen: Mapping[str, Any] | None = None,
         tagged: bool = False,

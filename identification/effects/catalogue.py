@@ -14,8 +14,8 @@ import numpy as np
 from identification.effects import Effect, library, unknown_effect
 from identification.effects.base import OWN
 from identification.effects.settings import Setting
+from identification.kinematics.chain import IN_SPACE, planar_chain
 from identification.kinematics.parameters import Parameter
-from identification.kinematics.spatial import IN_SPACE, planar_chain
 
 JOINTS = 3  # of the arm that parameters are listed for; one parameter per joint is listed as the first
 # what the arm or the data must have -> how to give it

@@ -14,9 +14,9 @@ from identification.arm import Arm, Gravity
 from identification.arrays import Array
 from identification.conditions import REMEMBERED
 from identification.errors import InputError
+from identification.kinematics.chain import KinematicChain, in_space, turned_about
 from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.spatial import SpatialChain, in_space, turned_about
 
 
 def condition_slices(links: int, extra: Collection[str] = ()) -> dict[str, slice]:
@@ -40,7 +40,7 @@ def condition_slices(links: int, extra: Collection[str] = ()) -> dict[str, slice
 class Chain:
     """Symbols of an arm at one posture, for effects to use: CasADi SX, lengths in mm, angles in rad."""
 
-    geometry: SpatialChain
+    geometry: KinematicChain
     gravity: Gravity | None
     q: ca.SX  # (n,) commanded joint angles [rad]
     payload: ca.SX  # [kg]

@@ -180,3 +180,22 @@ class ServoError(Effect):
     def define(self) -> tuple[Parameter, ...]:
         # typical: a count of an encoder of 17 bits, 4.8e-5 rad
         return tuple(self.parameter(short, "rad", scale=self.link_length, typical=5e-5) for short in ("b", "h"))
+
+
+@register
+class JointErrorCurve(Effect):
+    """A function of the joint's own angle, found by `diagnose` from the angles measured; zero beyond them."""
+
+    name = "joint_error_curve"
+    summary = "smooth error over the angles measured, as a table"
+    per_joint = "required"
+    tabulated = True
+
+    def define(self) -> tuple[Parameter, ...]:
+        return ()
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        """The interpolated value, supplied by the model; its derivative with respect to the posture is neglected."""
+        if chain.errors is None:
+            return ca.SX.zeros(chain.links)
+        return self.at_joint(chain.errors[self.joint_index], chain)

@@ -15,13 +15,13 @@ import casadi as ca
 
 from identification.effects.base import Effect
 from identification.effects.chain import Chain
-from identification.kinematics.spatial import SpatialChain
+from identification.kinematics.chain import KinematicChain
 
 OF_LOAD = ("payload", "gravity_turn", "payload_shift")
 Parts = list[tuple[Effect, ca.SX]]  # effects with the values of their own parameters
 
 
-def widths(chain: SpatialChain) -> dict[str, int]:
+def widths(chain: KinematicChain) -> dict[str, int]:
     """Place -> its number of elements, in the order of vectors over all places."""
     n, d, turns = len(chain), chain.dimension, len(chain.turning)
     return {
@@ -38,19 +38,19 @@ def widths(chain: SpatialChain) -> dict[str, int]:
     }
 
 
-def by_place(vector: ca.SX, chain: SpatialChain) -> dict[str, ca.SX]:
+def by_place(vector: ca.SX, chain: KinematicChain) -> dict[str, ca.SX]:
     """Place -> its elements of a vector over all places."""
     sizes = widths(chain)
     ends = list(accumulate(sizes.values()))
     return {place: vector[end - size : end] for (place, size), end in zip(sizes.items(), ends, strict=True)}
 
 
-def state_size(chain: SpatialChain) -> int:
+def state_size(chain: KinematicChain) -> int:
     """Number of elements of the state, see `position_and_state`."""
     return load_size(chain) + len(chain) + chain.dimension
 
 
-def load_size(chain: SpatialChain) -> int:
+def load_size(chain: KinematicChain) -> int:
     """Number of elements of the loads, which come first in the state and among all places: `OF_LOAD`."""
     return sum(size for place, size in widths(chain).items() if place in OF_LOAD)
 

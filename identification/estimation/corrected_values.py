@@ -16,13 +16,11 @@ import numpy as np
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.estimation.uncertainty import freedom_of, quantile_95
-from identification.kinematics.corrected import corrected
-from identification.kinematics.corrected_dh import Link, corrected_links, drawn_links
-from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.kinematics.chain import KinematicChain
+from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter
-from identification.kinematics.spatial import SpatialChain
 from identification.model import Model
 
 if TYPE_CHECKING:
@@ -200,7 +198,7 @@ def _effects(model: Model, values: Values) -> Iterator[_Quantity]:
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------
-def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[str]) -> Iterator[_Quantity]:
+def _spatial(arm: Arm, chain: KinematicChain, values: Values, names: Collection[str]) -> Iterator[_Quantity]:
     """Zeros of the joints, their frames, base and measured points; derivatives by the parameters `names`."""
     yield from _zeros(arm, values)
     drawn, corrected = _tables(chain, {}), _tables(chain, values)
@@ -233,7 +231,7 @@ def _own_values(arm: Arm, values: Values) -> Iterator[_Quantity]:
         yield _Quantity(name, parameter, None, value, slopes, unit, convention)
 
 
-def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:
+def _tables(chain: KinematicChain, values: Values) -> dict[str, dict[str, float]]:
     """Place -> its numbers in file units: frame of each joint, base, measured points."""
     geometry = CorrectedGeometry(chain, values)
     tables = geometry.tables()
@@ -322,7 +320,7 @@ def dh_places(calibrated: Calibrated, rows: Sequence[DHRow], convention: str = S
     return [("base", base), *tools]
 
 
-def _numbers(chain: SpatialChain, values: Mapping[str, float], drawn: Sequence[Link]) -> dict[tuple[int, str], float]:
+def _numbers(chain: KinematicChain, values: Mapping[str, float], drawn: Sequence[Link]) -> dict[tuple[int, str], float]:
     """Joint and name -> number of the corrected table [mm, deg]."""
     return _flat(corrected_links(corrected(chain, values), drawn).links)
 

@@ -18,8 +18,9 @@ from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
 from identification.inspection.data_checks import DRAWN
 from identification.inspection.readings import read_differently
+from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.closed_form import PlanarClosedForm
-from identification.kinematics.counting import in_columns
+from identification.kinematics.counting import in_columns, turned_into
 from identification.kinematics.parameters import (
     FILE_UNITS,
     JOINT_OFFSET,
@@ -28,8 +29,6 @@ from identification.kinematics.parameters import (
     REVOLUTE,
     Parameter,
 )
-from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
-from identification.kinematics.turns import turned_into
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.workspace import ColumnLimits

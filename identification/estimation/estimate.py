@@ -28,9 +28,9 @@ from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, identifiability_of, spectrum
 from identification.inspection.readings import placed_with_zeros
-from identification.kinematics.joint_range import joint_range
+from identification.kinematics.chain import BASE, TOOL
+from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model
@@ -144,7 +144,7 @@ def estimate_with_prior(
         return fit
     earlier = prior.earlier
     others = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
-    held = replace(model, known={**model.fixed, **others})
+    held = replace(model, held={**model.fixed, **others})
     free = estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
     before = earlier.conditioned_on(others)
     return replace(fit, contradictions=tuple(Contradiction.of(name, before, free, names[name]) for name in names))
@@ -262,8 +262,8 @@ def identification(
     outlier = unexplained & ~structure
     used = np.flatnonzero(problem.weights > 0.0)
     first = used[np.unique(data.repeat_numbers[used], return_index=True)[1]]
-    chain = model.arm.chain if hasattr(model, "arm") else None
-    of_both = chain is not None and not chain.planar and not {BASE, TOOL} & chain.known
+    arm = getattr(model, "arm", None)
+    stands = arm is None or arm.chain.planar or {BASE, TOOL} & arm.chain.settled  # base or measured points are given
     status = Status.not_identifiable if identifiability.combinations else solution.status[0]
     return Identification(
         model=model,
@@ -284,7 +284,7 @@ def identification(
         uncertainty=made,
         scatter=scatter,
         doubts=(*sentences, *far_rows(after, outlier, structure)),
-        flange_turns=flange_turns(chain, data) if chain is not None and of_both else None,
+        flange_turns=None if arm is None or stands else flange_turns(arm.chain, data),
         postures=data.postures[first],
         determined=float(len(used) * after.shape[1] - dof),
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
@@ -313,8 +313,8 @@ def as_filed(model: Model, data: Measurements) -> Array | None:
     if arm is None or arm.chain.planar or arm.calibration is None or len(data.session_names) > 1:
         return None
     chain, calibration = arm.chain, arm.calibration
-    placed = (BASE in chain.known or calibration.base is not None) and (
-        TOOL in chain.known or {*calibration.tools} >= {*chain.tools}
+    placed = (BASE in chain.settled or calibration.base is not None) and (
+        TOOL in chain.settled or {*calibration.tools} >= {*chain.tools}
     )
     if not placed or len(placing(model.parameters)) < len(model.names):
         return None

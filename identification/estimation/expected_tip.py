@@ -21,7 +21,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.uncertainty import decomposed_groups
 from identification.information import ALONE, product_inverse
-from identification.kinematics.spatial import TOOL, SpatialChain
+from identification.kinematics.chain import TOOL, KinematicChain
 from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import tip_frames
@@ -135,7 +135,7 @@ def hardly_determined(fit: Identification) -> list[str]:
 
 
 # -- base and tool -----------------------------------------------------------------------------------------------------
-def flange_turns(chain: SpatialChain, measurements: Measurements) -> Array:
+def flange_turns(chain: KinematicChain, measurements: Measurements) -> Array:
     """(3,) root mean square motion of a point 1 mm from the flange's center that its base follows [mm], by the axes
     along which it is, the least first. Each session has a base of its own."""
     turns, square = tip_frames(chain, measurements.postures)[:, :3, :3], np.zeros((3, 3))

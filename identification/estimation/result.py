@@ -21,7 +21,7 @@ from identification.estimation.doubts import Contradiction, contradiction_warnin
 from identification.estimation.expected_tip import hardly_determined, tip_of
 from identification.estimation.prior import Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, limits_95
-from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint, orientation_transform
 from identification.measurements import POINT, distances, rms_distance
 from identification.model import Model
@@ -204,11 +204,11 @@ class Identification:
     def rms_angles(self) -> tuple[float, float] | None:
         """Root mean squares over rows of the angles between measured and computed orientations [rad], arm as it was and
         as identified; None where none are measured."""
-        chain = self.model.arm.chain if hasattr(self.model, "arm") else None
-        if chain is None or chain.angle_scale is None:
+        arm = getattr(self.model, "arm", None)
+        if arm is None or (scale := arm.chain.angle_scale) is None:
             return None
         before, after = (rms_distance(r[:, POINT.stop :]) for r in (self.residuals_before, self.residuals_after))
-        return before / chain.angle_scale, after / chain.angle_scale
+        return before / scale, after / scale
 
     # -- onward ----------------------------------------------------------------------------------------------------
     def calibration(self) -> Calibration:
@@ -225,12 +225,10 @@ class Identification:
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
-        chain = self.model.arm.chain if hasattr(self.model, "arm") else None
-        return (
-            None
-            if chain is None or chain.planar
-            else CorrectedGeometry(chain, self._everything, self.model.arm.counting)
-        )
+        arm = getattr(self.model, "arm", None)
+        if arm is None or arm.chain.planar:
+            return None
+        return CorrectedGeometry(arm.chain, self._everything, arm.counting)
 
     def calibrated_arm(self) -> Arm:
         """The arm with this calibration in it."""

@@ -35,6 +35,7 @@ from identification.files.schema import (
 )
 from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
 from identification.instruments import Instrument, kinds
+from identification.kinematics.chain import BASE, TOOL, KinematicChain, planar_chain
 from identification.kinematics.corrected import before_errors
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
@@ -49,7 +50,6 @@ from identification.kinematics.parameters import (
     REVOLUTE,
     Parameter,
 )
-from identification.kinematics.spatial import BASE, TOOL, SpatialChain, planar_chain
 from identification.workspace import ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def in_api(table: BaseModel, *without: str) -> dict[str, Any]:
 
 
 # -- geometry ----------------------------------------------------------------------------------------------------------
-def _drawn_chain(file: ArmFile, folder: PathLike) -> SpatialChain:
+def _drawn_chain(file: ArmFile, folder: PathLike) -> KinematicChain:
     """The geometry as drawn, with base and measured points where the file gives them; joint limits of the URDF.
 
     folder : where the URDF file is
@@ -164,9 +164,9 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> SpatialChain:
                 raise InputError(f"dh[{k}]: {missing}, allowed: lower and upper in [joint_limits_mm]")
         chain = chain_of([replace(_row(row), limits=FREE) for row in file.dh], next(iter(conventions), STANDARD))
     if file.base is not None:
-        chain = replace(chain, base=_pose(file.base), known=chain.known | {BASE})
+        chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
-        chain = replace(_with_tools(chain, file.tool), known=chain.known | {TOOL})
+        chain = replace(_with_tools(chain, file.tool), settled=chain.settled | {TOOL})
     if (table := file.instrument) is None:
         return replace(chain, angle_scale=_angle_scale(file.measurement))
     instrument = kinds(chain.axes)[table.kind].of_table(table.model_dump(exclude_none=True))
@@ -206,7 +206,7 @@ def _pose(table: PoseTable) -> Array:
     return pose((table.x_mm, table.y_mm, table.z_mm), from_own_axes(*angles))
 
 
-def _with_tools(chain: SpatialChain, tables: Mapping[str, PoseTable]) -> SpatialChain:
+def _with_tools(chain: KinematicChain, tables: Mapping[str, PoseTable]) -> KinematicChain:
     """With measured points, by the names of their markers, of which a single one may have none."""
     poses = {name or "1": _pose(table) for name, table in tables.items()}
     tools = {name: readonly(matrix[:3, 3]) for name, matrix in poses.items()}
@@ -222,7 +222,7 @@ def urdf_masses(path: PathLike) -> tuple[float, ...] | None:
     return masses if any(masses) else None
 
 
-def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:
+def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
     """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
     tables = read_toml(path)
     if not isinstance(name := tables.get("urdf"), str):
@@ -240,7 +240,7 @@ def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
 
 # -- joints ------------------------------------------------------------------------------------------------------------
 def _joint_limits(
-    file: ArmFile, chain: SpatialChain, counting: Counting | None
+    file: ArmFile, chain: KinematicChain, counting: Counting | None
 ) -> tuple[Array, Array, list[ColumnLimits]]:
     """(n,) lower and (n,) upper limits of the joints [rad, mm], and the controller's of joints that it couples.
 
@@ -279,7 +279,7 @@ class FileName(NamedTuple):
     factor: float
 
 
-def built(specs: Iterable[EffectSpec], chain: SpatialChain) -> list[tuple[EffectSpec, Effect]]:
+def built(specs: Iterable[EffectSpec], chain: KinematicChain) -> list[tuple[EffectSpec, Effect]]:
     """Specs with their effects on an arm. Raises `InputError` for effects that it cannot have."""
     if not (listed := list(specs)):
         return []
@@ -310,7 +310,7 @@ def _named(names: Mapping[str, FileName], key: str, place: str, without: str = "
     return names[key]
 
 
-def _spec(table: EffectTable, k: int, chain: SpatialChain) -> EffectSpec:
+def _spec(table: EffectTable, k: int, chain: KinematicChain) -> EffectSpec:
     """An entry of `[[effects]]`, the k-th from 1; values in API units."""
     from identification.effects import build, library
 

@@ -30,10 +30,10 @@ from identification.files.arm import (
 from identification.files.io import PathLike, read_toml
 from identification.files.schema import ConstraintTable, GravityTable, MachiningTable
 from identification.files.urdf import BASE_LINK, TIP, urdf_text
+from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.frames import pose_table, tool_tables
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC
-from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.workspace import ColumnLimits, WorkspaceConstraint
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def _constraint_table(constraint: WorkspaceConstraint) -> Plain:
     return entries
 
 
-def _chain_tables(arm: Arm, chain: SpatialChain) -> Plain:
+def _chain_tables(arm: Arm, chain: KinematicChain) -> Plain:
     """What an arm file says of the geometry, how it is measured, and what is known of base and measured points; the
     drawing of an arm in space as the text of a URDF file."""
     if chain.planar:
@@ -167,9 +167,9 @@ def _chain_tables(arm: Arm, chain: SpatialChain) -> Plain:
     tables = {"kind": "spatial"}
     tables["urdf"] = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
     tables |= {"base_link": BASE_LINK, "tip_link": TIP}
-    if BASE in chain.known:
+    if BASE in chain.settled:
         tables["base"] = pose_table(chain.base)
-    if TOOL in chain.known:
+    if TOOL in chain.settled:
         tables["tool"] = tool_tables(chain.tools, chain.tool_axes)
     if chain.angle_scale is not None and arm.sigma is not None:
         tables["measurement"] = {"sigma_deg": _degrees(arm.sigma / chain.angle_scale)}
@@ -178,10 +178,10 @@ def _chain_tables(arm: Arm, chain: SpatialChain) -> Plain:
     return tables
 
 
-def _with_places(chain: SpatialChain, calibration: Calibration | None) -> Calibration | None:
+def _with_places(chain: KinematicChain, calibration: Calibration | None) -> Calibration | None:
     """The calibration, with where base and measured points are if they are somewhere without being known."""
-    somewhere = BASE not in chain.known and not np.array_equal(chain.base, np.eye(4))
-    named = TOOL not in chain.known and (
+    somewhere = BASE not in chain.settled and not np.array_equal(chain.base, np.eye(4))
+    named = TOOL not in chain.settled and (
         list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
     )
     if not somewhere and not named:

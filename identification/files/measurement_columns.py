@@ -17,9 +17,9 @@ from identification.arrays import Array
 from identification.conditions import gaps_of
 from identification.errors import InputError, suggestion
 from identification.files.csv import KNOWN, Table, Test
+from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in, in_columns, in_joints
 from identification.kinematics.parameters import PRISMATIC
-from identification.kinematics.spatial import planar_chain
 from identification.spelling import close_names
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ def read_orientations(table: Table) -> Array | None:
     `_rad`) or from a quaternion `qw, qx, qy, qz`; None if the table has none of these columns."""
     if not (columns := orientation_columns_of(table)):
         return None
-    from identification.kinematics.orientations import from_angles, from_quaternions  # CasADi, which few files need
+    from identification.kinematics.frames import from_angles, from_quaternions  # CasADi, which few files need
 
     if len({column[0] + column[2:] if column[0] == "r" else "q" for column in columns}) > 1:
         state = f"found {', '.join(columns)}"
@@ -331,7 +331,7 @@ def posture_columns(postures: Array, types: JointTypes = None) -> dict[str, NDAr
 
 def angle_columns(orientations: Array) -> dict[str, NDArray[np.generic]]:
     """Columns `rx_deg, ry_deg, rz_deg` of orientations (m, 3, 3)."""
-    from identification.kinematics.orientations import to_angles
+    from identification.kinematics.frames import to_angles
 
     angles = np.round(np.degrees(to_angles(orientations)), 12) + 0.0
     return {f"r{axis}_deg": column for axis, column in zip("xyz", angles.T, strict=True)}

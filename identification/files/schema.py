@@ -35,7 +35,7 @@ from identification.arm import (
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.instruments import IN_PLANE, KINDS
-from identification.kinematics.joint_range import KEYS
+from identification.kinematics.counting import KEYS
 from identification.spelling import close_names
 
 DIMENSIONS = {"planar": 2, "spatial": 3}
@@ -540,7 +540,7 @@ def _sentence(detail: Any, file: type[BaseModel], dimension: int) -> str:
         tag = str(context["tag"] if kind == "union_tag_invalid" else context["value"])
         return f"{key.removesuffix('.kind')}.kind: found {tag!r}, {nearest(tag, kinds)}"
     if kind == "other_arm":
-        other = 'spatial (kind = "spatial")' if dimension == 2 else "planar"
+        other = {2: 'spatial (kind = "spatial")', 3: "planar"}[dimension]
         return f"{key}: found in the file of an arm that is not {other}, allowed: in one that is"
     if kind == "value_error":  # from a validator: a sentence already
         return f"{key}.{context['error']}"

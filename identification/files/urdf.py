@@ -20,9 +20,9 @@ import numpy as np
 from identification.arrays import Array
 from identification.errors import InputError, nearest, printable
 from identification.files.io import PathLike, decode, read_bytes
+from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
-from identification.kinematics.spatial import Joint, SpatialChain
 
 METER = 1000.0  # [mm]
 MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
@@ -77,7 +77,7 @@ class Urdf:
             link = self._attribute(joints[-1], "parent", "link")
         return joints[::-1]
 
-    def chain(self, base: str, tip: str, limited: Collection[str] = ()) -> SpatialChain:
+    def chain(self, base: str, tip: str, limited: Collection[str] = ()) -> KinematicChain:
         """The chain of moving joints; fixed joints between them belong to the next one's origin.
 
         limited : types of joints whose limits are given elsewhere, and may be missing here
@@ -92,7 +92,7 @@ class Urdf:
             before = np.eye(4)
         if not joints:
             raise InputError(f"{self.path}: no joint moves between {base!r} and {tip!r}, allowed: at least one")
-        return SpatialChain(tuple(joints), before)
+        return KinematicChain(tuple(joints), before)
 
     def _joint(self, element: ElementTree.Element, origin: Array, limited: Collection[str]) -> Joint:
         name, kind = str(element.get("name")), str(element.get("type"))
@@ -198,7 +198,7 @@ def _declared_first(text: str) -> str:
 def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> str:
     """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its own.
 
-    origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `SpatialChain`
+    origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`
     """
     corrected, drawn = dict[str, Array](), dict[str, Array]()
     remaining, fixed = list(origins), np.eye(4)
@@ -215,7 +215,7 @@ def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> s
     return text.decode()
 
 
-def urdf_text(chain: SpatialChain, name: str) -> str:
+def urdf_text(chain: KinematicChain, name: str) -> str:
     """A URDF file of bare links and joints for a chain that comes from no such file; links `base_link`, `link_1`, ..,
     `tip`."""
     lines = ['<?xml version="1.0"?>', f'<robot name="{_escaped(name)}">', f'  <link name="{BASE_LINK}"/>']

@@ -32,7 +32,7 @@ from identification.gap.replication import Replication
 from identification.gap.scatter import Finding
 from identification.gap.verdict import Probabilities
 from identification.information import spectrum
-from identification.kinematics.joint_range import joint_range
+from identification.kinematics.counting import joint_range
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import placed_calibration

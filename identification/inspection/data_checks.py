@@ -18,9 +18,9 @@ from scipy.optimize import minimize_scalar
 from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
 from identification.errors import InputError
-from identification.kinematics.orientations import from_angles, to_angles
+from identification.kinematics.chain import BASE
+from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.spatial import BASE
 from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, tip_frames
@@ -62,7 +62,7 @@ def _bare(arm: Arm, measurements: Measurements) -> Arm:
     none."""
     chain = one_unnamed(arm.chain, measurements)
     if chain.positions_in_plane:
-        chain = replace(chain, known=chain.known - {BASE})
+        chain = replace(chain, settled=chain.settled - {BASE})
     return replace(arm, chain=chain, effects=(), calibration=None)
 
 

@@ -50,10 +50,10 @@ from identification.inspection.readings import (
     read_differently,
     some_of_one_point,
 )
+from identification.kinematics.chain import BASE
 from identification.kinematics.counting import in_columns
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
-from identification.kinematics.spatial import BASE
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import placed_model
@@ -368,7 +368,7 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     """Where a spatial arm stands if its `[base]` is wrong, in a sentence; none where the file says nothing, and where
     the drawing explains the positions from no place."""
     chain = arm.chain
-    if chain.planar or BASE not in chain.known or not chain.instrument.reads_positions:
+    if chain.planar or BASE not in chain.settled or not chain.instrument.reads_positions:
         return []
     rows = some_of_one_point(measurements)
     try:

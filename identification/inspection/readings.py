@@ -19,9 +19,9 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.inspection.data_checks import CLEARLY, DRAWN
 from identification.instruments import Placement, Unplaced
+from identification.kinematics.chain import TOOL, KinematicChain
 from identification.kinematics.counting import Counting
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
-from identification.kinematics.spatial import TOOL, SpatialChain
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import frames_of_tip, placed_model, some
@@ -331,9 +331,9 @@ def _pairs_and_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
 def anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands left open, and in space what is measured on it."""
     chain = arm.chain
-    tip = chain.known & {TOOL} if chain.planar else frozenset[str]()
+    tip = chain.settled & {TOOL} if chain.planar else frozenset[str]()
     return replace(
-        arm, chain=SpatialChain(chain.joints, chain.end, known=tip, instrument=chain.instrument, axes=chain.axes)
+        arm, chain=KinematicChain(chain.joints, chain.end, settled=tip, instrument=chain.instrument, axes=chain.axes)
     )
 
 
@@ -351,7 +351,7 @@ def some_of_one_point(measurements: Measurements) -> Measurements:
 
 def _few(arm: Arm, rows: Measurements) -> bool:
     """Whether another reading would fit by chance: of a pose, and of a point where it is open."""
-    point = 0 if TOOL in anywhere(arm).chain.known else arm.dimension
+    point = 0 if TOOL in anywhere(arm).chain.settled else arm.dimension
     return rows.positions.size < EQUATIONS * (arm.dimension + len(arm.chain.turning) + point)
 
 
@@ -367,7 +367,7 @@ def _place(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[
     chain = anywhere(arm).chain
     frames = _frames(chain)
     measured = rows.positions[:, : chain.coordinates]
-    tool = np.zeros(3) if TOOL in chain.known else None
+    tool = np.zeros(3) if TOOL in chain.settled else None
     read = partial(Unplaced, reach=chain.reach, tool=tool, hopeless=hopeless)
     return lambda reading: chain.instrument.place(
         read(frames(reading.postures(rows.postures)), reading.positions(measured))

@@ -1,5 +1,5 @@
 """A laser tracker, a camera system, a coordinate measuring machine: what is read is where the measured point is, of one
-or several reflectors, or the pose of a measured frame (identification/kinematics/orientations.py)."""
+or several reflectors, or the pose of a measured frame (identification/kinematics/frames.py)."""
 
 from __future__ import annotations
 

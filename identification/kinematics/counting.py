@@ -9,11 +9,14 @@ s : `sign`;  z : `zero`, what the controller shows where the drawing has its zer
 
 So a joint 3 that is counted from the horizontal, behind a joint 2 that is, has coupled_to = 2: a_3 = q_3 + q_2. Files
 and commands are the controller's, all else is the model's; this is the only place where one becomes the other.
+
+Beside it: whole turns of revolute joints, where an angle beyond a limit may be one within the limits, read a turn away;
+and the range of each joint over some postures, as a calibration keeps it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,7 +25,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 
 
 @dataclass(frozen=True)
@@ -181,3 +184,51 @@ def _signs(matrix: Array, directions: Array) -> Array:
 def _require(condition: bool, message: str) -> None:
     if not condition:
         raise InputError(f"joints.{message}")
+
+
+TURN = 2.0 * np.pi
+
+
+def turned_into(postures: Array, lower: Array, upper: Array, joint_types: Sequence[str], slack: float = 0.0) -> Array:
+    """(m, n) postures whose revolute joints beyond (n,) limits are moved by whole turns to where the limits allow them.
+
+    slack : [rad] beyond a limit that does not count
+    """
+    lower, upper = lower - slack, upper + slack
+    turned = lower + np.mod(postures - lower, TURN)
+    beyond = (postures < lower) | (postures > upper)
+    revolute = np.array([kind == REVOLUTE for kind in joint_types])
+    return np.where(revolute & beyond & (turned <= upper), turned, postures)
+
+
+KEYS: Mapping[str, str] = {REVOLUTE: "joint_range_deg", PRISMATIC: "joint_range_mm"}
+
+
+def joint_range(postures: Array, joint_types: Sequence[str]) -> dict[str, list[list[float]]]:
+    """Smallest and largest position of each joint, [deg] and [mm], of postures (m, n) [rad, mm]; no key without such
+    joints."""
+    limits = np.stack([np.min(postures, axis=0), np.max(postures, axis=0)], axis=1)
+    ranges: dict[str, list[list[float]]] = {}
+    for kind, pair in zip(joint_types, limits, strict=True):
+        in_file = pair * FILE_UNITS[JOINT_UNITS[kind]][1]
+        ranges.setdefault(KEYS[kind], []).append([float(f"{end:.9g}") for end in in_file])
+    return ranges
+
+
+def range_of(provenance: Mapping[str, Any], joint_types: Sequence[str]) -> Array | None:
+    """(2, n) least and largest positions [rad, mm] that `joint_range` wrote; None where they are not there.
+
+    Files written before slides had a key of their own list all joints in the other one, a slide's millimetres times
+    180 / pi.
+    """
+    slides = np.array([kind == PRISMATIC for kind in joint_types], dtype=bool)
+    if KEYS[PRISMATIC] not in provenance:
+        slides = np.zeros_like(slides)
+    ends = np.empty((2, len(slides)))
+    for kind, of_kind in ((REVOLUTE, ~slides), (PRISMATIC, slides)):
+        count = int(of_kind.sum())
+        limits = np.array(provenance.get(KEYS[kind], []), dtype=float) if count else np.empty((0, 2))
+        if limits.shape != (count, 2):
+            return None
+        ends[:, of_kind] = limits.T / FILE_UNITS[JOINT_UNITS[kind]][1]
+    return ends

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.errors import InputError
+from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import pose, rotation_about
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.spatial import Joint, SpatialChain
 
 STANDARD, MODIFIED = "standard", "modified"
 X, Z = np.eye(3)[0], np.eye(3)[2]
@@ -34,7 +34,7 @@ class DHRow:
     limits: tuple[float, float] | None = None
 
 
-def chain_of(rows: Sequence[DHRow], convention: str = STANDARD) -> SpatialChain:
+def chain_of(rows: Sequence[DHRow], convention: str = STANDARD) -> KinematicChain:
     """The chain of a table; every joint moves about or along its own z axis.
 
     Raises `InputError` for another convention, no rows, and prismatic joints without limits.
@@ -53,4 +53,4 @@ def chain_of(rows: Sequence[DHRow], convention: str = STANDARD) -> SpatialChain:
         before = after
     if not joints:
         raise InputError("dh: no rows, allowed: one for each joint")
-    return SpatialChain(tuple(joints), before)
+    return KinematicChain(tuple(joints), before)

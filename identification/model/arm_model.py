@@ -4,7 +4,7 @@
 
 Parameters are the length errors dl_j [mm], the joint offsets dq_j [rad] and those of the effects. The derivative with
 respect to the ORIENTATION offset dtheta_k touches link k only (eq. 8); that with respect to the joint offset dq_k sums
-over links k..n, which is what eq. 4 prints. For arms in space see identification/kinematics/spatial.py.
+over links k..n, which is what eq. 4 prints. For arms in space see identification/kinematics/chain.py.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, build_all
 from identification.errors import InputError
+from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
-from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.model.expressions import Expressions, shared
 
 
@@ -33,20 +33,20 @@ from identification.model.expressions import Expressions, shared
 class Model:
     """Arm and effects as a function of p parameters.
 
-    known : parameter name -> value [mm, rad] of parameters that are not estimated, besides those that the arm's own
+    held : parameter name -> value [mm, rad] of parameters that are not estimated, besides those that the arm's own
         effects fix
     """
 
     arm: Arm
-    known: Mapping[str, float] | None = None
+    held: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        for name in self.known or {}:
+        for name in self.held or {}:
             self.all_parameters.index(name)  # raises for an unknown one
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickles: the CasADi functions do not, and are rebuilt where they are needed."""
-        return {"arm": self.arm, "known": self.known}
+        return {"arm": self.arm, "held": self.held}
 
     # -- parameters ------------------------------------------------------------------------------------------------
     @cached_property
@@ -62,7 +62,7 @@ class Model:
     @cached_property
     def geometry_parameters(self) -> ParameterSet:
         """Those of the geometry, estimated or known."""
-        return self.arm.chain.parameters(self._calibrated() | dict(self.known or {}))
+        return self.arm.chain.parameters(self._calibrated() | dict(self.held or {}))
 
     @cached_property
     def all_parameters(self) -> ParameterSet:
@@ -72,7 +72,7 @@ class Model:
     @cached_property
     def fixed(self) -> Mapping[str, float]:
         """Name -> value of the parameters that are known."""
-        values = {name: self._calibrated().get(name, 0.0) for name in self.arm.chain.held} | dict(self.known or {})
+        values = {name: self._calibrated().get(name, 0.0) for name in self.arm.chain.held} | dict(self.held or {})
         for effect, spec in self._built:
             if not (effect.scatter or effect.of_commands):
                 values |= {p.name: float(spec.values[p.short]) for p in effect.parameters if p.short in spec.values}

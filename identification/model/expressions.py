@@ -17,7 +17,7 @@ from identification.effects.chain import condition_slices
 from identification.effects.places import by_place, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
-from identification.kinematics.orientations import turned
+from identification.kinematics.frames import turned
 from identification.kinematics.parameters import ParameterSet
 from identification.vectorize import Evaluate, vectorize
 

@@ -17,10 +17,10 @@ import numpy as np
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
+from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.frames import AXES
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.measurements import Conditions, Measurements
 from identification.model.arm_model import Model
 from identification.model.placed import placed_model

@@ -15,9 +15,9 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.instruments import Unplaced
+from identification.kinematics.chain import BASE, DIMENSION, TOOL, KinematicChain
 from identification.kinematics.corrected import standing_in
-from identification.kinematics.orientations import mean_rotation
-from identification.kinematics.spatial import BASE, DIMENSION, TOOL, SpatialChain
+from identification.kinematics.frames import mean_rotation
 from identification.measurements import Measurements
 from identification.model.arm_model import Model
 from identification.vectorize import vectorize
@@ -37,9 +37,9 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if not isinstance(arm, Arm):
         return model
     chain = with_markers(arm.chain, measurements)
-    settled, own_targets = chain.known, chain.instrument.own_targets
-    if model.known:  # and those whose parameters are all known to the model
-        settled |= {BASE, TOOL} - {p.kind for p in model.geometry_parameters if p.name not in model.known}
+    settled, own_targets = chain.settled, chain.instrument.own_targets
+    if model.held:  # and those whose parameters are all known to the model
+        settled |= {BASE, TOOL} - {p.kind for p in model.geometry_parameters if p.name not in model.held}
     if settled >= {BASE, TOOL} and not own_targets:
         return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
     rows = some(measurements, measurements.session_rows[0])
@@ -47,7 +47,7 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if (calibration := arm.calibration) is not None:
         values = {name: v for name, v in calibration.values.items() if _place(name) not in {BASE, TOOL} - settled}
         calibration = replace(calibration, values=values, base=None, tools={}, tool_axes={})
-    drawn = replace(standing_in(chain, values), known=settled)
+    drawn = replace(standing_in(chain, values), settled=settled)
     geometry = {name: value for name, value in values.items() if _place(name) not in (BASE, TOOL)}
     standing = standing_chain(drawn, rows, geometry)
     if BASE not in settled:
@@ -80,7 +80,7 @@ def markers_of(measurements: Measurements) -> NDArray[np.int64]:
     return np.zeros(len(measurements), dtype=np.int64) if numbers is None else numbers
 
 
-def standing_chain(chain: SpatialChain, measurements: Measurements, values: Mapping[str, float]) -> SpatialChain:
+def standing_chain(chain: KinematicChain, measurements: Measurements, values: Mapping[str, float]) -> KinematicChain:
     """The chain where the closed form finds its base and its measured points or frames, as far as they are not known.
 
     values : best known errors of the geometry
@@ -91,29 +91,30 @@ def standing_chain(chain: SpatialChain, measurements: Measurements, values: Mapp
         markers = np.zeros(len(measurements), dtype=np.int64)
     readings = measurements.positions[:, : chain.instrument.dimension]  # of poses the points
     standing = placed_chain(chain, measurements.postures, readings, markers, values)
-    if measurements.orientations is None or TOOL in chain.known:
+    if measurements.orientations is None or TOOL in chain.settled:
         return standing
     axes = tool_axes(standing, measurements.postures, measurements.orientations, markers, values)
     return replace(standing, tool_axes=axes)
 
 
-def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, list[Array]]:
+def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain, list[Array]]:
     """The chain of an arm that stands where the first session finds it, with the points that only later sessions
     measure, and the pose (4, 4) of the base in each session."""
     every = {} if arm.calibration is None else arm.calibration.values
     values = {name: value for name, value in every.items() if not name.startswith((f"{BASE}.", f"{TOOL}["))}
     parts = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
     standing, bases = standing_in(arm.chain, every), list[Array]()
-    first = seen = np.full(len(standing.tools), TOOL in standing.known)
+    first = seen = np.full(len(standing.tools), TOOL in standing.settled)
     for name in measurements.session_names:
         if name in parts:
             rows = some(measurements, parts[name])
             if bases:  # where these rows find the base, then the points that were not seen before
                 old = seen[markers_of(rows)]
                 held = frozenset({TOOL}) if old.any() else frozenset()
-                standing = standing_chain(replace(standing, known=held), rows.rows(old) if old.any() else rows, values)
+                as_before = rows.rows(old) if old.any() else rows
+                standing = standing_chain(replace(standing, settled=held), as_before, values)
                 if old.any() and not old.all():
-                    standing = standing_chain(replace(standing, known=frozenset({BASE})), rows.rows(~old), values)
+                    standing = standing_chain(replace(standing, settled=frozenset({BASE})), rows.rows(~old), values)
             seen = seen | np.isin(np.arange(len(seen)), markers_of(rows))
         first = first if bases else seen
         bases.append(standing.base)
@@ -123,7 +124,7 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, l
     return chain, bases
 
 
-def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
+def with_markers(chain: KinematicChain, measurements: Measurements) -> KinematicChain:
     """The chain with the measured points that the data name, in the order of the data; `InputError` for others. Without
     orientations where the data have none.
 
@@ -142,7 +143,7 @@ def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChai
     if len(tools) == 1 == len(names):
         axes = dict(zip(names, chain.tool_axes.values(), strict=False))
         return replace(chain, tools=dict(zip(names, tools.values(), strict=True)), tool_axes=axes)
-    if TOOL not in chain.known:
+    if TOOL not in chain.settled:
         return replace(chain, tools={name: tools.get(name, np.zeros(3)) for name in names})
     for name in names:
         if name not in tools:
@@ -150,7 +151,7 @@ def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChai
     return replace(chain, tools={name: tools[name] for name in dict.fromkeys((*names, *tools))})
 
 
-def one_unnamed(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
+def one_unnamed(chain: KinematicChain, measurements: Measurements) -> KinematicChain:
     """The chain with one measured point, where it has several and the data name none: one, to be found."""
     if measurements.marker_names or len(chain.tools) == 1:
         return chain
@@ -158,34 +159,34 @@ def one_unnamed(chain: SpatialChain, measurements: Measurements) -> SpatialChain
 
 
 def placed_chain(
-    chain: SpatialChain,
+    chain: KinematicChain,
     postures: Array,
     readings: Array,
     markers: NDArray[np.int64],
     values: Mapping[str, float] = MappingProxyType({}),
-) -> SpatialChain:
+) -> KinematicChain:
     """The chain with base and tools that explain (m, d) readings at (m, n) postures best.
 
     markers : (m,) number of each row's measured point;  values : best known errors of the geometry
     """
     names, frames, place = list(chain.tools), tip_frames(chain, postures, values), chain.instrument.place
     base, tools = chain.base, {name: np.array(place) for name, place in chain.tools.items()}
-    if BASE not in chain.known and TOOL in chain.known:
+    if BASE not in chain.settled and TOOL in chain.settled:
         places = np.array([tools[name] for name in names])[markers]
         at_points = np.array(frames)  # of frames whose origins are the measured points
         at_points[:, :3, 3] += np.einsum("mij,mj->mi", frames[:, :3, :3], places)
         base = place(Unplaced(at_points, readings, chain.reach, tool=np.zeros(3))).base
-    elif BASE not in chain.known:
+    elif BASE not in chain.settled:
         most = markers == np.bincount(markers).argmax()
         base = place(Unplaced(frames[most], readings[most], chain.reach)).base
-    for number, name in enumerate(names if TOOL not in chain.known else ()):
+    for number, name in enumerate(names if TOOL not in chain.settled else ()):
         if (of_marker := markers == number).any():
             tools[name] = place(Unplaced(frames[of_marker], readings[of_marker], chain.reach, base)).tool
     return replace(chain, base=base, tools=tools)
 
 
 def tool_axes(
-    chain: SpatialChain,
+    chain: KinematicChain,
     postures: Array,
     orientations: Array,
     markers: NDArray[np.int64],
@@ -200,12 +201,14 @@ def tool_axes(
     return {**chain.tool_axes, **axes}
 
 
-def tip_frames(chain: SpatialChain, postures: Array, values: Mapping[str, float] = MappingProxyType({})) -> Array:
+def tip_frames(chain: KinematicChain, postures: Array, values: Mapping[str, float] = MappingProxyType({})) -> Array:
     """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
     return frames_of_tip(chain, values)(postures)
 
 
-def frames_of_tip(chain: SpatialChain, values: Mapping[str, float] = MappingProxyType({})) -> Callable[[Array], Array]:
+def frames_of_tip(
+    chain: KinematicChain, values: Mapping[str, float] = MappingProxyType({})
+) -> Callable[[Array], Array]:
     """The function of postures that `tip_frames` evaluates."""
     q = ca.SX.sym("q", len(chain))
     tip = replace(chain, base=np.eye(4)).frames(q, values)[-1]

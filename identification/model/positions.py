@@ -13,7 +13,7 @@ from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
 from identification.instruments import TRACKER
-from identification.kinematics.spatial import BASE
+from identification.kinematics.chain import BASE
 from identification.model.arm_model import Model
 
 FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
@@ -26,7 +26,7 @@ def of_positions(model: Model) -> Model:
     if chain.instrument.reads_positions:
         return model
     arm = replace(model.arm, chain=replace(chain, instrument=TRACKER))
-    held_values = dict(model.known or {})
+    held_values = dict(model.held or {})
     for parameter in chain.instrument.parameters:
         held_values.pop(parameter.name, None)
     held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names} | (chain.held - chain.fixed)
@@ -70,7 +70,7 @@ def in_own_frame(arm: Arm) -> Arm:
     effects = [spec for spec in arm.effects if not library()[spec.name].needs & chain.instrument.offers]
     if chain.instrument.places:
         return replace(arm, chain=replace(chain, instrument=TRACKER)).with_effects(*effects)
-    chain = replace(chain, base=np.eye(4), known=chain.known | {BASE}, instrument=TRACKER)
+    chain = replace(chain, base=np.eye(4), settled=chain.settled | {BASE}, instrument=TRACKER)
     if calibration is not None:
         values = {name: value for name, value in calibration.values.items() if not name.startswith(f"{BASE}.")}
         calibration = replace(calibration, values=values, base=None)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from identification.arm import DIAGNOSED, Arm
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.joint_range import range_of
-from identification.kinematics.turns import turned_into
+from identification.kinematics.counting import range_of, turned_into
 from identification.measurements import Measurements
 from identification.model import Model
 

@@ -24,11 +24,10 @@ from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
 from identification.estimation.prior import Earlier
 from identification.estimation.uncertainty import LEVEL
+from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.corrected import composed_tools
-from identification.kinematics.joint_range import joint_range, range_of
+from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
-from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
-from identification.kinematics.turns import TURN
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import with_markers
@@ -76,7 +75,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     chosen |= {name for name in model.names if name.startswith(f"{SESSIONS}.")}
     held = {name: value for name, value in model.best_known.items() if name not in chosen}
     _check_places(arm, model, set(held) - set(model.fixed), measurements)
-    return replace(model, known=held)
+    return replace(model, held=held)
 
 
 def _named(word: str, model: Model) -> set[str]:
@@ -250,10 +249,10 @@ def with_mounting_doubt(
 
     fit : the same for other measurements
     """
-    chain = together.model.arm.chain if hasattr(together.model, "arm") else None
-    if chain is None or chain.planar or len(measurements.sessions) < 2:
+    arm = getattr(together.model, "arm", None)
+    if arm is None or arm.chain.planar or len(measurements.sessions) < 2:
         return together
-    renamed, old = renamed_by_session(measurements, tuple(chain.tools))
+    renamed, old = renamed_by_session(measurements, tuple(arm.chain.tools))
     try:
         apart = fit(renamed) if old else together
     except InputError:  # the points are given, or too few rows

@@ -27,10 +27,10 @@ from identification.estimation.grouped import LEVEL, gained_squares
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.information import spectrum
+from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
 from identification.kinematics.frames import own_axes_angles
 from identification.kinematics.parameters import JOINT_OFFSET, of_effects
-from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
@@ -204,11 +204,11 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     if arm.chain.planar or len(measurements.sessions) < 2:
         return _refitted(drawing, measurements, conditions_of(arm, measurements, "base"), "base")[1]
     check_validation(Model(drawing), measurements)
-    drawing = replace(drawing, chain=replace(arm.chain, known=frozenset()))
+    drawing = replace(drawing, chain=replace(arm.chain, settled=frozenset()))
     model = Model(with_sessions(drawing, measurements))
     free = {model.names[k] for k in placing(model.parameters)}
     held = {name: value for name, value in model.best_known.items() if name not in free}
-    return estimate(replace(model, known=held), measurements).residuals_after
+    return estimate(replace(model, held=held), measurements).residuals_after
 
 
 def check_validation(model: Model, measurements: Measurements) -> None:
@@ -418,7 +418,7 @@ def as_calibrated(arm: Arm) -> Arm:
     return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
 
 
-def check_names(chain: SpatialChain, measurements: Measurements) -> None:
+def check_names(chain: KinematicChain, measurements: Measurements) -> None:
     """Raise `InputError` for measured points that a chain does not have, where they are not to be estimated."""
     if chain.instrument.own_targets or len(chain.tools) == 1 == len(measurements.marker_names):
         return  # one point is the one that is measured, whatever the data call it
@@ -430,7 +430,7 @@ def check_names(chain: SpatialChain, measurements: Measurements) -> None:
         raise InputError(f"measurements.marker: {fault}, {allowed}")
 
 
-def fresh_points(chain: SpatialChain, measurements: Measurements) -> list[str]:
+def fresh_points(chain: KinematicChain, measurements: Measurements) -> list[str]:
     """What is said of measured points that the calibration does not have: they are fitted to these measurements."""
     names = () if chain.instrument.own_targets else measurements.marker_names
     if not names and len(chain.tools) > 1:
@@ -456,7 +456,7 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
     if not arm.chain.positions_in_plane:  # its targets are where it stands
         model = placed_model(Model(arm), measurements)
         free = {*offsets, *(p.name for p in model.arm.chain.instrument.parameters)}
-        model = replace(model, known={k: v for k, v in model.best_known.items() if k not in free})
+        model = replace(model, held={k: v for k, v in model.best_known.items() if k not in free})
         return model, model.values
     model = Model(with_base_offset(arm), {k: value for k, value in values.items() if k not in (*PLANAR_BASE, *offsets)})
     start = model.parameters.vector(values)
@@ -474,8 +474,8 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
     if refit == "none":
         check_names(arm.chain, measurements)
         model = Model(replace(arm, chain=with_markers(arm.chain, measurements)))
-        return replace(model, known=model.best_known)
-    chain = replace(one_unnamed(arm.chain, measurements), known=frozenset())
+        return replace(model, held=model.best_known)
+    chain = replace(one_unnamed(arm.chain, measurements), settled=frozenset())
     model = placed_model(Model(replace(arm, chain=chain)), measurements)
     if len(model.arm.chain.tools) == 1 == len(chain.tools):  # curves have the point by its name in the calibration
         (old,), (new,) = chain.tools, model.arm.chain.tools
@@ -488,10 +488,10 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
         model = replace(model, arm=model.arm.with_effects(*effects))
     free = {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}
     free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links)} if refit == "offsets" else set()
-    return replace(model, known={name: value for name, value in model.best_known.items() if name not in free})
+    return replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
 
 
-def placed_values(chain: SpatialChain, values: Mapping[str, float]) -> dict[str, float]:
+def placed_values(chain: KinematicChain, values: Mapping[str, float]) -> dict[str, float]:
     """Where base and measured points are, by the names of their parameters [mm, rad]; other values as they are.
 
     values : corrections of base and points

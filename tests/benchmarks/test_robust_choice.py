@@ -26,7 +26,7 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.estimation import estimate, estimate_with_prior
 from identification.files.measurement import load_measurements
-from identification.gap.library.library_prior import library_prior
+from identification.gap.library_prior import library_prior
 from identification.measurements import Measurements
 from identification.model import Model
 

@@ -19,7 +19,7 @@ from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.gap.confirmation import split
 from identification.gap.diagnose import diagnose
-from identification.gap.library.library_prior import given_by, library_prior
+from identification.gap.library_prior import given_by, library_prior
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from identification.arrays import Array
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
-from identification.kinematics.spatial import SpatialChain
 
 HALF = np.pi / 2.0
 TABLE = (  # a [mm], alpha [rad], d [mm] of the drawing
@@ -21,7 +21,7 @@ SEVEN = (  # the same with an elbow that swings out
 )
 
 
-def drawing(table: tuple[tuple[float, float, float], ...] = TABLE) -> SpatialChain:
+def drawing(table: tuple[tuple[float, float, float], ...] = TABLE) -> KinematicChain:
     return chain_of([DHRow(*row) for row in table])
 
 

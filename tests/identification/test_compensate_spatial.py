@@ -15,9 +15,9 @@ from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.documents.use import compensation_document
 from identification.errors import InputError
 from identification.files.measurement import commands_text, load_targets
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
-from identification.kinematics.spatial import SpatialChain
 
 QUARTER = np.pi / 2.0
 SIX = [(0.0, QUARTER, 350.0), (-400.0, 0.0, 0.0), (-350.0, 0.0, 0.0), (0.0, QUARTER, 110.0), (0.0, -QUARTER, 90.0)]
@@ -36,7 +36,7 @@ def arm(slide: bool) -> Arm:
     return Arm(replace(chain, base=BASE, tools={"1": TOOL}), calibration=calibration)
 
 
-def tip(chain: SpatialChain, q: Array, values: dict[str, float]) -> Array:
+def tip(chain: KinematicChain, q: Array, values: dict[str, float]) -> Array:
     """(3,) the measured point, the four errors set in by hand."""
     found = np.asarray(BASE)
     for j, (joint, x) in enumerate(zip(chain.joints, q, strict=True), start=1):
@@ -48,7 +48,7 @@ def tip(chain: SpatialChain, q: Array, values: dict[str, float]) -> Array:
     return np.asarray((found @ chain.end @ np.r_[TOOL, 1.0])[:3])
 
 
-def axes(chain: SpatialChain, q: Array, values: dict[str, float]) -> Array:
+def axes(chain: KinematicChain, q: Array, values: dict[str, float]) -> Array:
     """(3, 3) axes of the measured frame, which is turned by `TURN` in the tip's."""
     ends = [tip(replace(chain, end=chain.end @ pose(TURN @ axis)), q, values) for axis in np.eye(3)]
     return np.column_stack(ends) - tip(chain, q, values)[:, None]

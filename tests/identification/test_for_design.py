@@ -17,9 +17,9 @@ from identification.errors import InputError
 from identification.for_design import ArmModel
 from identification.instruments import Plane, Sphere
 from identification.instruments.sphere import RADIUS
+from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose, rotation_to_z
-from identification.kinematics.spatial import BASE, TOOL
 from identification.model import Model
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
@@ -36,7 +36,7 @@ def arm_of(kind: str, **changes: object) -> Arm:
     base = pose(-axes @ (LOW if kind == "plane" else CENTER), axes)
     instrument = Sphere(BALL) if kind == "sphere" else Plane()
     known = frozenset({TOOL})
-    chain = replace(CHAIN, instrument=instrument, base=base, tools={"1": REFLECTOR}, known=known)
+    chain = replace(CHAIN, instrument=instrument, base=base, tools={"1": REFLECTOR}, settled=known)
     joints = tuple(replace(joint, lower=-2.0, upper=2.0) for joint in chain.joints)
     return Arm(replace(chain, joints=joints), sigma=0.01, **changes)
 
@@ -101,7 +101,7 @@ def test_what_no_plan_can_be_made_for() -> None:
     nowhere = replace(arm.chain, base=np.eye(4))
     with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
         DesignProblem.of(Model(replace(arm, chain=nowhere)))
-    far = replace(arm.chain, base=pose(-20.0 * CENTER), known=frozenset({BASE, TOOL}))
+    far = replace(arm.chain, base=pose(-20.0 * CENTER), settled=frozenset({BASE, TOOL}))
     with pytest.raises(InputError, match="sphere is touched within limits and constraints at 0 of 40000 random"):
         DesignProblem.of(Model(replace(arm, chain=far)))
     unknown = replace(arm, chain=replace(arm.chain, instrument=Sphere()))

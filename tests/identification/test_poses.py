@@ -109,7 +109,7 @@ def test_a_planar_arm_with_its_angle() -> None:
     """Three parallel axes with the angle of the last link, against least squares in the plane; heights are as drawn."""
     lengths, generator = np.array([300.0, 250.0, 120.0]), np.random.default_rng(6)
     chain = chain_of([DHRow(a, 0.0, 0.0) for a in lengths])
-    chain = replace(chain, angle_scale=SCALE, known=frozenset({"base", "tool"}), tools={"1": np.zeros(3)})
+    chain = replace(chain, angle_scale=SCALE, settled=frozenset({"base", "tool"}), tools={"1": np.zeros(3)})
     q = generator.uniform(-1.5, 1.5, (25, 3))
     errors, offsets = np.array([0.3, -0.2, 0.0]), np.radians([0.05, -0.04, 0.02])
     theta = np.cumsum(q + offsets, axis=1)

@@ -184,7 +184,7 @@ def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     down = -simulator.G * np.eye(truth.dimension)[-1]
     gravity = Gravity(down, masses, np.full(truth.n, truth.center), payload)
     effects = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled)
-    if truth.dimension == 2:
+    if truth.in_plane:
         return Arm(planar_chain(truth.lengths), truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=effects)
     limits = zip(truth.lower.tolist(), truth.upper.tolist(), strict=True)
     rows = [DHRow(a, alpha, d, limits=pair) for (a, alpha, d), pair in zip(truth.table.tolist(), limits, strict=True)]
@@ -249,7 +249,7 @@ def values_of(truth: TrueArm) -> dict[str, float]:
     """Parameter name -> true value, named as the library names its parameters [API units]; in space without those of
     the geometry, which others say differently."""
     values: dict[str, float] = {}
-    if truth.dimension == 2:
+    if truth.in_plane:
         errors = zip(truth.links[:, 0] - truth.lengths, truth.offsets, strict=True)
         for j, (length, offset) in enumerate(errors, start=1):
             values |= {f"length_error:{j}": float(length), f"joint_offset:{j}": float(offset)}

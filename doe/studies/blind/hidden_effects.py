@@ -195,12 +195,12 @@ def many_effects(
     elif kind == "harmonics":
         listed += [("encoder_second_harmonic", j + 1) for j in range(truth.n)]
     else:
-        listed += [(EVERY_JOINT, None)] + ([("base_offset", None)] if truth.dimension == 2 else [])
+        listed += [(EVERY_JOINT, None)] + ([("base_offset", None)] if truth.in_plane else [])
         listed += [(name, int(rng.integers(1, truth.n + 1))) for name in ("backlash", "transmission_ripple")]
     span = base_jacobian(truth, run)
 
     def drawn(name: str, joint: int | None) -> Drawn | None:
-        lam = log_uniform(sizes, rng) if truth.dimension == 2 else None  # in this order since the study began
+        lam = log_uniform(sizes, rng) if truth.in_plane else None  # in this order since the study began
         direction = directions(truth, name, joint, rng)
         return sized(truth, run, (name, joint, direction), lam or log_uniform(sizes, rng), span)
 
@@ -242,7 +242,7 @@ def loaded(truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Genera
 # -- the library's columns ---------------------------------------------------------------------------------------------
 def library_names(truth: TrueArm) -> tuple[Sequence[str], Sequence[str]]:
     """Effects of the library that are hidden in such an arm: of a joint, and of the whole arm."""
-    return (LIBRARY_JOINT, LIBRARY_WHOLE) if truth.dimension == 2 else (SPACE_JOINT, SPACE_WHOLE)
+    return (LIBRARY_JOINT, LIBRARY_WHOLE) if truth.in_plane else (SPACE_JOINT, SPACE_WHOLE)
 
 
 def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, **settings: float) -> Array:

@@ -82,6 +82,11 @@ class TrueArm:
     def n(self) -> int:
         return len(self.table)
 
+    @property
+    def in_plane(self) -> bool:
+        """Whether x and y of the tip are measured, and no more."""
+        return self.dimension < 3
+
     @cached_property
     def home(self) -> Array:
         """(n + 1, 4, 4) frames of the drawing at home: of each joint, and of the tip."""
@@ -98,7 +103,7 @@ class TrueArm:
     @cached_property
     def links(self) -> Array:
         """(n, 3) what grows with the temperature: the links, in the plane the real ones, in space as they are drawn."""
-        if self.dimension == 2:
+        if self.in_plane:
             return np.diff(np.vstack([self.points, self.at_home(self.tools[0])]), axis=0)
         return np.diff(self.home[:, :3, 3], axis=0)
 
@@ -356,7 +361,7 @@ def _base(truth: TrueArm, run: RowConditions) -> Array:
             followed = run.t if name == "base_drift" else run.warm
             drift[:, : truth.dimension] += followed[:, None] * v["v"]
         elif name == "base_rotation_drift":  # in the plane about z
-            rotation = rotation + run.t[:, None] * (v["w"] * UPRIGHT if truth.dimension == 2 else np.array(v["w"]))
+            rotation = rotation + run.t[:, None] * (v["w"] * UPRIGHT if truth.in_plane else np.array(v["w"]))
     return np.asarray(shift(drift) @ truth.base @ screw(turn(rotation), np.zeros(3)))
 
 
@@ -382,7 +387,7 @@ def base_jacobian(truth: TrueArm, run: RowConditions) -> Array:
     In the plane lengths and angles of the links, in which the position is linear: p = 2n. In space a small displacement
     of the base and of all beyond each joint, and the places of the K measured points: p = 6 (n + 1) + 3K.
     """
-    if truth.dimension == 2:
+    if truth.in_plane:
         _, *frames, _ = places(replace(truth, effects=[], modelled=[]), run)
         return np.concatenate([frame[:, :2, :2] for frame in frames], axis=2).reshape(2 * len(run.q), -1)
     *frames, last = places(truth, run)

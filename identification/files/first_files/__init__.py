@@ -17,8 +17,8 @@ from identification.files.measurement_columns import UNITS
 from identification.files.schema import json_schema, validated_arm
 from identification.files.urdf import Urdf, read_urdf
 from identification.instruments import KINDS, TRACKER
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.spatial import SpatialChain
 
 ARM, DATA, SCHEMA, STEPS = "arm.toml", "measurements.csv", "arm.schema.json", "README.md"
 ENDS = ("tool0", "tcp", "tool", "flange")  # names of tips, the likeliest first
@@ -90,7 +90,7 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
     return _files(values, [joint.type for joint in chain.joints], _columns(instrument)) | {file: urdf.text}
 
 
-def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, SpatialChain]:
+def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, KinematicChain]:
     """End -> chain; of the ends that are possible where none is asked for. Raises `InputError` without any."""
     if tip is not None:
         return {tip: urdf.chain(base, tip)}

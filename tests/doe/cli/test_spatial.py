@@ -16,10 +16,10 @@ from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.files.urdf import read_urdf
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.corrected import corrected
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, rotation_about
 from identification.kinematics.parameters import PRISMATIC
-from identification.kinematics.spatial import SpatialChain
 from identification.measurements import rms_distance
 from identification.model import Model
 from tests.doe.cli.conftest import ARM as PLANAR
@@ -77,7 +77,7 @@ def spatial(folder: Folder) -> Folder:
     return folder
 
 
-def tip(chain: SpatialChain, q: np.ndarray) -> np.ndarray:
+def tip(chain: KinematicChain, q: np.ndarray) -> np.ndarray:
     """(4, 4) pose of the tip in the base, by plain products."""
     found = np.eye(4)
     for joint, x in zip(chain.joints, q, strict=True):

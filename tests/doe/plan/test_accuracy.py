@@ -79,7 +79,7 @@ def test_none_without_sigma_or_enough_runs() -> None:
 
 
 def test_zero_for_what_is_known() -> None:
-    model = Model(FOUR, known={"length_error:2": 0.0, "joint_offset:1": 0.0})
+    model = Model(FOUR, held={"length_error:2": 0.0, "joint_offset:1": 0.0})
     from doe.problem.problem import DesignProblem
 
     found = expected_deviations(DesignProblem.of(model), fourier(8, 4), 0.1)

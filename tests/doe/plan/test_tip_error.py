@@ -19,7 +19,7 @@ from doe.problem.uncertain import (
 )
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
-from identification.gap.library.library_prior import library_prior
+from identification.gap.library_prior import library_prior
 from identification.model import Model
 from tests.doe.six_axis import SIX_AXIS, six_axis
 

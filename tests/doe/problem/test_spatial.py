@@ -68,7 +68,7 @@ def test_points_that_are_not_known_lie_beside_the_last_axis() -> None:
     np.testing.assert_allclose(np.linalg.norm(places[:, :2], axis=1), OFF_AXIS)  # the last axis is z of the tip
     np.testing.assert_allclose(places.sum(axis=0), 0.0, atol=1e-9)
     assert with_points(CHAIN) is CHAIN
-    known = replace(three, known=frozenset({"tool"}))
+    known = replace(three, settled=frozenset({"tool"}))
     assert with_points(known) is known
 
 

@@ -21,8 +21,8 @@ from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.errors import InputError
 from identification.estimation import estimate
 from identification.files.measurement import commands_text
+from identification.kinematics.counting import joint_range
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
-from identification.kinematics.joint_range import joint_range
 from identification.measurements import Conditions, Measurements, directions_from_order
 from identification.model import Model
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
@@ -387,7 +387,7 @@ def session(rows: int, seed: int, width: float = 1.2) -> tuple[Array, Array]:
 
 def calibrated() -> tuple[Arm, float]:
     """The arm, and the RMS distance [mm] that its calibration expects of a right position: noise and its own error."""
-    arm = Arm(replace(CHAIN, tools={"1": REFLECTOR}, known=frozenset()), sigma=NOISE)
+    arm = Arm(replace(CHAIN, tools={"1": REFLECTOR}, settled=frozenset()), sigma=NOISE)
     found = estimate(Model(arm), Measurements(*session(40, 0)))
     assert found.expected_tip is not None
     return replace(found.model.arm, calibration=found.calibration()), float(

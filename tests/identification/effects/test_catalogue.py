@@ -15,7 +15,7 @@ from identification.effects.base import _LIBRARY
 from identification.effects.catalogue import GRAVITY, SUPPLY, entries, entry
 from identification.effects.joint import Backlash
 from identification.files.arm import arm_from_tables
-from identification.kinematics.spatial import planar_chain
+from identification.kinematics.chain import planar_chain
 
 README = (Path(__file__).parents[3] / "identification/README.md").read_text()
 

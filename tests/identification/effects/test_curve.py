@@ -17,7 +17,7 @@ from identification.errors import InputError
 from identification.estimation.estimate import estimate
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm, with_calibration, with_effects
-from identification.kinematics.spatial import planar_chain
+from identification.kinematics.chain import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.simulate import simulate

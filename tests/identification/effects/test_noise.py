@@ -7,9 +7,9 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.instruments import Distance
+from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import PRISMATIC
-from identification.kinematics.spatial import Joint, SpatialChain
 from identification.model import Model
 from identification.simulate import simulate
 
@@ -76,7 +76,7 @@ SETTINGS = np.random.default_rng(4).uniform([-3.0, 0.0, -1.0], [3.0, 300.0, 1.0]
 def test_in_space_outliers_point_anywhere(tools: dict[str, np.ndarray], angle_scale: float | None) -> None:
     """Of the arm that slides, of every reflector, with orientations or without: `size` standard deviations each, the
     mean of their directions zero and of the squares of each coordinate 1/3."""
-    arm = Arm(SpatialChain(ELBOW, np.eye(4), tools=tools, angle_scale=angle_scale), sigma=0.1)
+    arm = Arm(KinematicChain(ELBOW, np.eye(4), tools=tools, angle_scale=angle_scale), sigma=0.1)
     noisy = arm.with_effects(EffectSpec("outliers", None, {"share": 0.5, "size": 20.0}))
     exact, found = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.1) for one in (arm, noisy))
     moved_by = (found.positions - exact.positions)[:, :3]
@@ -93,7 +93,7 @@ def test_in_space_outliers_point_anywhere(tools: dict[str, np.ndarray], angle_sc
 
 def test_outliers_of_lengths_are_too_long_or_too_short() -> None:
     """A distance is one number: off by `size` standard deviations, either way equally often."""
-    chain = SpatialChain(ELBOW, np.eye(4), tools={"1": TOOLS["1"]}, instrument=Distance())
+    chain = KinematicChain(ELBOW, np.eye(4), tools={"1": TOOLS["1"]}, instrument=Distance())
     arm = Arm(chain, sigma=0.1)
     noisy = arm.with_effects(EffectSpec("outliers", None, {"share": 0.5, "size": 20.0}))
     exact, found = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.1) for one in (arm, noisy))
@@ -105,7 +105,7 @@ def test_outliers_of_lengths_are_too_long_or_too_short() -> None:
 
 
 def test_in_space_joint_noise_turns_each_reflector_about_its_joint() -> None:
-    arm = Arm(SpatialChain(ELBOW, np.eye(4), tools=TOOLS), sigma=0.1)
+    arm = Arm(KinematicChain(ELBOW, np.eye(4), tools=TOOLS), sigma=0.1)
     noisy = arm.with_effects(EffectSpec("joint_noise", 1, {"std": 1e-3}))
     exact, found = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.0).positions for one in (arm, noisy))
     about_z = np.column_stack([-exact[:, 1], exact[:, 0], 0.0 * exact[:, 0]])

@@ -10,8 +10,8 @@ import pytest
 
 from identification.arm import EffectSpec
 from identification.effects import Effect, Parameter, Setting, build, library
+from identification.kinematics.chain import planar_chain
 from identification.kinematics.parameters import ParameterSet, chain_parameters
-from identification.kinematics.spatial import planar_chain
 
 SHIPPED = {name: cls for name, cls in library().items() if cls.__module__.startswith("identification.effects")}
 OWN = {name: cls for name, cls in SHIPPED.items() if not cls.tabulated}  # a table has no parameters

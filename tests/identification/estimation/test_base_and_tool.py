@@ -12,9 +12,9 @@ from identification.arm import Arm
 from identification.estimation import Identification, estimate
 from identification.estimation.expected_tip import TOGETHER, flange_turns
 from identification.inspection.inspection import inspect
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
-from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -47,7 +47,7 @@ def kept(rows: int, wobble: float, about: tuple[float, float, float] | None = No
     return np.column_stack([first, q4, q5, q6])
 
 
-def measured(postures: np.ndarray, chain: SpatialChain = CHAIN) -> Measurements:
+def measured(postures: np.ndarray, chain: KinematicChain = CHAIN) -> Measurements:
     generator = np.random.default_rng(2)
     stands = pose((2000.0, -500.0, 700.0), from_own_axes(0.1, -0.4, 2.0))
     model = Model(Arm(replace(chain, base=stands, tools={"1": POINT})))
@@ -120,7 +120,7 @@ def test_what_is_not_the_cause() -> None:
     """Few rows of turned flanges, a tool that is given, and an arm that can turn its flange about one axis only."""
     few = estimate(Model(replace(ARM, sigma=None)), measured(np.random.default_rng(6).uniform(-1.2, 1.2, (9, 6))))
     assert sentences(few) == []
-    given = Arm(replace(CHAIN, tools={"1": POINT}, known=frozenset({"tool"})), sigma=0.05)
+    given = Arm(replace(CHAIN, tools={"1": POINT}, settled=frozenset({"tool"})), sigma=0.05)
     assert sentences(estimate(Model(given), measured(kept(200, 0.0)))) == []
     planes = np.random.default_rng(6).uniform(-2.0, 2.0, (60, 3))
     assert sentences(estimate(Model(Arm(SCARA, sigma=0.05)), measured(planes, SCARA))) == []

@@ -57,7 +57,7 @@ def test_equals_single_fits_and_scipy(name: str, spread: float) -> None:
 @pytest.mark.parametrize("held", [True, False], ids=["prior", "minimal"])
 def test_spatial_arms_equal_single_fits(held: bool) -> None:
     """Held by the prior of its machining, or a minimal set; where the arm stands is known roughly."""
-    chain = replace(CHAIN, known=frozenset({"base", "tool"}))
+    chain = replace(CHAIN, settled=frozenset({"base", "tool"}))
     model = Model(replace(SIX_AXIS, chain=chain)) if held else minimal(Model(replace(SIX_AXIS, chain=chain)))
     generator = np.random.default_rng(4)
     postures = generator.uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20, 6))
@@ -96,7 +96,7 @@ def test_weights_and_conditions_are_those_of_single_fits(name: str) -> None:
 
 
 def test_large_offsets_and_known_parameters_take_the_individual_path() -> None:
-    model = Model(arm(EffectSpec("encoder_eccentricity", 2)), known={"length_error:1": 1.5})
+    model = Model(arm(EffectSpec("encoder_eccentricity", 2)), held={"length_error:1": 1.5})
     postures, generator = plan(20), np.random.default_rng(0)
     true = np.zeros((200, 9))
     true[:, 3:7] = generator.uniform(-0.5, 0.5, (200, 4))  # 30 degrees: no shared linearisation fits all

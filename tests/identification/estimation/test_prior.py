@@ -26,7 +26,7 @@ from identification.estimation.prior import (
     restricted_likelihood,
 )
 from identification.estimation.problem import LinearProblem, Problem
-from identification.gap.library.library_prior import library_prior
+from identification.gap.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model

@@ -13,9 +13,9 @@ import pytest
 from identification.arm import Arm, EffectSpec, Machining
 from identification.errors import InputError
 from identification.estimation import estimate
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
-from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status
@@ -39,7 +39,7 @@ def measured(model: Model, values: np.ndarray, rows: int, seed: int) -> Measurem
     return Measurements(postures, model.position(postures, values) + noise)
 
 
-def true_chain() -> SpatialChain:
+def true_chain() -> KinematicChain:
     base = pose((2000.0, 300.0, -400.0), from_roll_pitch_yaw(0.2, -0.1, 2.0))
     return replace(CHAIN, base=base, tools={"1": np.array([40.0, -90.0, 60.0])})
 
@@ -127,7 +127,7 @@ def test_bounds_are_respected_and_optimal(seed: int) -> None:
 
 def test_known_parameters_are_not_moved() -> None:
     base = arm(EffectSpec("encoder_eccentricity", 2, {"a": 0.01}))
-    model = Model(base, known={"length_error:2": -0.6})
+    model = Model(base, held={"length_error:2": -0.6})
     assert len(model.names) == 8
     whole = Model(arm(EffectSpec("encoder_eccentricity", 2)))
     true = truth(whole)
@@ -151,7 +151,7 @@ def test_offsets_of_any_size_are_no_poor_start(offset: float) -> None:
 
 def test_poor_start_without_the_closed_form_is_damped() -> None:
     """With one length known the closed form is no start; offsets of 40 degrees must still be found."""
-    model = Model(arm(), known={"length_error:1": 0.0})
+    model = Model(arm(), held={"length_error:1": 0.0})
     true = np.r_[-0.6, -0.4, 0.7, np.radians([40.0, -40.0, 30.0, -30.0])]
     found = estimate(model, Measurements(plan(20), model.position(plan(20), true)))
     assert found.status is Status.converged

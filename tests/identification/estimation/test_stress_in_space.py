@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from identification.arm import Arm
 from identification.estimation import estimate
 from identification.estimation.estimate import LARGEST_SHARE
+from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import AXES, pose
-from identification.kinematics.spatial import Joint, SpatialChain
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import practical
@@ -25,14 +25,14 @@ STEP = 1e-30  # of complex steps, which lose no digits
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def chain_with(lengths: np.ndarray, generator: np.random.Generator) -> SpatialChain:
+def chain_with(lengths: np.ndarray, generator: np.random.Generator) -> KinematicChain:
     """Joints at these distances [mm], turned anyhow; the measured point is off the last axis."""
     turns = [np.linalg.qr(generator.standard_normal((3, 3)))[0] for _ in lengths]
     steps = [length * turn[:, 1] for length, turn in zip(lengths, turns, strict=True)]
     origins = [pose(rotation=turns[0] * np.linalg.det(turns[0]))]
     origins += [pose(s, t * np.linalg.det(t)) for s, t in zip(steps[:-1], turns[1:], strict=True)]
     joints = tuple(Joint(f"j{k}", origin, UP, lower=-10.0, upper=10.0) for k, origin in enumerate(origins, start=1))
-    return SpatialChain(joints, pose(steps[-1]), tools={"1": 0.3 * lengths[-1] * np.array([0.6, 0.5, 0.6])})
+    return KinematicChain(joints, pose(steps[-1]), tools={"1": 0.3 * lengths[-1] * np.array([0.6, 0.5, 0.6])})
 
 
 def turned(place: np.ndarray, k: int, angle: object) -> np.ndarray:
@@ -45,7 +45,7 @@ def turned(place: np.ndarray, k: int, angle: object) -> np.ndarray:
     return found
 
 
-def tips(chain: SpatialChain, q: np.ndarray, values: dict[str, complex]) -> np.ndarray:
+def tips(chain: KinematicChain, q: np.ndarray, values: dict[str, complex]) -> np.ndarray:
     """(m, 3) measured points [mm] at postures (m, n) [rad], for errors that may be complex."""
     place = np.tile(np.eye(4, dtype=complex), (len(q), 1, 1))
     place[:, :3, 3] = [values.get(f"base.{axis}", 0.0) for axis in AXES]
@@ -63,7 +63,7 @@ def tips(chain: SpatialChain, q: np.ndarray, values: dict[str, complex]) -> np.n
     return (place @ chain.end @ np.r_[chain.tools["1"] + error, 1.0])[:, :3]
 
 
-def linearized(chain: SpatialChain, q: np.ndarray, names: tuple[str, ...], values: np.ndarray) -> tuple:
+def linearized(chain: KinematicChain, q: np.ndarray, names: tuple[str, ...], values: np.ndarray) -> tuple:
     """(3 m,) positions and (3 m, p) derivatives."""
     columns = []
     for k in range(len(names)):

@@ -17,9 +17,9 @@ from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm
 from identification.files.arm_text import with_calibration
 from identification.files.urdf import read_urdf
+from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.denavit_hartenberg import DHRow
 from identification.kinematics.frames import pose
-from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
@@ -162,7 +162,7 @@ def test_arm_of_a_urdf_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(arm.upper[1:], [joint.upper for joint in nominal.joints[1:]])
     turn = Rotation.from_euler("XYZ", (10.0, -20.0, 130.0), degrees=True).as_matrix()  # capitals: own axes
     np.testing.assert_allclose(chain.base, pose((1000.0, -200.0, 50.0), turn), atol=1e-12)
-    assert chain.known == {BASE, TOOL}
+    assert chain.settled == {BASE, TOOL}
     assert {name: place.tolist() for name, place in chain.tools.items()} == {
         "left": [60.0, 20.0, 50.0],
         "right": [-70.0, 0.0, 0.0],
@@ -213,7 +213,7 @@ def test_arm_of_a_table(tmp_path: Path, convention: str) -> None:
     np.testing.assert_allclose(Model(arm).position(q[None])[0], tip[:3, 3], atol=1e-10)
     assert (arm.lower[2], arm.upper[2], arm.upper[0]) == (-50.0, 150.0, np.pi)
     assert arm.chain is not None
-    assert arm.chain.known == frozenset()
+    assert arm.chain.settled == frozenset()
 
 
 # -- calibrations ------------------------------------------------------------------------------------------------------
@@ -244,7 +244,7 @@ def test_calibration_comes_back_to_rounding(tmp_path: Path, markers: tuple[str, 
     path.write_text(text)
     arm, before = load_arm(path), found.calibrated_arm()
     assert arm.chain is not None
-    assert arm.chain.known == frozenset()
+    assert arm.chain.settled == frozenset()
     model, same = Model(before), Model(arm)
     assert model.names == same.names
     postures = np.random.default_rng(3).uniform(arm.lower, arm.upper, (20, 4))
@@ -325,7 +325,7 @@ def test_examples_of_the_page_load(tmp_path: Path) -> None:
     assert (arm.links, len(arm.constraints), list(arm.chain.tools)) == (6, 2, ["top"])
     chain = load_arm(saved(tmp_path, by_table)).chain
     assert chain is not None
-    assert (len(chain), chain.known) == (2, {BASE})
+    assert (len(chain), chain.settled) == (2, {BASE})
     assert load_arm(saved(tmp_path, f"links_mm = [4, 3, 2, 1]\n{joints}")).counting is not None
     bar = load_arm(saved(tmp_path, f"{by_urdf}\n{by_lengths}")).chain
     assert bar is not None

@@ -12,10 +12,10 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.errors import InputError
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
+from identification.kinematics.chain import BASE, TOOL, Joint
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
-from identification.kinematics.spatial import BASE, TOOL, Joint
 from identification.measurements import Conditions
 from identification.model import Model
 from identification.model.minimal import minimal
@@ -45,7 +45,7 @@ VALUES = {"translation_x:2": 0.7, "rotation_y:3": 0.01, "joint_offset:3": -0.02,
 ARMS = {
     "drawn": Arm(CHAIN),
     "with everything": Arm(
-        replace(MIXED, base=PLACE, tools=TOOLS, known=frozenset({BASE, TOOL})),
+        replace(MIXED, base=PLACE, tools=TOOLS, settled=frozenset({BASE, TOOL})),
         name='six "axes"',
         sigma=0.05,
         gear_ratios=np.array([0.0, 100.0, 50.0, 0.0, 3.0]),

@@ -82,7 +82,7 @@ def test_arm_files(tmp_path: Path) -> None:
     assert arm.chain is not None
     assert arm.chain.instrument == Distance()
     np.testing.assert_array_equal(arm.chain.base[:3, 3], [-700.0, 200.0, -300.0])
-    assert not arm.chain.known
+    assert not arm.chain.settled
     ball = load_arm(saved(tmp_path, f'{HEAD}[instrument]\nkind = "sphere"\nradius_mm = 12.5\n', "arm.toml"))
     unknown = load_arm(saved(tmp_path, f'{HEAD}[instrument]\nkind = "sphere"\n', "arm.toml"))
     assert unknown.chain is not None

@@ -11,7 +11,7 @@ import pytest
 from identification.effects.catalogue import entry
 from identification.errors import InputError
 from identification.files.measurement import load_measurements, measurement_text
-from identification.gap.library.library_prior import given_by
+from identification.gap.library_prior import given_by
 from identification.inspection.data_checks import gap_notes
 from identification.measurements import Measurements
 from identification.sessions import pooled_sessions

@@ -22,7 +22,7 @@ from identification.gap.columns import bundles
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows
 from identification.gap.hypotheses import hypotheses
-from identification.kinematics.spatial import planar_chain
+from identification.kinematics.chain import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
 

@@ -128,7 +128,7 @@ def test_a_heavy_load_beside_the_reflector(said: bool) -> None:
 
 def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:
     """A reflector 0.1 mm off the last axis: its lever is a tenth of a millimetre, those of the others are long."""
-    chain = replace(ARM.chain, tools={"1": np.array([0.1, 0.0, 60.0])}, known=frozenset({"base", "tool"}))  # type: ignore[type-var]
+    chain = replace(ARM.chain, tools={"1": np.array([0.1, 0.0, 60.0])}, settled=frozenset({"base", "tool"}))  # type: ignore[type-var]
     arm, generator = Arm(chain), np.random.default_rng(3)
     postures = generator.uniform(-2.0, 2.0, (20, 6))
     rows = Rows.of(Measurements(postures, Model(arm).position(postures)))

@@ -13,8 +13,8 @@ from identification.estimation import estimate
 from identification.inspection.inspection import constant_length, other_base, turned_frame
 from identification.inspection.readings import as_written
 from identification.instruments import Distance
+from identification.kinematics.chain import BASE
 from identification.kinematics.frames import pose, rotation_about
-from identification.kinematics.spatial import BASE
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.exponentials import Exponentials, drawing
@@ -65,7 +65,7 @@ def test_a_base_that_stands_elsewhere() -> None:
     away = truth.base.copy()
     away[:3, :3] = rotation_about([0.0, 1.0, 0.0], np.radians(60.0)) @ away[:3, :3]
     away[2, 3] += 500.0
-    chain = replace(drawing(), base=away, known=frozenset({BASE}))
+    chain = replace(drawing(), base=away, settled=frozenset({BASE}))
     (said,) = other_base(Arm(chain), data)
     assert "another frame than [base] says: turned by " in said
     turn, shift = (float(said.split(word)[1].split()[0]) for word in ("turned by ", "deg and "))
@@ -81,7 +81,7 @@ def test_a_base_turned_about_joint_1_may_be_its_zero() -> None:
     truth, q = Exponentials(generator), generator.uniform(-2.0, 2.0, (60, 6))
     data = Measurements(q, truth.poses(q)[:, :3, 3])
     turned = truth.base @ pose(rotation=rotation_about([0.0, 0.0, 1.0], np.radians(-40.0)))
-    (said,) = other_base(Arm(replace(drawing(), base=turned, known=frozenset({BASE}))), data)
+    (said,) = other_base(Arm(replace(drawing(), base=turned, settled=frozenset({BASE}))), data)
     assert "or the zero of joint 1 is off by that" in said
 
 

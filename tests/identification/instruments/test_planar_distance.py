@@ -13,7 +13,7 @@ from identification.estimation import Identification, estimate
 from identification.gap.diagnose import diagnose
 from identification.information import spectrum
 from identification.instruments import PlanarDistance
-from identification.kinematics.spatial import planar_chain
+from identification.kinematics.chain import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.sessions import with_sessions

@@ -69,7 +69,7 @@ def test_offsets_are_returned_within_half_a_turn() -> None:
 
 @pytest.mark.parametrize(
     "model",
-    [Model(arm(EffectSpec("gear_ratio", 2))), Model(arm(), known={"length_error:1": 0.0})],
+    [Model(arm(EffectSpec("gear_ratio", 2))), Model(arm(), held={"length_error:1": 0.0})],
     ids=["gear", "known"],
 )
 def test_other_models_are_refused(model: Model) -> None:

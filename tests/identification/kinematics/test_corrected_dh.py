@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from identification.errors import InputError
-from identification.kinematics.corrected import corrected
-from identification.kinematics.corrected_dh import corrected_links, drawn_links
+from identification.kinematics.corrected import corrected, corrected_links, drawn_links
 from identification.kinematics.denavit_hartenberg import MODIFIED, STANDARD, DHRow, chain_of
 from identification.kinematics.parameters import PRISMATIC
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.kinematics.joint_range import joint_range, range_of
+from identification.kinematics.counting import joint_range, range_of
 
 TYPES = ("revolute", "prismatic", "revolute")
 POSTURES = np.array([[np.pi / 6.0, 12.5, -1.0], [-np.pi / 3.0, 200.0, -0.5]])

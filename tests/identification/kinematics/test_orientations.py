@@ -8,11 +8,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.arrays import Array
-from identification.kinematics.frames import from_own_axes, rotation_about
-from identification.kinematics.orientations import (
+from identification.kinematics.frames import (
     from_angles,
+    from_own_axes,
     from_quaternions,
     mean_rotation,
+    rotation_about,
     rotation_vector,
     to_angles,
     turned,

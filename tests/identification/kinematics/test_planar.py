@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from identification.kinematics.chain import planar_chain
 from identification.kinematics.parameters import ParameterSet, chain_parameters, orientation_transform
-from identification.kinematics.spatial import planar_chain
 
 GENERATOR = np.random.default_rng(4)
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])

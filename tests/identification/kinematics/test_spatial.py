@@ -13,9 +13,9 @@ from scipy.linalg import expm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.urdf import read_urdf
+from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import PRISMATIC
-from identification.kinematics.spatial import Joint, SpatialChain
 from identification.vectorize import vectorize
 
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
@@ -31,13 +31,13 @@ def twist(motion: Array) -> Array:
     return found
 
 
-def tip_by_exponentials(chain: SpatialChain, q: Array, values: dict[str, float], tool: Array) -> Array:
+def tip_by_exponentials(chain: KinematicChain, q: Array, values: dict[str, float], tool: Array) -> Array:
     """(3,) the measured point."""
     error = np.array([values.get(f"tool[1].{axis}", 0.0) for axis in "xyz"])
     return np.asarray((places_by_exponentials(chain, q, values)[-1] @ np.r_[tool + error, 1.0])[:3])
 
 
-def places_by_exponentials(chain: SpatialChain, q: Array, values: dict[str, float]) -> list[Array]:
+def places_by_exponentials(chain: KinematicChain, q: Array, values: dict[str, float]) -> list[Array]:
     """n + 2 poses (4, 4) of base, joints after they moved, and tip, by matrix exponentials of elementary twists."""
 
     def elementary(name: str, k: int) -> Array:
@@ -67,13 +67,13 @@ def places_by_exponentials(chain: SpatialChain, q: Array, values: dict[str, floa
 
 
 @pytest.fixture(scope="module")
-def chain() -> SpatialChain:
+def chain() -> KinematicChain:
     found = read_urdf(URDF).chain("world", "tool0")
     base = pose((100.0, -50.0, 20.0), expm(twist(np.array([0, 0, 0, 0.4, -1.0, 2.0])))[:3, :3])
-    return SpatialChain(found.joints, found.end, base, {"1": np.array([10.0, -20.0, 30.0])})
+    return KinematicChain(found.joints, found.end, base, {"1": np.array([10.0, -20.0, 30.0])})
 
 
-def position_and_jacobian(chain: SpatialChain, q: Array, values: Array) -> tuple[Array, Array]:
+def position_and_jacobian(chain: KinematicChain, q: Array, values: Array) -> tuple[Array, Array]:
     symbols, p = ca.SX.sym("q", len(chain)), ca.SX.sym("p", len(chain.every_parameter))
     named = {name: p[k] for k, name in enumerate(chain.every_parameter.names)}
     tip = chain.tool(chain.frames(symbols, named)[-1], "1", named)
@@ -81,7 +81,7 @@ def position_and_jacobian(chain: SpatialChain, q: Array, values: Array) -> tuple
     return found[0][..., 0], found[1]
 
 
-def postures(chain: SpatialChain, count: int) -> Array:
+def postures(chain: KinematicChain, count: int) -> Array:
     low, high = (np.array([getattr(joint, side) for joint in chain.joints]) for side in ("lower", "upper"))
     return np.random.default_rng(5).uniform(low, high, (count, len(chain)))
 
@@ -91,7 +91,7 @@ def test_what_there_is_to_find() -> None:
     its offset does not make, of the first none beside the base that moves it."""
     turning = Joint("turning", pose((0.0, 0.0, 100.0), np.eye(3)), np.array([0.0, 0.0, 1.0]))
     joints = (turning, turning, replace(turning, type=PRISMATIC))
-    arm = SpatialChain(joints, np.eye(4), np.eye(4), {"1": np.array([1.0, 2.0, 3.0])})
+    arm = KinematicChain(joints, np.eye(4), np.eye(4), {"1": np.array([1.0, 2.0, 3.0])})
     kinds = {p.name: p.kind for p in arm.parameters()}
     errors = {f"{kind}_error": [f"{kind}_{axis}" for axis in "xyz"] for kind in ("translation", "rotation")}
     own = {"rotation_z:2", "translation_z:3"}
@@ -100,13 +100,13 @@ def test_what_there_is_to_find() -> None:
     expected |= {f"{name}:{j}": kind for kind, names in errors.items() for name in names for j in (2, 3)}
     expected |= {f"joint_offset:{j}": "joint_offset" for j in (2, 3)}
     assert kinds == {name: kind for name, kind in expected.items() if name not in own}
-    placed = {p.name: p.kind for p in replace(arm, known=frozenset({"base", "tool"})).parameters()}
+    placed = {p.name: p.kind for p in replace(arm, settled=frozenset({"base", "tool"})).parameters()}
     first = {f"{name}:1": kind for kind, names in errors.items() for name in names} | {"joint_offset:1": "joint_offset"}
     still = {name: kind for name, kind in kinds.items() if kind not in ("base", "tool")}
     assert placed == still | {name: kind for name, kind in first.items() if name != "rotation_z:1"}
 
 
-def test_every_error_against_exponentials(chain: SpatialChain) -> None:
+def test_every_error_against_exponentials(chain: KinematicChain) -> None:
     generator = np.random.default_rng(6)
     names = chain.every_parameter.names
     assert len(names) == 6 + 3 + 7 * len(chain)
@@ -116,7 +116,7 @@ def test_every_error_against_exponentials(chain: SpatialChain) -> None:
         np.testing.assert_allclose(position_and_jacobian(chain, q, values)[0], expected, atol=1e-9)
 
 
-def test_jacobian_against_differences(chain: SpatialChain) -> None:
+def test_jacobian_against_differences(chain: KinematicChain) -> None:
     names = chain.every_parameter.names
     values = np.random.default_rng(7).uniform(-0.1, 0.1, len(names))
     q = postures(chain, 1)[0]
@@ -131,7 +131,7 @@ def test_jacobian_against_differences(chain: SpatialChain) -> None:
         np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / (2.0 * STEP), atol=2e-5)
 
 
-def test_frames_points_and_orientation_against_exponentials(chain: SpatialChain) -> None:
+def test_frames_points_and_orientation_against_exponentials(chain: KinematicChain) -> None:
     """Of one chain with errors: `points` begins at the base, whose own pose it leaves out."""
     generator = np.random.default_rng(8)
     posed = replace(chain, angle_scale=500.0)
@@ -154,7 +154,7 @@ def test_frames_points_and_orientation_against_exponentials(chain: SpatialChain)
         np.testing.assert_allclose(found, [(from_base @ np.r_[point, 1.0])[:3] for point in expected], atol=1e-9)
 
 
-def test_points_of_many_postures_and_one_measured_point(chain: SpatialChain) -> None:
+def test_points_of_many_postures_and_one_measured_point(chain: KinematicChain) -> None:
     zeros = np.zeros(len(chain.parameters()))
     q = postures(chain, 6)
     every = chain.points(q.reshape(2, 3, -1), zeros)
@@ -164,7 +164,7 @@ def test_points_of_many_postures_and_one_measured_point(chain: SpatialChain) -> 
     assert (point.shape, turn.shape) == ((3, 1), (0, 1))
 
 
-def test_links_grow_along_themselves(chain: SpatialChain) -> None:
+def test_links_grow_along_themselves(chain: KinematicChain) -> None:
     """The origin of every frame behind a link moves by the link's growth along the line to the next joint."""
     q = postures(chain, 1)[0]
     lengths = ca.evalf(chain.link_lengths(ca.SX(0, 1))).full()[:, 0]
@@ -182,7 +182,7 @@ def test_links_grow_along_themselves(chain: SpatialChain) -> None:
             np.testing.assert_allclose(other - one, shift if k > j else np.zeros(3), atol=1e-9)
 
 
-def test_a_million_poses_need_no_axis_to_be_x_y_or_z(chain: SpatialChain) -> None:
+def test_a_million_poses_need_no_axis_to_be_x_y_or_z(chain: KinematicChain) -> None:
     """A tilted axis turns as Rodrigues' formula says: covered by `tilted` above; here its inverse turns back."""
     tilted = next(joint for joint in chain.joints if joint.name == "tilted")
     q = ca.SX.sym("q")
@@ -231,6 +231,6 @@ def test_bad_joints_are_one_line() -> None:
 
 def test_a_shift_along_the_axes_of_the_base_turns_by_them() -> None:
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    chain = SpatialChain((Joint("a", np.eye(4), np.eye(3)[2]),), np.eye(4), base=pose(rotation=turned))
+    chain = KinematicChain((Joint("a", np.eye(4), np.eye(3)[2]),), np.eye(4), base=pose(rotation=turned))
     shift = chain.along_base({"base.x": 1.0, "base.z": 3.0, "base.rx": 0.5}, {})
     assert {name: float(x) for name, x in shift.items()} == {"base.x": 0.0, "base.y": 1.0, "base.z": 3.0}

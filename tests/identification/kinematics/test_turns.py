@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
-from identification.kinematics.turns import turned_into
 
 
 @pytest.mark.parametrize(

@@ -271,7 +271,7 @@ def test_parameter_sets_broadcast_like_single_calls() -> None:
 
 def test_known_parameters_are_left_out_and_used() -> None:
     effect = EffectSpec("encoder_eccentricity", 2, {"a": 0.01})
-    model = Model(Arm([200.0, 100.0], effects=(effect,)), known={"length_error:1": 2.0})
+    model = Model(Arm([200.0, 100.0], effects=(effect,)), held={"length_error:1": 2.0})
     assert model.names == ("length_error:2", "joint_offset:1", "joint_offset:2", "encoder_eccentricity:2.b")
     assert not model.linear_in_links
     q = np.array([[0.3, -0.8]])
@@ -293,7 +293,7 @@ def test_wrong_shapes_and_names_are_input_errors() -> None:
     with pytest.raises(InputError, match=r"parameters: shape \(5,\), allowed: \(..., 4\)"):
         model.position(np.zeros((3, 2)), np.zeros(5))
     with pytest.raises(InputError, match="did you mean 'length_error:1'"):
-        Model(Arm([200.0, 100.0]), known={"length_eror:1": 0.0})
+        Model(Arm([200.0, 100.0]), held={"length_eror:1": 0.0})
 
 
 LEVER_ARM = Arm(
@@ -310,13 +310,13 @@ def test_joint_levers_are_the_derivative_by_each_offset_known_or_not() -> None:
     q, h = generator.uniform(-np.pi, np.pi, (6, 3)), 1e-5
     conditions = Conditions(time=np.linspace(-0.5, 0.5, 6))
     offsets = {"joint_offset:1": 0.02, "joint_offset:2": -0.01, "joint_offset:3": 0.03}
-    model = Model(LEVER_ARM, known=offsets)
+    model = Model(LEVER_ARM, held=offsets)
     values = model.parameters.vector({"axes_skew.a": 0.02, "joint_compliance.c1": 1e-4, "base_rotation_drift.w": 0.1})
     levers = model.joint_levers(q, values, conditions)
     assert levers.shape == (6, 2, 3)
     for j, name in enumerate(offsets):
         ends = [
-            Model(LEVER_ARM, known=offsets | {name: offsets[name] + step}).position(q, values, conditions)
+            Model(LEVER_ARM, held=offsets | {name: offsets[name] + step}).position(q, values, conditions)
             for step in (-h, h)
         ]
         np.testing.assert_allclose(levers[:, :, j], (ends[1] - ends[0]) / (2 * h), rtol=0, atol=1e-5)

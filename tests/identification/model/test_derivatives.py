@@ -14,8 +14,7 @@ from identification.conditions import Conditions
 from identification.effects.places import position_and_state, widths
 from identification.error_curve import ErrorCurve
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
-from identification.kinematics.frames import from_own_axes, pose
-from identification.kinematics.orientations import turned
+from identification.kinematics.frames import from_own_axes, pose, turned
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 

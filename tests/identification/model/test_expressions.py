@@ -13,16 +13,16 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
 from identification.effects import Chain, base
 from identification.effects.joint import GearRatio
+from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import PRISMATIC
-from identification.kinematics.spatial import Joint, SpatialChain
 from identification.model import Model
 
 LENGTHS = np.array([400.0, 300.0, 150.0])
 UP = np.array([0.0, 0.0, 1.0])
 ORIGINS = [pose(), pose((400.0, 0.0, 0.0)), pose((300.0, 0.0, 0.0))]
-PARALLEL = SpatialChain(
+PARALLEL = KinematicChain(
     tuple(Joint(f"j{k}", origin, UP) for k, origin in enumerate(ORIGINS, start=1)), pose((150.0, 0.0, 0.0))
 )
 SPECS = (EffectSpec("joint_compliance"), EffectSpec("encoder_eccentricity", 2), EffectSpec("thermal_growth"))
@@ -53,7 +53,7 @@ def test_the_planar_arm_is_one_whose_axes_are_parallel() -> None:
 
 
 @pytest.mark.parametrize("chain", [PARALLEL, SIX], ids=["parallel", "with a sliding joint"])
-def test_derivatives_against_finite_differences(chain: SpatialChain) -> None:
+def test_derivatives_against_finite_differences(chain: KinematicChain) -> None:
     gravity = Gravity(np.array([0.0, 1.0, -9.7]), np.full(len(chain), 5.0), np.full(len(chain), 0.5), 2.0)
     specs = (*SPECS[:2], EffectSpec("base_drift"), EffectSpec("base_rotation_drift"), EffectSpec("gravity_tilt"))
     model = Model(Arm(chain, gravity=gravity, effects=specs))

@@ -9,9 +9,9 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.parameters import PRISMATIC
-from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.model.minimal import independent, minimal, practical
@@ -38,7 +38,7 @@ SLIDING = replace(DHRow(0.0, HALF, 0.0), type=PRISMATIC, limits=(100.0, 600.0))
     ],
     ids=["reflector", "on the last axis", "three reflectors", "a pose", "a sliding joint"],
 )
-def test_as_many_as_can_be_told_apart(chain: SpatialChain, count: int | None) -> None:
+def test_as_many_as_can_be_told_apart(chain: KinematicChain, count: int | None) -> None:
     """The rank of all parameters' Jacobian, by singular values, is that of the minimal set; nothing is lost."""
     model = Model(Arm(chain))
     found = minimal(model)
@@ -58,7 +58,7 @@ def test_as_many_as_can_be_told_apart(chain: SpatialChain, count: int | None) ->
 def test_a_fit_predicts_as_that_of_all() -> None:
     """Errors of parameters that are left out move the points as those that are kept, to first order: what is left is of
     the square of the errors, some (0.3 mm)^2 over a lever of 100 mm, 1e-3 mm."""
-    chain = replace(SIX, tools=OFF_AXIS, known=frozenset({"base"}))
+    chain = replace(SIX, tools=OFF_AXIS, settled=frozenset({"base"}))
     truth, generator = Model(Arm(chain)), np.random.default_rng(6)
     values = 0.3 / truth.scales * generator.standard_normal(len(truth.names))
     postures = generator.uniform(-2.0, 2.0, (60, 6))

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose
-from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model
@@ -24,7 +24,7 @@ TOOLS = {"left": np.array([60.0, 20.0, 50.0]), "right": np.array([-70.0, 10.0, 4
 TRUE = replace(CHAIN, base=BASE, tools=TOOLS)
 
 
-def measured(chain: SpatialChain, rows: int = 60) -> Measurements:
+def measured(chain: KinematicChain, rows: int = 60) -> Measurements:
     """Exact positions of both points in turn."""
     generator = np.random.default_rng(4)
     postures = generator.uniform(-2.5, 2.5, (rows, 6))
@@ -37,7 +37,7 @@ def measured(chain: SpatialChain, rows: int = 60) -> Measurements:
 def test_found_from_nothing(known: tuple[str, ...]) -> None:
     """Without errors of the geometry the closed form is exact to where its rounds end: 1e-6 of the squares."""
     given = {"base": {"base": BASE}, "tool": {"tools": TOOLS}}
-    start = replace(CHAIN, tools=dict.fromkeys(TOOLS, np.zeros(3)), known=frozenset(known))
+    start = replace(CHAIN, tools=dict.fromkeys(TOOLS, np.zeros(3)), settled=frozenset(known))
     for name in known:
         start = replace(start, **given[name])  # type: ignore[arg-type]
     model = placed_model(Model(Arm(start)), measured(TRUE))
@@ -52,7 +52,7 @@ def test_found_from_nothing(known: tuple[str, ...]) -> None:
 
 
 def test_what_is_known_stays() -> None:
-    chain = replace(CHAIN, base=BASE, tools=TOOLS, known=frozenset({"base", "tool"}))
+    chain = replace(CHAIN, base=BASE, tools=TOOLS, settled=frozenset({"base", "tool"}))
     model = Model(Arm(chain))
     assert placed_model(model, measured(TRUE)) is model
     planar = Model(Arm([300.0, 200.0]))

@@ -88,7 +88,7 @@ def test_what_is_held_conditions_the_prior() -> None:
 
 def in_space(shift: float = 0.0, base: float = 0.0) -> tuple[Measurements, Arm]:
     """Exact measurements of a spatial arm with errors, joint 3 off by `shift` more and the base moved [mm]."""
-    whole = replace(CHAIN, known=frozenset({"base", "tool"}), tools={"1": np.array([40.0, 20.0, 30.0])})
+    whole = replace(CHAIN, settled=frozenset({"base", "tool"}), tools={"1": np.array([40.0, 20.0, 30.0])})
     values = {"joint_offset:2": 0.004, "joint_offset:3": -0.003 + shift, "translation_x:3": 0.6}
     q = np.random.default_rng(7).uniform(-2.0, 2.0, (40, 4))
     points = Model(Arm(whole, calibration=Calibration(values))).position(q)

@@ -12,9 +12,9 @@ from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.inspection.data_checks import certainly_wrong_units
+from identification.kinematics.chain import KinematicChain
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
@@ -37,7 +37,7 @@ def cell(
     moved: dict[tuple[int, str], np.ndarray],
     seed: int,
     marked: bool = True,
-    chain: SpatialChain = CHAIN,
+    chain: KinematicChain = CHAIN,
 ) -> Measurements:
     """Sessions of 30 postures with one or both of the points, of an arm that is off by some tenths, set up anew each
     time; points moved by (session, name)."""

@@ -20,11 +20,11 @@ from identification.estimation import estimate, estimate_with_prior
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.gap.diagnose import diagnose
-from identification.gap.library.library_prior import given_by, library_prior
+from identification.gap.library_prior import given_by, library_prior
 from identification.gap.result import Diagnosis
+from identification.kinematics.counting import joint_range
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
-from identification.kinematics.joint_range import joint_range
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements, distances
 from identification.model import Model

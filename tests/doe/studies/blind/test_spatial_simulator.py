@@ -60,7 +60,7 @@ def model_of(truth: TrueArm, *specs: EffectSpec) -> Model:
     """The program's model of the same arm, base and tools known."""
     chain = chain_of([DHRow(a, alpha, d) for a, alpha, d in truth.table.tolist()])
     tools = dict(zip("12", truth.tools, strict=True))
-    chain = replace(chain, base=truth.base, tools=tools, known=frozenset({"base", "tool"}))
+    chain = replace(chain, base=truth.base, tools=tools, settled=frozenset({"base", "tool"}))
     gravity = Gravity(truth.gravity, truth.masses, np.full(truth.n, truth.center), truth.payload, truth.load)
     return Model(Arm(chain, gravity=gravity, effects=specs))
 

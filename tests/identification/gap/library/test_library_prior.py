@@ -12,7 +12,7 @@ from identification.effects import Effect, Parameter, register
 from identification.effects.base import _LIBRARY
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.gap.library.library_prior import library_prior
+from identification.gap.library_prior import library_prior
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.validate import validate

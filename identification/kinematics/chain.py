@@ -29,8 +29,7 @@ from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.instruments import TRACKER, Instrument
 from identification.kinematics.closed_form import PlanarClosedForm
-from identification.kinematics.frames import AXES, Frame, pose, rotation_to_z
-from identification.kinematics.orientations import rotation_vector
+from identification.kinematics.frames import AXES, Frame, pose, rotation_to_z, rotation_vector
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
     LENGTH_ERROR,
@@ -88,12 +87,12 @@ class Joint(ByValue):
 
 
 @dataclass(frozen=True, eq=False)
-class SpatialChain(ByValue):
+class KinematicChain(ByValue):
     """Joints from base to tip.
 
     end : (4, 4) pose of the tip's frame in that of the last joint [mm];  base : (4, 4) pose of the base
     tools : name of each measured point -> (3,) its place in the tip's frame [mm]
-    known : those of `base` and `tool` that are given, and not to be found from the measurements
+    settled : those of `base` and `tool` that are given, and not to be found from the measurements
     fixed : names of further parameters that are not estimated (identification/model/minimal.py)
     angle_scale : [mm/rad] what a radian of a measured orientation counts as; None: only points are measured
     tool_axes : name -> (3, 3) axes of a measured frame in the tip's frame; those that are not there are the tip's
@@ -105,7 +104,7 @@ class SpatialChain(ByValue):
     end: Array
     base: Array = field(default_factory=lambda: np.eye(4))
     tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.zeros(3)})
-    known: frozenset[str] = frozenset()
+    settled: frozenset[str] = frozenset()
     fixed: frozenset[str] = frozenset()
     angle_scale: float | None = None
     tool_axes: Mapping[str, Array] = field(default_factory=dict)
@@ -210,13 +209,13 @@ class SpatialChain(ByValue):
             for j, joint in enumerate(self.joints, start=1)
             if abs(joint.axis[k := int(np.argmax(np.abs(joint.axis)))]) >= ALIGNED
         }
-        stands = BASE in self.known
+        stands = BASE in self.settled
         hidden = along_axes if stands else along_axes | self.instrument.hidden(self.base)
         hidden |= {self.turning_with_targets} if self.instrument.own_targets else frozenset()
         return ParameterSet.of(
             p
             for p in self.every_parameter
-            if (p.kind.partition("_")[0] not in self.known or p in self.instrument.parameters)
+            if (p.kind.partition("_")[0] not in self.settled or p in self.instrument.parameters)
             and (p.name not in hidden and (p.joint != 1 or stands))
         )
 
@@ -382,7 +381,7 @@ class SpatialChain(ByValue):
 
 
 @lru_cache(maxsize=32)
-def _points(chain: SpatialChain, values: tuple[float, ...]) -> Callable[..., tuple[Array, ...]]:
+def _points(chain: KinematicChain, values: tuple[float, ...]) -> Callable[..., tuple[Array, ...]]:
     """Of a chain and values of its parameters: postures -> (..., d, points); compiled once, used in every search."""
     q = ca.SX.sym("q", len(chain))
     points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.array(values))))
@@ -412,12 +411,12 @@ def _six(
     return translations + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in turns]
 
 
-def planar_chain(lengths: ArrayLike) -> SpatialChain:
+def planar_chain(lengths: ArrayLike) -> KinematicChain:
     """The planar arm of links (n,) [mm] behind revolute joints."""
     links = np.ravel(np.asarray(lengths, dtype=float))
     before = (pose((length, 0.0, 0.0)) for length in (0.0, *links[:-1]))
     joints = (Joint(f"joint_{j}", origin, np.eye(3)[2]) for j, origin in enumerate(before, start=1))
-    return SpatialChain(tuple(joints), pose((links[-1], 0.0, 0.0)), known=frozenset({BASE, TOOL}), axes=IN_PLANE)
+    return KinematicChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=frozenset({BASE, TOOL}), axes=IN_PLANE)
 
 
 def turned_about(frame: Frame, axes: Sequence[int], angles: ca.SX | None) -> Frame:

@@ -1,1 +1,0 @@
-"""The library as a prior over effects that are not named."""
