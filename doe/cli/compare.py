@@ -69,7 +69,7 @@ def command(
     for arm, number in product(loaded, runs):
         check_runs(compared_problem(arm, chosen[0]), number)
     where = job.where()  # before the folder is made
-    table_file = job.out
+    table_file: Path | None = job.out
     if table_file is not None and table_file.suffix != ".parquet":
         table_file = made(table_file) / "rows.parquet"
     with (
