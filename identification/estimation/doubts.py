@@ -203,7 +203,8 @@ def beyond_limits(arm: Arm, postures: Array) -> NDArray[np.bool_]:
 
 
 def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
-    """How many postures lie outside the joint limits, and the first of them."""
+    """How many postures lie outside the joint limits, the first of them, and joints that are within their limits if
+    whole turns are taken off."""
     q = measurements.postures
     outside = beyond_limits(arm, q)
     if not outside.any():
@@ -214,17 +215,14 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     low, high, place = (v[joint] * factor for v in (*arm.column_limits, in_columns(q[row], arm.joint_types)))
     count = int(outside.any(axis=1).sum())
     first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
-    return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}{_turns(arm, q)}"]
-
-
-def _turns(arm: Arm, postures: Array) -> str:
-    """Joints that are within their limits if whole turns are taken off, in words."""
-    within = ~beyond_limits(arm, turned_into(postures, arm.lower, arm.upper, arm.joint_types, OVERSHOOT))
-    joints = np.flatnonzero(np.any(beyond_limits(arm, postures) & within, axis=0)) + 1
+    sentence = f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}"
+    within = ~beyond_limits(arm, turned_into(q, arm.lower, arm.upper, arm.joint_types, OVERSHOOT))
+    joints = np.flatnonzero(np.any(outside & within, axis=0)) + 1
     if not joints.size:
-        return ""
+        return [sentence]
     which = f"joint{'s' if joints.size > 1 else ''} {', '.join(map(str, joints.tolist()))}"
-    return f"; {which} would be within them whole turns (360 deg) away: count these readings from the drawing's zero"
+    away = "would be within them whole turns (360 deg) away: count these readings from the drawing's zero"
+    return [f"{sentence}; {which} {away}"]
 
 
 def copied_rows(measurements: Measurements) -> list[str]:

@@ -135,12 +135,33 @@ class Climbed(NamedTuple):
 def posterior_of(
     library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell = say_nothing
 ) -> Posterior:
-    """The posterior of these rows.
+    """The posterior of these rows, around a likely set, under each noise that is not unlikely.
 
     Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same
     angle); the last pass has all of them, with the set and the noises that are not unlikely in the sample.
     """
-    return _walked(_climbed(library, rows, generator, tell), rows, generator, tell)
+    climbed = _climbed(library, rows, generator, tell)
+    models = []
+    for k in [climbed.noise, *(k for k in climbed.likely if k != climbed.noise)][:NOISES]:
+        noise, under = climbed.every[k], climbed
+        tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
+        if k != climbed.noise:
+            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong)
+            search = search_of(climbed.library, problem)
+            under = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
+        models.append((noise, *_near_walk(under, generator), float(climbed.offset[k])))
+    mixture = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
+    lacking = sum(one.probability for one in mixture.explanations if not all(map(_holds, one.blocks)))
+    if lacking < LEVEL:
+        return mixture
+    # the likely set of what an arm file can have
+    problem = climbed.problem.of([k for k, block in enumerate(climbed.problem.blocks) if _holds(block)])
+    search = search_of(climbed.library, problem, climbed.search.total)
+    top = search.climb(tuple(sorted(problem.numbers[label] for label in climbed.labels if label in problem.numbers)))
+    alone = climbed._replace(problem=problem, search=search, top=top)
+    tell("what an arm file can have")
+    model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
+    return replace(mixture, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
 
 
 def _climbed(library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell) -> Climbed:
@@ -212,39 +233,9 @@ def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
     return tuple(b.member for b in blocks if b.member is not None)
 
 
-def _writable(climbed: Climbed) -> Climbed:
-    """The likely set of what an arm file can have."""
-    problem = climbed.problem
-    alone = problem.of([k for k, block in enumerate(problem.blocks) if _holds(block)])
-    search = search_of(climbed.library, alone, climbed.search.total)
-    top = search.climb(tuple(sorted(alone.numbers[label] for label in climbed.labels if label in alone.numbers)))
-    return climbed._replace(problem=alone, search=search, top=top)
-
-
 def _holds(block: Block) -> bool:
     """Whether an arm file can have a block, or its row be left out."""
     return block.written or block.row or bool(block.parts)
-
-
-def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: Tell) -> Posterior:
-    """The posterior around a likely set, under each noise that is not unlikely."""
-    models = []
-    for k in [climbed.noise, *(k for k in climbed.likely if k != climbed.noise)][:NOISES]:
-        noise, under = climbed.every[k], climbed
-        tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
-        if k != climbed.noise:
-            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong)
-            search = search_of(climbed.library, problem)
-            under = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
-        models.append((noise, *_near_walk(under, generator), float(climbed.offset[k])))
-    mixture = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
-    lacking = sum(one.probability for one in mixture.explanations if not all(map(_holds, one.blocks)))
-    if lacking < LEVEL:
-        return mixture
-    alone = _writable(climbed)
-    tell("what an arm file can have")
-    model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
-    return replace(mixture, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
 
 
 def _near_walk(climbed: Climbed, generator: np.random.Generator) -> tuple[Linearized, Walked]:
