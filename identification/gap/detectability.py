@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 POWER = 0.9  # convention: what is "excluded" would have been found in nine cases of ten
 # derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6
 NEAR = 0.9
-LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test, and is not linear
 
 
 class Size(NamedTuple):
@@ -197,7 +196,8 @@ def assess(library: HypothesisSet, beside: Beside, rows: Rows, sigma: float) -> 
             if count < freedom and least > VISIBLE * lengths.max():
                 needed = detectable_lambda(count, freedom - count, level * member.weight, member.one_sided)
                 moved = needed * sigma / least * float(np.linalg.norm(moving, axis=(0, 1)).max()) / np.sqrt(len(rows))
-                if moved <= LARGEST * library.base.reach:
+                # an effect that moves the tip farther is seen without a test, and is not linear
+                if moved <= 0.1 * library.base.reach:
                     value = needed * sigma / least * parameter.to_file
                     size = Size(float(value), parameter.file_unit, float(moved))
         # of several settings the one that is hardest to see

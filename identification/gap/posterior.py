@@ -23,8 +23,6 @@ from identification.progress import Tell, say_nothing
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
 PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
-STRIKING = 3.0  # effort: robust standard deviations of a row that may be outlying
-MOST_WRONG = 30  # effort: rows that may be outlying
 
 
 @dataclass(frozen=True)
@@ -286,8 +284,8 @@ def _striking(rows: Rows, at: Fit) -> list[int]:
     """Rows whose residual is large, and that do not come together as whole postures or neighbors do."""
     left = rows.whiten(at.position_residuals(rows, rows.conditions)).reshape(len(rows), -1)
     sizes = np.sqrt(np.mean(np.square(left), axis=1))
-    limit = STRIKING * float(np.median(sizes)) / 0.83
+    limit = 3.0 * float(np.median(sizes)) / 0.83  # robust standard deviations
     order = np.argsort(-sizes, kind="stable")
     far = np.zeros(len(rows), dtype=bool)
-    far[[k for k in order[:MOST_WRONG] if sizes[k] > limit]] = True
+    far[[k for k in order[:30] if sizes[k] > limit]] = True  # 30, as 3 above, to save effort
     return np.flatnonzero(far & ~together(far, rows.postures, rows.posture_numbers)).tolist()
