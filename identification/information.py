@@ -64,11 +64,11 @@ def rounding_share(p: int) -> float:
     return (8 + p) * float(np.finfo(float).eps)
 
 
-def product_inverse(product: Array, tolerance: float = PRODUCT_TOLERANCE) -> Array:
+def product_inverse(product: Array) -> Array:
     """(p, p) pseudo-inverse of a product: of a normal matrix or a covariance, whatever its units."""
     sizes = np.sqrt(np.maximum(np.diagonal(product), 0.0))
     lengths = np.where(sizes > 0.0, sizes, 1.0)
-    inverse = np.linalg.pinv(product / lengths / lengths[:, None], rcond=tolerance, hermitian=True)
+    inverse = np.linalg.pinv(product / lengths / lengths[:, None], rcond=PRODUCT_TOLERANCE, hermitian=True)
     return np.asarray(inverse / lengths / lengths[:, None])
 
 

@@ -100,22 +100,18 @@ def _log_ways(n: NDArray[np.int64], k: NDArray[np.int64]) -> Array:
     return np.where(possible, -np.log1p(n) - betaln(np.where(possible, n - k, 0) + 1.0, k + 1.0), -np.inf)
 
 
-def studentised(
-    residual: Array, blocks: Array, kept: NDArray[np.bool_], held_rows: Array | None = None, moment: Array | None = None
-) -> Array:
+def studentised(residual: Array, blocks: Array, kept: NDArray[np.bool_], held_rows: Array, moment: Array) -> Array:
     """(m,) squared residual of each row in units of its own covariance and of the robust scale of the kept rows, after
     a fit to these; 0 of the others.
 
     residual : (m, d);  blocks : (m, d, k) columns that are orthonormal together with `held_rows`
-    held_rows : (r, k) of a prior;  moment : (k,) held_rows.T times the prior's residuals
+    held_rows : (r, k) of a prior, r = 0 without;  moment : (k,) held_rows.T times the prior's residuals
     """
     d, k = blocks.shape[1:]
     kept_blocks, inside, squares = blocks[kept], residual[kept], np.zeros(len(kept))
     flat = kept_blocks.reshape(inside.size, k)
-    normal = flat.T @ flat if held_rows is None else flat.T @ flat + held_rows.T @ held_rows
-    inverse = product_inverse(normal)
-    right = flat.T @ inside.reshape(-1) if moment is None else flat.T @ inside.reshape(-1) + moment
-    off = inside - kept_blocks @ (inverse @ right)
+    inverse = product_inverse(flat.T @ flat + held_rows.T @ held_rows)
+    off = inside - kept_blocks @ (inverse @ (flat.T @ inside.reshape(-1) + moment))
     rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(kept_blocks.shape) @ kept_blocks.transpose(0, 2, 1)
     squares[kept] = robust_squares(np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0]), d)
     return squares

@@ -229,7 +229,7 @@ def confirmed_on(
     model: Fit | PredictingModel,
     measurements: Measurements,
     kept: NDArray[np.bool_],
-    named: bool = True,
+    named: bool,
 ) -> Confirmation:
     """Test a model on rows held out.
 
@@ -296,7 +296,7 @@ def cross_validation(
     measurements: Measurements,
     kept: NDArray[np.bool_],
     generator: np.random.Generator,
-    named: bool = True,
+    named: bool,
 ) -> tuple[Confirmation, ...]:
     """Test whether the average holds for other postures, and for another interval of time of the same session.
 

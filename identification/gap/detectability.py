@@ -80,9 +80,9 @@ class Detectability:
     skipped: Mapping[str, str]
     aliases: Mapping[str, str]
 
-    def pairs(self, level: float = NEAR) -> list[tuple[str, str, float]]:
-        """Pairs (effect, effect like it, likeness) with a likeness of at least `level`, strongest first."""
-        return pairs_of(self.names, self.likeness, level)
+    def pairs(self) -> list[tuple[str, str, float]]:
+        """As `pairs_of`."""
+        return pairs_of(self.names, self.likeness)
 
     def to_json(self) -> dict[str, object]:
         """Plain data for `--json`."""
@@ -264,9 +264,9 @@ def likenesses(gram: Array, parts: Sequence[Index]) -> Array:
     return np.asarray(np.minimum(np.sqrt(squares / np.maximum(widths, 1)[:, None]), 1.0))
 
 
-def pairs_of(names: Sequence[str], likeness: Array, level: float = NEAR) -> list[tuple[str, str, float]]:
-    """Pairs (effect, effect like it, likeness) with a likeness of at least `level`, strongest first."""
-    rows, columns = np.nonzero((likeness >= level) & ~np.eye(len(names), dtype=bool))
+def pairs_of(names: Sequence[str], likeness: Array) -> list[tuple[str, str, float]]:
+    """Pairs (effect, effect like it, likeness) with a likeness of at least `NEAR`, strongest first."""
+    rows, columns = np.nonzero((likeness >= NEAR) & ~np.eye(len(names), dtype=bool))
     pairs = [(names[i], names[j], float(likeness[i, j])) for i, j in zip(rows.tolist(), columns.tolist(), strict=True)]
     return sorted(pairs, key=lambda pair: -round(pair[2], 9))
 
