@@ -27,7 +27,6 @@ from doe.problem.uncertain import EnsembleModel
 from identification import PRISMATIC, Array, InputError, Status, identifiability, spectrum, turned_into
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
-SAME = 1e-9  # relative difference of Jacobians that counts as none
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
 
 
@@ -84,7 +83,11 @@ class Design:
 
         breaks = beyond(q)
         if breaks.any():
-            breaks = beyond(whole_turns_aside(problem, q))
+            # joints that may take every angle moved into their limits by whole turns, unless the model sees it
+            moved = turned_into(q, problem.lower, problem.upper, problem.model.joint_types, FITS)
+            moved = np.where(problem.upper - problem.lower >= 2.0 * np.pi - FITS, moved, q)
+            change = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(q)).max()
+            breaks = beyond(moved) if change < 1e-9 else breaks  # relative to what a whole parameter does: rounding
         for constraint in problem.constraints:
             breaks |= np.any(constraint.margin(q) < -FITS, axis=1)
         return tuple((np.flatnonzero(breaks) + 1).tolist())
@@ -158,7 +161,9 @@ class Design:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `design` and `score` (identification/files/README.md, "JSON keys"); None where unknown."""
-        worst = self.worst_deviations
+        worst, postures = self.worst_deviations, {"postures_deg": self.plan.displayed.tolist()}
+        if PRISMATIC in self.plan.joint_types:
+            postures = {"postures": self.plan.displayed.tolist(), "joint_units": list(self.plan.units)}
         return {
             "criterion": self.problem.criterion.name,
             "runs": len(self.plan),
@@ -172,7 +177,7 @@ class Design:
             "optimality": self.optimality,
             "not_identifiable": [] if self.identifies_all else list(self.not_identifiable),
             "outside_limits": list(self.outside),
-            **postures_json(self.plan),
+            **postures,
             "fit": self.plan.fit or None,
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": _deviations_json(self.deviations),
@@ -246,13 +251,6 @@ def _number(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
-def postures_json(plan: Plan) -> dict[str, Any]:
-    """`postures_deg`, or `postures` with `joint_units` where a joint is prismatic."""
-    if PRISMATIC not in plan.joint_types:
-        return {"postures_deg": plan.displayed.tolist()}
-    return {"postures": plan.displayed.tolist(), "joint_units": list(plan.units)}
-
-
 def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, Any]:
     """Per link of a planar arm, else per parameter: `{"parameters": {name: [deviation, unit]}}`."""
     if deviations is None:
@@ -265,12 +263,3 @@ def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, Any]:
         "orientation_deg": np.degrees(deviations.orientation).tolist(),
         "joint_offset_deg": np.degrees(deviations.joint_offset).tolist(),
     }
-
-
-def whole_turns_aside(problem: DesignProblem, postures: Array) -> Array:
-    """(m, n) joints that may take every angle moved into their limits by whole turns, unless the model sees it."""
-    lower, upper = problem.lower, problem.upper
-    moved = turned_into(postures, lower, upper, problem.model.joint_types, FITS)
-    moved = np.where(upper - lower >= 2.0 * np.pi - FITS, moved, postures)
-    same = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(postures)).max() < SAME
-    return moved if same else postures

@@ -302,10 +302,6 @@ def _constant(value: Angle | Polynomial) -> float:
     return value.constant
 
 
-def _is_constant(value: Angle | Polynomial) -> bool:
-    return isinstance(value, Angle) and not any(value.frequency)
-
-
 def _wave(x: Angle | Polynomial, quarter: complex = 1.0) -> Polynomial:
     """cos x, or with a `quarter` of a turn, -i, sin x."""
     if not isinstance(x, Angle):
@@ -336,8 +332,8 @@ def _add(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
 
 def _multiply(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
     for factor, other in ((x, y), (y, x)):
-        if _is_constant(factor):
-            return _scale(other, _constant(factor))
+        if isinstance(factor, Angle) and not any(factor.frequency):
+            return _scale(other, factor.constant)
     product: Polynomial = {}
     for f, a in _polynomial(x).items():
         for g, b in _polynomial(y).items():

@@ -390,7 +390,6 @@ def best_offers(postures: Array, values: Array, level: float, count: int, fracti
 # candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
 LARGEST = MappingProxyType({"clarabel": 20_000, "scs": 100_000})
 OWN = MappingProxyType({"column_generation": column_generation, "multiplicative": rough_design})
-POSITIVE = 1e-7  # weight below which a posture is left out of the support; interior points give every posture a little
 STATUS = MappingProxyType(
     {
         "optimal": Status.converged,
@@ -429,40 +428,34 @@ def relax(
     try:
         if solver in OWN:
             return OWN[solver](problem, chosen, runs=runs, stop=stop)
-        return _one_program(problem, chosen, solver, problem.prior.per_new_run(runs))
+        if len(chosen) > LARGEST[solver]:
+            allowed = f"up to {LARGEST[solver]}, where one big program still works"
+            raise InputError(
+                f"candidates: {len(chosen)} for solver {solver}, allowed: {allowed}; solver column_generation works at "
+                "this size"
+            )
+        began, postures, prior = perf_counter(), chosen.take(np.arange(len(chosen))), problem.prior.per_new_run(runs)
+        jacobians = problem.scaled_jacobians(postures)
+        weights, solver_status, dual = solve_program(prior.posture_information(jacobians), problem.criterion, solver)
+        if weights is None:
+            raise JobError(
+                f"{solver}: status {solver_status} on {len(chosen)} candidates, no weights; solver column_generation "
+                "works at this size"
+            )
+        weights = proper_weights(weights)
+        # interior points give every posture a little
+        carried = np.where(weights > 1e-7, weights, 0.0)
+        design = ApproximateDesign.heaviest_first(problem, prior, postures, carried, dual)
+        return replace(
+            design,
+            largest=largest_sensitivity(problem, chosen, design.gradient, prior),
+            candidates=len(chosen),
+            rigorous=True,
+            status=STATUS.get(solver_status, Status.solver_failed),
+            solver=solver,
+            solver_status=solver_status,
+            seconds=perf_counter() - began,
+        )
     except np.linalg.LinAlgError:
         singular = "the candidates' information is singular to rounding; wider joint limits or fewer effects may help"
         raise JobError(f"{solver}: {singular}") from None
-
-
-def _one_program(
-    problem: DesignProblem, candidates: Candidates, solver: str, prior: PriorInformation
-) -> ApproximateDesign:
-    if len(candidates) > LARGEST[solver]:
-        allowed = f"up to {LARGEST[solver]}, where one big program still works"
-        raise InputError(
-            f"candidates: {len(candidates)} for solver {solver}, allowed: {allowed}; solver column_generation works at "
-            "this size"
-        )
-    began, postures = perf_counter(), candidates.take(np.arange(len(candidates)))
-    jacobians = problem.scaled_jacobians(postures)
-    weights, solver_status, dual = solve_program(prior.posture_information(jacobians), problem.criterion, solver)
-    if weights is None:
-        raise JobError(
-            f"{solver}: status {solver_status} on {len(candidates)} candidates, no weights; solver column_generation "
-            "works at this size"
-        )
-    weights = proper_weights(weights)
-    design = ApproximateDesign.heaviest_first(
-        problem, prior, postures, np.where(weights > POSITIVE, weights, 0.0), dual
-    )
-    return replace(
-        design,
-        largest=largest_sensitivity(problem, candidates, design.gradient, prior),
-        candidates=len(candidates),
-        rigorous=True,
-        status=STATUS.get(solver_status, Status.solver_failed),
-        solver=solver,
-        solver_status=solver_status,
-        seconds=perf_counter() - began,
-    )

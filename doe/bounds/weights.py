@@ -227,7 +227,17 @@ def solve_program(
     root = np.linalg.inv(unroot)
     n, p = posture_information.shape[:2]
     rows, columns = np.triu_indices(p)
-    basis, coordinates = _coordinates((root @ posture_information @ root.T)[:, rows, columns])
+    entries = (root @ posture_information @ root.T)[:, rows, columns]
+    # a basis of their span, and their coordinates in it, by the smaller of the two normal matrices
+    if n < len(rows):
+        values, vectors = np.linalg.eigh(entries @ entries.T)
+        seen = significant(values, PRODUCT_TOLERANCE)
+        lengths = np.sqrt(values[seen])
+        basis, coordinates = entries.T @ (vectors[:, seen] / lengths), vectors[:, seen] * lengths
+    else:
+        values, vectors = np.linalg.eigh(entries.T @ entries)
+        basis = vectors[:, significant(values, PRODUCT_TOLERANCE)]
+        coordinates = entries @ basis
     square = np.zeros((p, p, basis.shape[1]))
     square[rows, columns], square[columns, rows] = basis, basis
     weights, place = cp.Variable(n, nonneg=True), cp.Variable(basis.shape[1])
@@ -264,17 +274,6 @@ def _run(program: Any, solver: str) -> str:
             program.solve(solver=solver.upper(), **settings)
             return str(program.status)
     return "solver_error"
-
-
-def _coordinates(rows: Array) -> tuple[Array, Array]:
-    """Basis (t, r) of the span of the rows (N, t), and the rows' coordinates (N, r) in it."""
-    if len(rows) < rows.shape[1]:  # by the smaller of the two normal matrices
-        values, vectors = np.linalg.eigh(rows @ rows.T)
-        seen = significant(values, PRODUCT_TOLERANCE)
-        return rows.T @ (vectors[:, seen] / np.sqrt(values[seen])), vectors[:, seen] * np.sqrt(values[seen])
-    values, vectors = np.linalg.eigh(rows.T @ rows)
-    basis = vectors[:, significant(values, PRODUCT_TOLERANCE)]
-    return basis, rows @ basis
 
 
 def smallest_eigenvalue_weights(jacobians: Array, prior: PriorInformation) -> tuple[Array, Array]:

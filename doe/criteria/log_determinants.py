@@ -63,7 +63,11 @@ class LogDeterminants(Factored):
             root = np.linalg.inv(np.linalg.cholesky(ridged(information[..., rows[:, None], rows])))
             parts = jacobians if p == columns else jacobians[..., rows]
             whitened = (parts.reshape(s, c * d, p) @ np.swapaxes(root, -1, -2)).reshape(s, c, d, p)
-            total += sign * log_det_small(np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2))
+            small = np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2)
+            if d == 2:  # the planar case, without a factorisation
+                total += sign * np.log(small[..., 0, 0] * small[..., 1, 1] - small[..., 0, 1] * small[..., 1, 0])
+            else:
+                total += sign * np.linalg.slogdet(small)[1]
         return total
 
     def upper_bound(self, information: Array, largest: float) -> float:
@@ -136,13 +140,6 @@ class DStar(LogDeterminants):
     def value(self, information: Array) -> Array:
         """(...) Phi(M), -inf where M is singular, even if no group's submatrix is."""
         return np.where(np.isneginf(log_determinants(information)), -np.inf, super().value(information))
-
-
-def log_det_small(matrices: Array) -> Array:
-    """(...) log det of small positive definite matrices; 2 x 2, the planar case, without a factorisation."""
-    if matrices.shape[-1] != 2:
-        return np.linalg.slogdet(matrices)[1]
-    return np.log(matrices[..., 0, 0] * matrices[..., 1, 1] - matrices[..., 0, 1] * matrices[..., 1, 0])
 
 
 # -- several arms at once (`doe.problem.uncertain`): M is block diagonal, M_k the information of arm k -----------------

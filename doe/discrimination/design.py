@@ -198,13 +198,22 @@ def start(
     extended: ExtendedProblem, best: Design, least: float, generator: np.random.Generator, budget: Budget
 ) -> Array:
     """(m, n) the best plan or one from theory, whichever distinguishes effects best, off the limits down to `least`;
-    as many from theory as there is time for, off the grid, with joints that play no part at random angles."""
+    as many from theory as there is time for, off the grid, with joints that play no part at random angles.
+
+    Joints that turn all the way round are moved by up to half a step of the grid they are on: on N equal steps of a
+    turn, k and N - k periods are the same, and with N = 50 a gear ripple of order 49 would be an eccentric encoder.
+    D-optimality asks for sums over all postures (doe/README.md, "Information matrix"), which hardly change.
+    """
     problem, runs = extended.base, len(best.plan.postures)
     free = [joint for joint in range(problem.joints) if joint not in problem.active_joints]
-    plans = [np.array(best.plan.postures)]
+    round_joints, plans = np.flatnonzero(turning(problem)), [np.array(best.plan.postures)]
+    origin, step = problem.lower[round_joints], TURN / runs
     theory = optimal_plans(problem, runs, generator) if problem.choices is None else iter(())
     for plan in takewhile(lambda _: not budget.out_of_time, islice(theory, THEORY_PLANS)):
-        postures = problem.clip(off_the_grid(problem, plan, TURN / runs, generator))
+        moved = np.array(plan)
+        angles = moved[:, round_joints] + step * generator.uniform(-0.5, 0.5, (runs, len(round_joints)))
+        moved[:, round_joints] = origin + np.mod(angles - origin, TURN)
+        postures = problem.clip(moved)
         postures[:, free] = generator.uniform(problem.lower[free], problem.upper[free], (runs, len(free)))
         if allowed_value(problem, postures) >= least:
             plans.append(postures)
@@ -240,19 +249,6 @@ def off_the_limits(problem: DesignProblem, postures: Array, least: float, genera
         if allowed_value(problem, moved) >= least:
             return moved
     return postures
-
-
-def off_the_grid(problem: DesignProblem, postures: Array, step: float, generator: np.random.Generator) -> Array:
-    """The postures with joints that turn all the way round moved by up to half a step of the grid they are on.
-
-    On N equal steps of a turn, k and N - k periods are the same: with N = 50 a gear ripple of order 49 would be an
-    eccentric encoder. D-optimality asks for sums over all postures (doe/README.md, "Information matrix"), which
-    hardly change.
-    """
-    moved, joints = np.array(postures), np.flatnonzero(turning(problem))
-    angles = moved[:, joints] + step * generator.uniform(-0.5, 0.5, (len(moved), len(joints)))
-    moved[:, joints] = problem.lower[joints] + np.mod(angles - problem.lower[joints], TURN)
-    return moved
 
 
 def best_order(library: EffectLibrary, postures: Array, generator: np.random.Generator, budget: Budget) -> Array:

@@ -92,23 +92,20 @@ def shortest_path(postures: Array, speeds: Array | None = None) -> Path:
     cost = costs(postures, speeds)
     m = len(cost)
     padded = np.pad(cost, (0, 1))  # the last row is the dummy posture that joins the ends
-    starts = [np.arange(m), *(nearest_neighbors(cost, first) for first in range(0, m, max(1, m // 20)))]
+    starts = [np.arange(m)]
+    for first in range(0, m, max(1, m // 20)):  # always on to the nearest posture not yet visited
+        left, path = np.ones(m, dtype=bool), [first]
+        left[first] = False
+        while left.any():
+            path.append(int(np.argmin(np.where(left, cost[path[-1]], np.inf))))
+            left[path[-1]] = False
+        starts.append(np.array(path))
     best = min((two_opt(padded, start) for start in starts), key=lambda path: length(cost, path))
     if 3 < m <= EXACT:
         proven = exact_path(padded)
         if proven is not None and length(cost, proven) < length(cost, best):
             best = proven
     return best
-
-
-def nearest_neighbors(cost: Array, first: int) -> Path:
-    """The path that goes on to the nearest posture not yet visited."""
-    left, path = np.ones(len(cost), dtype=bool), [first]
-    left[first] = False
-    while left.any():
-        path.append(int(np.argmin(np.where(left, cost[path[-1]], np.inf))))
-        left[path[-1]] = False
-    return np.array(path)
 
 
 def two_opt(padded: Array, path: Path) -> Path:

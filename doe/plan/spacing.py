@@ -21,7 +21,6 @@ from identification import Array, information_matrix
 
 ROUNDING = 1.0 + 1e-9
 CHUNK = 10_000_000  # pairs of rows to compare one by one
-ROWS = 256  # whose neighbors are sought at once
 REACH = 3  # multiples of the minimum distance that a posture may be moved by, in each of a few joints
 
 
@@ -157,21 +156,17 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.ra
     for joint in free_joints(problem):
         shares = (generator.permutation(m) + 0.5) / m
         spread[:, joint] = problem.lower[joint] + shares * (problem.upper[joint] - problem.lower[joint])
-    if 1.0 < replicates_allowed(problem) < m:
-        spread[:, free_joints(problem)[0]] = set_apart(problem, spread, generator)
-    return spread
-
-
-def set_apart(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
-    """(m,) values of the widest free joint: of evenly spaced ones the least used that no equal posture has yet."""
+    if not 1.0 < replicates_allowed(problem) < m:
+        return spread
+    # of evenly spaced values of the widest free joint the least used that no equal posture has yet
     joint, count = free_joints(problem)[0], int(replicates_allowed(problem))
-    searched, kept = searched_part(problem, postures), searched_part(problem, problem.kept)
+    searched, kept = searched_part(problem, spread), searched_part(problem, problem.kept)
     width, distance = problem.upper[joint] - problem.lower[joint], problem.minimum_distance / ROUNDING
     places = problem.lower[joint] + (np.arange(count) + 0.5) / count * width
     by_measured = gaps(places[:, None], problem.kept[:, joint, None]) < distance * problem.joint_units[joint]
-    used, chosen = np.zeros(count), np.full(len(postures), -1)
-    tree = _tree(searched if searched.shape[1] else np.zeros((len(postures), 1)))
-    for rows in np.array_split(np.arange(len(postures)), -(-len(postures) // ROWS)):
+    used, chosen = np.zeros(count), np.full(m, -1)
+    tree = _tree(searched if searched.shape[1] else np.zeros((m, 1)))
+    for rows in np.array_split(np.arange(m), -(-m // 256)):  # rows whose neighbors are sought at once
         wishes = generator.uniform(0.0, 0.5, (len(rows), count))
         alike = tree.query_ball_point(tree.data[rows], distance, p=np.inf)
         beside = gaps(searched[rows], kept) < distance
@@ -181,7 +176,8 @@ def set_apart(problem: DesignProblem, postures: Array, generator: np.random.Gene
             cost[by_measured[:, measured].any(axis=1)] = np.inf
             chosen[row] = np.argmin(cost)
             used[chosen[row]] += 1.0
-    return np.asarray(places[chosen])
+    spread[:, joint] = places[chosen]
+    return spread
 
 
 # -- additions ---------------------------------------------------------------------------------------------------------

@@ -42,26 +42,6 @@ def random_postures(problem: DesignProblem, count: int, generator: np.random.Gen
     return fill(problem, count, anywhere, generator)
 
 
-def random_and_at_limits(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
-    """(at most count, n) random feasible postures, of half of them each joint at a limit with probability one half."""
-    anywhere, others = (random_postures(problem, count // 2, generator) for _ in range(2))
-    nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
-    at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
-    return np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
-
-
-def random_grid(problem: DesignProblem, grid: Array, count: int, generator: np.random.Generator) -> Array:
-    """(count, n) random feasible postures on the grid (n, L); joints that play no part stay in the middle."""
-
-    def on_grid(size: int) -> Array:
-        postures = np.tile((problem.lower + problem.upper) / 2.0, (size, 1))
-        for joint in problem.searched_joints:
-            postures[:, joint] = grid[joint, generator.integers(grid.shape[1], size=size)]
-        return postures
-
-    return fill(problem, count, on_grid, generator) if problem.constraints else on_grid(count)
-
-
 def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], generator: np.random.Generator) -> Array:
     """(count, n) feasible postures of those that `draw(size)` makes, or near them where they are too rare."""
     feasible, seen = np.empty((0, problem.joints)), []

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from doe.criteria import Criterion, D, I
 from doe.criteria.log_determinants import Average, Worst
 from doe.problem.model import DesignModel, offered, offers
-from doe.problem.postures import listed_candidates, random_and_at_limits, random_postures
+from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from identification import NEEDS_SIGMA, Array, InputError, ParameterSet, design_model, nearest, readonly
 
@@ -93,22 +93,13 @@ def prior_draws(model: Any, count: int, generator: np.random.Generator) -> Array
     """(count, p) parameter vectors around the best known values of an arm.
 
     With a calibration that has a covariance of the same parameters, from it; else independent normal deviations of the
-    sizes of its machining, see `deviated_draws`, where an angle of unknown place turns a link of mean length.
+    sizes of its machining, within physical bounds: of lengths, of angles, and of everything else such that it moves the
+    tip as an angle does at the end of a lever, where an angle of unknown place turns a link of mean length.
     """
     model = design_model(model)
     if (covariance := offered(model, "covariance", "uncertain")) is not None:
         return generator.multivariate_normal(model.values, covariance, count, method="eigh")
-    return deviated_draws(model, count, generator, *offered(model, "machining", "uncertain"))
-
-
-def deviated_draws(
-    model: DesignModel, count: int, generator: np.random.Generator, length: float, angle: float, arm: float
-) -> Array:
-    """(count, p) parameter vectors: independent normal deviations from the best known values, within physical bounds.
-
-    Lengths deviate by `length` [mm], angles by `angle` [rad], everything else such that it moves the tip as an angle
-    does at the end of a lever `arm` [mm].
-    """
+    length, angle, arm = offered(model, "machining", "uncertain")  # [mm], [rad], [mm]
     by_unit = {"mm": length, "rad": angle}
     deviations = np.array([by_unit.get(p.unit, angle * arm / p.scale) for p in model.parameters])
     drawn = model.values + deviations * generator.standard_normal((count, len(deviations)))
@@ -175,11 +166,14 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     Fast waves give a criterion thousands of local optima over all postures, none much better than the next: a list has
     enough of them to choose from. No proof over a random list says anything of all postures: it is `sampled`.
     """
-    sampled = problem.choices is None
-    choices = random_and_at_limits(problem, CHOICES, np.random.default_rng(0)) if sampled else problem.choices
-    assert choices is not None
-    listed = choices if also is None else np.concatenate([choices, also])
-    return replace(problem, choices=listed, sampled=sampled or problem.sampled)
+    listed, sampled = problem.choices, problem.sampled
+    if listed is None:  # half as they are drawn, of the others each joint is at a limit with probability one half
+        generator, sampled = np.random.default_rng(0), True
+        anywhere, others = (random_postures(problem, CHOICES // 2, generator) for _ in range(2))
+        nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
+        at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
+        listed = np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
+    return replace(problem, choices=listed if also is None else np.concatenate([listed, also]), sampled=sampled)
 
 
 def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:

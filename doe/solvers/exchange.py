@@ -25,7 +25,7 @@ from doe.criteria.criterion import surrogate, values_after_adding
 from doe.plan.ascent import PlanAscent
 from doe.plan.plan import rounded_plan
 from doe.plan.spacing import distance_to_keep
-from doe.problem.postures import listed_candidates, random_grid, random_postures
+from doe.problem.postures import fill, listed_candidates, random_postures
 from doe.problem.problem import MANY, DesignProblem, information_of_each
 from doe.solvers.ipopt import Climber, Ipopt, polishes
 from doe.solvers.solver import Budget, Offer
@@ -67,9 +67,19 @@ class Exchange:
                 yield Offer(plan, 1, independent=True)
 
     def begin(self, problem: DesignProblem, left: int, runs: int, generator: np.random.Generator) -> Array:
-        """(s, m, n) random plans on the grid: a batch, or as many starts as are left."""
-        count = max(1, min(self.batch, left, TOGETHER // runs))
-        return random_grid(problem, self.grid(problem), count * runs, generator).reshape(count, runs, problem.joints)
+        """(s, m, n) random plans on the grid: a batch, or as many starts as are left; joints that play no part stay in
+        the middle."""
+        count, grid = max(1, min(self.batch, left, TOGETHER // runs)), self.grid(problem)
+
+        def on_grid(size: int) -> Array:
+            postures = np.tile((problem.lower + problem.upper) / 2.0, (size, 1))
+            for joint in problem.searched_joints:
+                postures[:, joint] = grid[joint, generator.integers(grid.shape[1], size=size)]
+            return postures
+
+        size = count * runs
+        postures = fill(problem, size, on_grid, generator) if problem.constraints else on_grid(size)
+        return postures.reshape(count, runs, problem.joints)
 
     def improve(
         self, problem: DesignProblem, plans: Array, generator: np.random.Generator, budget: Budget

@@ -214,7 +214,10 @@ def constructed(widths: Array, group: tuple[int, ...], generator: np.random.Gene
                 len(columns), -1
             )
         else:
-            signs = characters_of_order_two(elements, moduli)
+            even = moduli % 2 == 0
+            bits = np.arange(1, min(2 ** int(even.sum()), SAMPLE * ALL))
+            exponents = (bits[:, None] >> np.arange(int(even.sum()))) & 1
+            signs = 1.0 - 2.0 * (elements[:, even] @ exponents.T % 2)  # (b, k) characters that are +1 and -1
             offered = neighbor[:, None] * signs.astype(complex)
         products = np.abs(columns.conj().T @ offered).max(axis=0)
         for k in generator.permutation(np.flatnonzero(products < ROUNDING * len(columns))).tolist():
@@ -238,14 +241,6 @@ def characters(elements: NDArray[np.intp], moduli: NDArray[np.intp], generator: 
     """(b, k) characters of the group: all of a small one, else a random choice."""
     chosen = elements if len(elements) <= ALL else elements[generator.integers(len(elements), size=SAMPLE)]
     return np.exp(TURN * 1j * (elements @ (chosen / moduli).T % 1.0))
-
-
-def characters_of_order_two(elements: NDArray[np.intp], moduli: NDArray[np.intp]) -> Array:
-    """(b, k) characters that are +1 and -1."""
-    even = moduli % 2 == 0
-    bits = np.arange(1, min(2 ** int(even.sum()), SAMPLE * ALL))
-    chosen = (bits[:, None] >> np.arange(int(even.sum()))) & 1
-    return 1.0 - 2.0 * (elements[:, even] @ chosen.T % 2)
 
 
 def arc(angles: Array) -> tuple[Array, float]:

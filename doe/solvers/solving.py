@@ -146,7 +146,11 @@ def solve(
     """
     began = perf_counter()
     chosen = chosen_solver(problem, solver)
-    check_solvable(problem, runs, seed, begin, every_parameter=throw)
+    check_runs(problem, runs)
+    if throw and (names := problem.without_effect):
+        raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(names)}")
+    if begin is None or not problem.feasible(begin).any():
+        random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
     with single_thread():
         limit = time_limit(runs, starts, seconds)
         deadline = None if limit is None else began + limit
@@ -266,20 +270,6 @@ class PlanSearch:
 NEUTRAL = "under one payload, temperature, time and approach no posture distinguishes"
 
 
-def check_solvable(
-    problem: DesignProblem, runs: int, seed: int, begin: Array | None = None, *, every_parameter: bool
-) -> None:
-    """Raises where no plan is allowed, or none can identify as many parameters, or `every_parameter`.
-
-    begin : (m, n) a plan to begin with; where it has an allowed posture, none is looked for
-    """
-    check_runs(problem, runs)
-    if every_parameter and (names := problem.without_effect):
-        raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(names)}")
-    if begin is None or not problem.feasible(begin).any():
-        random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
-
-
 def check_runs(problem: DesignProblem, runs: int) -> None:
     """Raises `InputError` for fewer equations than unknowns, and for an invalid number of runs.
 
@@ -307,24 +297,21 @@ def judged_identifiable(design: Design, *, throw: bool) -> Design:
     """
     problem, identified = design.problem, bool(np.isfinite(design.value))
     if throw and not identified:
-        raise JobError(_not_identifiable(design))
+        message = f"design: no plan that identifies all {problem.parameters} parameters was found by {design.solver}"
+        if problem.choices is None:
+            size = (4 * problem.parameters, problem.joints)
+            many = np.random.default_rng(0).uniform(problem.lower, problem.upper, size)
+        else:
+            many = listed_candidates(problem, problem.choices).postures
+        jacobians, names = plan_jacobians(problem, many), problem.model.parameters.names
+        aliases = identifiability(jacobians, names, np.ones(problem.parameters)).combinations
+        if not aliases:
+            raise JobError(message)
+        if problem.choices is not None:
+            candidates = f"the {len(many)} candidates cannot identify all {problem.parameters} parameters"
+            raise JobError(f"design: {candidates}, whatever the plan")
+        raise JobError(f"{message}; {NEUTRAL}: {'; '.join(aliases)}")
     if throw and not np.isfinite(allowed_value(problem, design.plan.postures)):
         apart = f"postures {problem.spacing} apart"
         raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
     return design if identified else replace(design, status=Status.not_identifiable)
-
-
-def _not_identifiable(design: Design) -> str:
-    problem, p = design.problem, design.problem.parameters
-    message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
-    if problem.choices is None:
-        many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
-    else:
-        many = listed_candidates(problem, problem.choices).postures
-    jacobians, names = plan_jacobians(problem, many), problem.model.parameters.names
-    aliases = identifiability(jacobians, names, np.ones(p)).combinations
-    if not aliases:
-        return message
-    if problem.choices is not None:
-        return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
-    return f"{message}; {NEUTRAL}: {'; '.join(aliases)}"
