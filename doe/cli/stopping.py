@@ -22,7 +22,7 @@ def stoppable() -> Iterator[None]:
 
     def stop(number: int, _: object) -> NoReturn:
         came.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
-        threading.excepthook = _nothing  # of threads whose processes are killed next
+        threading.excepthook = lambda _: None  # of threads whose processes are killed next
         raise came[0]
 
     with ExitStack() as stack:
@@ -42,10 +42,6 @@ def stoppable() -> Iterator[None]:
             if came:
                 raise came[0] from None
             raise
-
-
-def _nothing(_: object) -> None:
-    """Report nothing."""
 
 
 def _lost_no_signal(otherwise: Callable[[Any], object], came: list[KeyboardInterrupt], unraisable: Any) -> None:

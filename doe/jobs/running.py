@@ -71,7 +71,11 @@ def run_tasks(
     loses only what was being computed.
     Raises `JobError` if the workers are lost, `InputError` if the table's rows are those of another seed.
     """
-    _check_seeds(keys, table, seed)
+    for key in keys:
+        for row in table.rows.get(canonical(key), ()):
+            if (made := row.get(SEED)) not in (None, key.get(SEED, seed)):
+                allowed = f"--seed {made} to go on, or --force to replace them"
+                raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
     queue = deque({canonical(key): key for key in keys if key not in table}.values())
     workers, done, failed = workers or serial(), len(keys) - len(queue), 0
     ahead = workers.count * AHEAD if workers.count > 1 else 1
@@ -114,14 +118,6 @@ def run_tasks(
 def _lost(future: Future[Any]) -> bool:
     """Whether a task that has ended went down with its executor."""
     return future.cancelled() or isinstance(future.exception(), BrokenExecutor)
-
-
-def _check_seeds(keys: Sequence[Key], table: RowTable, seed: int) -> None:
-    for key in keys:
-        for row in table.rows.get(canonical(key), ()):
-            if (made := row.get(SEED)) not in (None, key.get(SEED, seed)):
-                allowed = f"--seed {made} to go on, or --force to replace them"
-                raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
 
 
 def perform(function: Function, key: dict[str, Any], seed: int, *payload: Any) -> list[Row]:

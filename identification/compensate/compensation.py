@@ -40,7 +40,6 @@ from identification.servo import servo_shift
 from identification.sessions import BASE
 from identification.validate.origin import check_calibrated, extrapolated, familiar_range, identified, outside
 
-MISSED_BY_CHANCE = 1e-3  # share of right targets that lie beyond the tolerance
 TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
 FEW = 0.5  # of the targets: of more out of reach, the frame or the unit is likelier to be wrong than each of them
 STILL = 1e-9  # [rad] a joint that did not move has so much room
@@ -80,7 +79,12 @@ def compensate(
     arm = in_own_frame(arm)
     if not arm.chain.planar:  # what an angle of a pose counts times
         arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if poses else None))
-    drawing, model, familiar, enough = Model(drawn_arm(arm)), Model(arm), familiar_range(arm), tolerance_of(arm)
+    drawing, model, familiar = Model(drawn_arm(arm)), Model(arm), familiar_range(arm)
+    # where no posture gets to a target, as of an arm with fewer joints than coordinates, it counts as reached within
+    # what one in a thousand of the calibration's own measurements may be off, by what the fit left and is unsure of
+    figures = [identified(arm).get(key) for key in ("rms_after_mm", "expected_tip_mm")]
+    likely = float(np.linalg.norm([float(x) for x in figures if isinstance(x, float | int)]))
+    enough = max(TOLERANCE, likely * float(np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
     if targets is not None:
         points = _checked("targets", targets, arm.dimension)
     elif nominal is None:
@@ -126,17 +130,6 @@ def compensate(
     )
 
 
-def tolerance_of(arm: Arm) -> float:
-    """[mm] within which a target counts as reached where no posture gets there exactly, as of an arm with fewer joints
-    than coordinates: what one in `MISSED_BY_CHANCE` of the calibration's own measurements may be off, by what the fit
-    left of them and by its own uncertainty. `TOLERANCE` where they are not known.
-    """
-    figures = [identified(arm).get(key) for key in ("rms_after_mm", "expected_tip_mm")]
-    rms = float(np.linalg.norm([float(x) for x in figures if isinstance(x, float | int)]))
-    d = arm.dimension
-    return max(TOLERANCE, rms * float(np.sqrt(chdtri(d, MISSED_BY_CHANCE) / d)))
-
-
 def drawn_arm(arm: Arm) -> Arm:
     """The nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
     one turned by the offset of joint 1, and a spatial one with its points."""
@@ -171,7 +164,7 @@ class Compensation:
     outside : (k, n) True where a joint is outside the angles of the identification, None: these are not known
     model_rms : [mm] that the calibrated model left of its own measurements, None: not known
     sided : effects of the model for which the order of the targets was taken as that of the approach
-    tolerance : [mm] what counts as reached, see `tolerance_of`;  reach : of the arm [mm], at which an angle is that far
+    tolerance : [mm] what counts as reached;  reach : of the arm [mm], at which an angle is that far
     """
 
     targets: Array

@@ -33,12 +33,9 @@ GLANCED, PROMISING = 256, 6  # random postures of a redundant arm, and how many 
 MISSED = 1e3  # a rank from which a target is not reached, or constraints are missed
 CHUNK = 1_000  # targets at a time, times SEEDS starts
 BEND = 1e-7  # [rad] of a joint, for second derivatives
-TURNED_AWAY = 4  # of the seeds that reach a target where the arm may not stand, led out of there
 INSIDE = 0.01  # [mm] how far inside its constraints such a posture is aimed at
 WITNESSES = 6  # postures at a target that must agree before it counts as barred, and seeds that are tried for them
 SAME = 0.01  # of what is missed: margins that differ by less are those of the target, whatever the posture
-TRIED_AGAIN = 32  # goals at a time, which all seeds missed, with those that were only glanced at: effort
-DIFFERENT = 0.5  # [rad, mm] of some joint, between postures that are witnesses
 
 Constraints = Sequence[PostureCondition]
 
@@ -180,7 +177,7 @@ class _Search(NamedTuple):
         by least, until there is no progress."""
         missed = np.flatnonzero(errors > TOLERANCE)
         missed = missed[np.argsort(errors[missed], kind="stable")]
-        for rows in _parts(missed, TRIED_AGAIN):
+        for rows in _parts(missed, 32):  # with the seeds that were only glanced at: effort
             reached, left = self.led_on(rows, self.tried(rows))
             better = left <= TOLERANCE
             if not better.any():
@@ -196,9 +193,10 @@ class _Search(NamedTuple):
         reached = left <= TOLERANCE
         margins = np.column_stack([each.margin(postures.reshape(-1, postures.shape[2])) for each in self.constraints])
         high, low = _ends(margins.reshape(*left.shape, -1), reached)
+        # witnesses differ by 0.5 rad or mm of some joint
         spread = np.subtract(*_ends(postures, reached)).max(axis=1)
         same = np.any((high < -TOLERANCE) & (high - low <= SAME * -high), axis=1)
-        return same & (np.count_nonzero(reached, axis=1) >= WITNESSES) & (spread > DIFFERENT)
+        return same & (np.count_nonzero(reached, axis=1) >= WITNESSES) & (spread > 0.5)
 
     def led_on(self, rows: Index, first: Tried) -> tuple[Array, Array]:
         """(k, n) postures and (k,) errors: where no seed reaches a goal by Newton's method, where those that reach it
@@ -245,7 +243,7 @@ def _turned_away(
 ) -> tuple[Array, Array]:
     """(k, n) postures at goals (k, d) and what is left (k,): of those led from postures that miss constraints, starts
     (k, s, n), best first, to where they hold; the nearest to that where none gets there."""
-    starts = starts[:, :TURNED_AWAY]
+    starts = starts[:, :4]  # a few seeds are led out of there, more is effort
     every = np.repeat(np.arange(len(goals)), starts.shape[1])
     linearize, units = linearization(model, conditions.rows(every)), model.reach / metric(model)
 

@@ -12,8 +12,6 @@ from identification.effects.chain import Chain
 from identification.effects.settings import Scope, Setting
 from identification.kinematics.parameters import Parameter
 
-NOMINAL_TORQUE = 100.0  # [N m] order of magnitude, for the scale of compliance parameters only
-
 
 @register
 class JointCompliance(Effect):
@@ -32,7 +30,8 @@ class JointCompliance(Effect):
 
     def _compliance(self, short: str, length: float) -> Parameter:
         # typical: 1e5 N m/rad; strain-wave gears have 5e3 to 2.5e5, cycloidal ones 1e5 to 1e6
-        return self.parameter(short, "rad/(N m)", scale=float(length) * NOMINAL_TORQUE, lower=0.0, typical=1e-5)
+        torque = 100.0  # [N m] order of magnitude, for the scale only
+        return self.parameter(short, "rad/(N m)", scale=float(length) * torque, lower=0.0, typical=1e-5)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
         if self.joint is None:

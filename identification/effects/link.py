@@ -61,9 +61,6 @@ class ThermalGrowth(Effect):
         return lengths * values[0] * chain.temperature
 
 
-NOMINAL_MOMENT = 100.0  # [N m] order of magnitude, for the scale of compliances only
-
-
 @register
 class BearingCompliance(Effect):
     """The bearing of a joint yields across its axis: tilted by c M, M the moment of gravity across the axis, c >= 0."""
@@ -76,7 +73,7 @@ class BearingCompliance(Effect):
     dimensions = (3,)
 
     def define(self) -> tuple[Parameter, ...]:
-        scale = self.link_length * NOMINAL_MOMENT
+        scale = self.link_length * 100.0  # [N m] order of magnitude
         # typical: output bearings of strain-wave gears, 4e4 to 4e6 N m/rad across the axis
         return (self.parameter("c", "rad/(N m)", scale=scale, lower=0.0, typical=3e-6),)
 

@@ -13,8 +13,6 @@ from identification.effects.chain import Chain
 from identification.instruments.distance import distance_to_center
 from identification.kinematics.parameters import Parameter
 
-MAX_SESSIONS = 99
-
 
 @register
 class BaseOffset(Effect):
@@ -82,7 +80,7 @@ class SessionBase(Effect):
     name = "session_base"
     summary = "arm or instrument set up again for each session"
     needs = frozenset({"session"})
-    settings = MappingProxyType({"sessions": (2, MAX_SESSIONS)})
+    settings = MappingProxyType({"sessions": (2, 99)})
     nuisance = True
 
     def define(self) -> tuple[Parameter, ...]:

@@ -18,7 +18,6 @@ from identification.kinematics.parameters import Parameter
 
 RARE = 0.2  # prior beside a common effect
 STEP = Setting(-0.5, 1000.0, step_times)  # time of a step, see `clock`
-TIME_CONSTANTS = (0.05, 0.1, 0.2, 0.4, 0.8)  # of a session: neighbors are alike to 0.98, beyond them drift or nothing
 WIDTHS = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)  # of hysteresis, in ranges of the joint: below backlash, above gear ratio
 
 
@@ -34,7 +33,8 @@ class ThermalTransient(_Rare):
     summary = "links grow exponentially while the arm warms up"
     per_joint = "optional"
     needs = frozenset({"time"})
-    settings = MappingProxyType({"tau": Setting(0.001, 10.0, TIME_CONSTANTS)})
+    # times to try, of a session: neighbors are alike to 0.98, beyond them drift or nothing
+    settings = MappingProxyType({"tau": Setting(0.001, 10.0, (0.05, 0.1, 0.2, 0.4, 0.8))})
 
     def define(self) -> tuple[Parameter, ...]:
         scale = self.reach if self.joint is None else self.link_length

@@ -28,7 +28,6 @@ from identification.files.schema import (
     CalibrationTable,
     DHTable,
     EffectTable,
-    MeasurementTable,
     PoseTable,
     require_count,
     validated_arm,
@@ -168,7 +167,15 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> KinematicChain:
     if file.tool is not None:
         chain = replace(_with_tools(chain, file.tool), settled=chain.settled | {TOOL})
     if (table := file.instrument) is None:
-        return replace(chain, angle_scale=_angle_scale(file.measurement))
+        sigma = file.measurement
+        if sigma is None or sigma.sigma_deg is None:
+            return replace(chain, angle_scale=None)
+        if sigma.sigma_mm is None:
+            unused = "orientations are not used; what a degree weighs against a millimetre is not known"
+            warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=1)
+            return replace(chain, angle_scale=None)
+        # residuals of orientations weigh as much as those of positions
+        return replace(chain, angle_scale=sigma.sigma_mm / float(np.radians(sigma.sigma_deg)))
     instrument = kinds(chain.axes)[table.kind].of_table(table.model_dump(exclude_none=True))
     if file.base is not None and instrument.own_targets:
         raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")
@@ -188,17 +195,6 @@ def _urdf(name: str, folder: PathLike) -> Urdf:
 
 def _row(table: DHTable) -> DHRow:
     return DHRow(table.a_mm, math.radians(table.alpha_deg), table.d_mm, math.radians(table.offset_deg), table.joint)
-
-
-def _angle_scale(table: MeasurementTable | None) -> float | None:
-    """[mm/rad] of orientations, whose residuals weigh as much as those of positions; None: they are not measured."""
-    if table is None or table.sigma_deg is None:
-        return None
-    if table.sigma_mm is None:
-        unused = "orientations are not used; what a degree weighs against a millimetre is not known"
-        warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=2)
-        return None
-    return table.sigma_mm / float(np.radians(table.sigma_deg))
 
 
 def _pose(table: PoseTable) -> Array:

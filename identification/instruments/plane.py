@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -14,7 +13,6 @@ from identification.instruments.search import Placement, Unplaced
 from identification.instruments.surfaces import PlaneStarts, placed_by_lengths
 from identification.kinematics.frames import AXES, from_own_axes, pose, rotation_about
 
-SPINS = np.arange(0.0, np.pi, np.pi / 6.0)  # [rad] turns about a plane's normal that are tried
 STEP = 1e-5  # [rad] of a difference quotient
 
 
@@ -46,9 +44,19 @@ class Plane(Instrument):
     def between(self, first: Array, base: Array) -> tuple[dict[str, float], frozenset[str]]:
         """A plane does not show how the base is turned about the normal: of such turns that is taken which lets two of
         the three rotations tilt the normal best."""
-        spun = (pose(rotation=rotation_about([0.0, 0.0, 1.0], angle)) @ base for angle in SPINS)
-        choices = ((relative(first, one), about) for one in spun for about in AXES)
-        movement, about = max(choices, key=lambda choice: _tilting(first, *choice))
+
+        def tilting(choice: tuple[dict[str, float], str]) -> float:
+            """How far two of the rotations, without that about the axis held, tilt a normal in the direction they tilt
+            it least [1]."""
+            rotation, held = choice
+            turn, steps = np.array([rotation[f"w{axis}"] for axis in AXES]), STEP * np.eye(3)
+            free = [k for k in range(3) if AXES[k] != held]
+            ends = [[first[2, :3] @ from_own_axes(*(turn + sign * steps[k])) for sign in (1.0, -1.0)] for k in free]
+            return float(np.linalg.svd([(up - down) / (2.0 * STEP) for up, down in ends], compute_uv=False)[-1])
+
+        angles = np.arange(0.0, np.pi, np.pi / 6.0)
+        spun = (pose(rotation=rotation_about([0.0, 0.0, 1.0], angle)) @ base for angle in angles)
+        movement, about = max(((relative(first, one), about) for one in spun for about in AXES), key=tilting)
         return movement, frozenset({"x", "y", f"w{about}"})
 
     @property
@@ -57,12 +65,3 @@ class Plane(Instrument):
 
     def place(self, rows: Unplaced) -> Placement:
         return placed_by_lengths(PlaneStarts, rows)
-
-
-def _tilting(first: Array, rotation: Mapping[str, float], held: str) -> float:
-    """How far two of the rotations, without that about the axis held, tilt a normal in the direction they tilt it least
-    [1]."""
-    turn, steps = np.array([rotation[f"w{axis}"] for axis in AXES]), STEP * np.eye(3)
-    free = [k for k in range(3) if AXES[k] != held]
-    ends = [[first[2, :3] @ from_own_axes(*(turn + sign * steps[k])) for sign in (1.0, -1.0)] for k in free]
-    return float(np.linalg.svd([(up - down) / (2.0 * STEP) for up, down in ends], compute_uv=False)[-1])

@@ -53,15 +53,6 @@ def placed(frames: Array, measured: Array, reach: float) -> Placement:
     return Placement(base, tool, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))))
 
 
-def placed_tool(frames: Array, measured: Array, base: Array) -> Array:
-    """(3,) the measured point in the frame of the tip that explains measured points (m, 3) best.
-
-    frames : (m, 4, 4) nominal poses of the tip in the base;  base : (4, 4) its pose [mm]
-    """
-    local = (measured - base[:3, 3]) @ base[:3, :3]  # in the base's frame
-    return np.asarray(np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames))
-
-
 class _Moments(NamedTuple):
     """Means over the rows that the sum of squares needs, so that a round costs the same for any number of them.
 

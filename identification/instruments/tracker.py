@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from identification.instruments.base import Coordinate, Instrument
-from identification.instruments.registration import placed, placed_tool, registered
+from identification.instruments.registration import placed, registered
 from identification.instruments.search import Placement, Unplaced
 
 
@@ -27,7 +27,9 @@ class Tracker(Instrument):
         """In closed form, whatever is `hopeless`."""
         frames, readings, reach, base, tool, _ = rows
         if base is not None:
-            tool = placed_tool(frames, readings, base) if tool is None else tool
+            if tool is None:  # that explains the measured points best, each in the frame of its tip
+                local = (readings - base[:3, 3]) @ base[:3, :3]  # in the base's frame
+                tool = np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames)
         elif tool is not None:
             base = registered(frames[:, :3, 3] + frames[:, :3, :3] @ tool, readings)
         else:

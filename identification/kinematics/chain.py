@@ -295,7 +295,10 @@ class KinematicChain(ByValue):
                     frame = frame.moved(k, values[name])
             frame = _turned(frame, values, "rotation_", f":{j}")
             frame = joint.moved(frame, q[j - 1] + values.get(f"joint_offset:{j}", 0.0))
-            frame = _displaced(frame, added, j)
+            for k in range(DIMENSION if "joint_shifts" in added else 0):
+                frame = frame.moved(k, added["joint_shifts"][3 * (j - 1) + k])
+            for k in range(DIMENSION if "joint_turns" in added else 0):
+                frame = frame.turned(k, added["joint_turns"][3 * (j - 1) + k])
             placed.append(frame)
         return [*placed, self._behind_link(frame, len(self), self.end, values, added)]
 
@@ -429,16 +432,6 @@ def turned_about(frame: Frame, axes: Sequence[int], angles: ca.SX | None) -> Fra
 def in_space(vector: Any) -> Any:
     """(3,) a vector (d,) along the first axes."""
     return ca.vertcat(vector, ca.SX.zeros(DIMENSION - vector.numel())) if vector.numel() < DIMENSION else vector
-
-
-def _displaced(frame: Frame, added: Mapping[str, ca.SX], joint: int) -> Frame:
-    """The frame of a joint, counted from 1, after it moved, with what effects add to it there."""
-    first = 3 * (joint - 1)
-    for k in range(DIMENSION if "joint_shifts" in added else 0):
-        frame = frame.moved(k, added["joint_shifts"][first + k])
-    for k in range(DIMENSION if "joint_turns" in added else 0):
-        frame = frame.turned(k, added["joint_turns"][first + k])
-    return frame
 
 
 def _turned(frame: Frame, values: Values, prefix: str, suffix: str) -> Frame:

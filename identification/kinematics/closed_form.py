@@ -18,7 +18,6 @@ from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, Par
 
 Complex = NDArray[np.complex128]
 Solver = Callable[[Array], tuple[Array, Array]]
-ILL = 1e6  # condition (1-norm) of a normal matrix from which on its inverse is not used
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +59,10 @@ class PlanarClosedForm:
         back, forth = (np.ascontiguousarray(np.swapaxes(a, -1, -2)) for a in (back, columns))
 
         def solve(positions: Array) -> tuple[Array, Array]:
+            # x + iy, without a copy where memory allows
+            measured = np.ascontiguousarray(positions, dtype=float).view(np.complex128)[..., 0]
             # differences to the nominal arm: the sum of squares then loses no digits
-            rest = as_complex(positions) - columns @ nominal
+            rest = measured - columns @ nominal
             change = _times(rest, back)
             residuals = (rest - _times(change, forth)) * root
             squares = residuals.view(np.float64)
@@ -93,11 +94,6 @@ class PlanarClosedForm:
         return np.concatenate(parts, axis=-1)
 
 
-def as_complex(positions: Array) -> Complex:
-    """(..., 2) coordinates as (...) complex numbers x + iy, without a copy where memory allows."""
-    return np.ascontiguousarray(positions, dtype=float).view(np.complex128)[..., 0]
-
-
 def _times(rows: Complex, matrix: Complex) -> Complex:
     """(K, b) rows (K, a) times one matrix (a, b), or each times its own (K, a, b)."""
     return rows @ matrix if matrix.ndim == 2 else (rows[:, None, :] @ matrix)[:, 0, :]
@@ -117,6 +113,7 @@ def _pseudo_inverse(columns: Complex, tolerance: float) -> Complex:
     )
     pseudo_inverses = inverse @ across
     condition = np.linalg.norm(normal, 1, axis=(-2, -1)) * np.linalg.norm(inverse, 1, axis=(-2, -1))
-    ill = np.flatnonzero(~(condition < min(ILL, tolerance**-2)))
+    # from a condition (1-norm) of 1e6 on the inverse is not used
+    ill = np.flatnonzero(~(condition < min(1e6, tolerance**-2)))
     pseudo_inverses[ill] = np.linalg.pinv(columns[ill], rcond=tolerance)
     return pseudo_inverses

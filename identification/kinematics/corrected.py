@@ -140,9 +140,6 @@ def _tool_turn(values: Numbers, name: str) -> Array:
     return _six(values, "", f"tool[{name}].r", "")[1]
 
 
-STRAIGHT = 1e-12  # sine of an angle between axes that are parallel but for rounding
-
-
 class CommonNormal(NamedTuple):
     """Of the axes of a joint, counted from 1, and the next: the angle between them [rad], and how far from the two
     joints' frames it stands along their axes [mm]."""
@@ -197,7 +194,7 @@ class CorrectedGeometry:
             if one is None or other is None:
                 continue
             cross, between = np.cross(one[1], other[1]), other[0] - one[0]
-            if (sine := float(np.linalg.norm(cross))) > STRAIGHT:
+            if (sine := float(np.linalg.norm(cross))) > 1e-12:  # else parallel but for rounding
                 feet = [float(np.cross(between, axis) @ cross) / sine**2 for axis in (other[1], one[1])]
                 angle = float(np.arctan2(sine, abs(one[1] @ other[1])))
                 normals.append(CommonNormal(j, angle, max(map(abs, feet))))

@@ -38,7 +38,6 @@ from identification.validate.origin import HELD_FROM, comes_from, identified
 
 HARDLY = 0.1  # of how far a point is moved: a standard deviation that adds hardly anything to it
 GAIN = 1.25  # of the sum of squares: a tenth of the RMS error; less is not worth another set of parameters
-MOSTLY = 0.5  # of the rows; coarse readings of postures that are commanded again may agree by chance
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -74,7 +73,15 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     chosen = {name for word in words for name in _named(word, model)}
     chosen |= {name for name in model.names if name.startswith(f"{SESSIONS}.")}
     held = {name: value for name, value in model.best_known.items() if name not in chosen}
-    _check_places(arm, model, set(held) - set(model.fixed), measurements)
+    frozen, kept = set(held) - set(model.fixed), arm.calibration
+    several = measurements is not None and len(measurements.session_names) > 1
+    missing = {BASE: kept is None or kept.base is None, TOOL: kept is None or not kept.tools}
+    for kind in (BASE, TOOL) if not arm.chain.planar else ():
+        if (missing[kind] or several) and any(p.kind == kind and p.name in frozen for p in model.parameters):
+            reason = "the data have several sessions" if several else "the arm file does not say where it is"
+            raise InputError(f"only: {kind} is to be held, but {reason}, allowed: --only with {kind} among the words")
+    if several and arm.chain.planar and set(PLANAR_BASE) & frozen:
+        raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
     return replace(model, held=held)
 
 
@@ -101,19 +108,6 @@ def at_reference(measurements: Measurements, calibrated: Arm) -> Measurements:
     their growth is right there."""
     reference = identified(calibrated).get("mean_temperature_C")
     return measurements if reference is None else replace(measurements, reference=float(reference))
-
-
-def _check_places(arm: Arm, model: Model, held: set[str], measurements: Measurements | None) -> None:
-    """Raises `InputError` for base or measured points that are held without being known."""
-    several = measurements is not None and len(measurements.session_names) > 1
-    kept = arm.calibration
-    missing = {BASE: kept is None or kept.base is None, TOOL: kept is None or not kept.tools}
-    for kind in (BASE, TOOL) if not arm.chain.planar else ():
-        if (missing[kind] or several) and any(p.kind == kind and p.name in held for p in model.parameters):
-            reason = "the data have several sessions" if several else "the arm file does not say where it is"
-            raise InputError(f"only: {kind} is to be held, but {reason}, allowed: --only with {kind} among the words")
-    if several and arm.chain.planar and set(PLANAR_BASE) & held:
-        raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
 
 
 def with_held(calibration: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
@@ -204,7 +198,8 @@ def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> 
     rows = (
         f"about {share:.0f} % of these rows ({of_its:.0f} % of the calibration's own) are among those it was fitted to"
     )
-    if max(shared) >= MOSTLY:
+    # most rows; coarse readings of postures that are commanded again may agree by chance
+    if max(shared) >= 0.5:
         raise InputError(f"prior: {rows}, which would count twice, allowed: new measurements")
     if shared.measurements > 0.0:
         warnings.warn(f"prior: {rows}, and count twice", UserWarning, stacklevel=3)

@@ -45,7 +45,6 @@ if TYPE_CHECKING:  # a diagnosis imports this package
 REFITS = (*DRAWN,)
 QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
 FEWEST = 3 * QUARTERS  # rows from which groups are formed
-END = 0.5  # time at the end of a session, -0.5 to 0.5
 
 
 @dataclass(frozen=True)
@@ -256,7 +255,7 @@ def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Condition
     """
     conditions, mean = measurements.conditions, identified(arm).get("mean_temperature_C")
     if refit != "none" and any(effect.once for effect in Model(arm).effects):
-        conditions = replace(conditions, time=np.full(len(measurements), END))
+        conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
     if measurements.temperature is None or mean is None:
         return conditions
     return replace(conditions, temperature=measurements.temperature - float(mean))

@@ -9,7 +9,6 @@ point, or frame, is measured at every posture.
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -171,21 +170,6 @@ def _tasks(study: Study, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]
                 key["inputs"] = short_hash(repr((texts, plan)))
                 for number, size in enumerate([study.replications] if isinstance(cell, str) else blocks):
                     yield {**key, "block": number, "replications": size}, cell
-
-
-def require_some(result: StudyResult) -> None:
-    """Raises `JobError` with the first reason if no cell could be simulated."""
-    if "done" not in set(result.blocks["status"]):
-        reason = re.sub(r"\b[A-Z]\w*Error: ", "", result.blocks["error"][0])  # users need no exception types
-        raise JobError(f"no cell could be done: {reason}")
-
-
-def discard(folder: Path, new: bool) -> None:
-    """Removes the tables of a study without a result, and the folder where it was made for them."""
-    for name in (PLANS, BLOCKS, CELLS):
-        (folder / name).unlink(missing_ok=True)
-    if new:
-        folder.rmdir()
 
 
 def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
