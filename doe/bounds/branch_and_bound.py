@@ -35,7 +35,6 @@ from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array
 
 BATCH = 2048  # boxes examined together
-UNIT = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class TrigonometricPolynomial:
     def margin(self) -> float:
         """What rounding can have cost."""
         magnitude = self.magnitude or abs(self.constant) + float(self._amplitudes.sum())
-        return UNIT * (self.operations + len(self.coefficients) + 64) * magnitude
+        return float(np.finfo(float).eps) * (self.operations + len(self.coefficients) + 64) * magnitude
 
     @cached_property
     def _amplitudes(self) -> Array:
@@ -211,7 +210,6 @@ def maximum(
 # -- is a sensitivity such a polynomial? -------------------------------------------------------------------------------
 Frequency = tuple[int, ...]
 Polynomial = dict[Frequency, complex]  # whole frequencies -> coefficient of exp(i f . q)
-MOST_TERMS = 400  # beyond, a bound by branch and bound is out of reach
 
 
 @dataclass(frozen=True)
@@ -258,7 +256,7 @@ def trigonometric_jacobian(problem: DesignProblem) -> TrigonometricJacobian | No
     except NotTrigonometric:
         return None
     frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
-    if not frequencies or len(frequencies) > MOST_TERMS:
+    if not frequencies or len(frequencies) > 400:  # beyond, a bound by branch and bound is out of reach
         return None
     coefficients = np.zeros((len(frequencies), problem.model.dimension, problem.parameters), dtype=complex)
     slot = {frequency: k for k, frequency in enumerate(frequencies)}

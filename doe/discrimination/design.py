@@ -44,9 +44,7 @@ if TYPE_CHECKING:
 TURN = 2.0 * np.pi  # [rad]
 # effort: steps [rad] by which joints move off their limits, and tries of each
 MOVES, TRIES = np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10
-THEORY_PLANS, SHUFFLES = 64, 200  # effort: plans of theory, and orders of runs, to choose from
 MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take gigabytes
-ORDERING = 1.0  # [s] effort: that the order of measurement has in any case
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,8 @@ def discrimination_design(
     generator = np.random.default_rng(seed)
     extended = extended_problem(problem, library)
     chosen, status = search(extended, best, loss, generator, budget, progress)
-    ordering = replace(budget, deadline=budget.deadline and max(budget.deadline, perf_counter() + ORDERING))
+    # effort: the order has a second in any case
+    ordering = replace(budget, deadline=budget.deadline and max(budget.deadline, perf_counter() + 1.0))
     plan = replace(best.plan, postures=best_order(library, chosen, generator, ordering))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
     bounds = extended.wrong(chosen), extended.wrong(best.plan.postures), extended.at_random(runs)
@@ -209,7 +208,7 @@ def start(
     round_joints, plans = np.flatnonzero(turning(problem)), [np.array(best.plan.postures)]
     origin, step = problem.lower[round_joints], TURN / runs
     theory = optimal_plans(problem, runs, generator) if problem.choices is None else iter(())
-    for plan in takewhile(lambda _: not budget.out_of_time, islice(theory, THEORY_PLANS)):
+    for plan in takewhile(lambda _: not budget.out_of_time, islice(theory, 64)):  # effort: plans to choose from
         moved = np.array(plan)
         angles = moved[:, round_joints] + step * generator.uniform(-0.5, 0.5, (runs, len(round_joints)))
         moved[:, round_joints] = origin + np.mod(angles - origin, TURN)
@@ -254,7 +253,7 @@ def off_the_limits(problem: DesignProblem, postures: Array, least: float, genera
 def best_order(library: EffectLibrary, postures: Array, generator: np.random.Generator, budget: Budget) -> Array:
     """The postures in the order, of many shuffles, that shows backlash and drift best beside the model's parameters: by
     log det of what the data tell of the order's effects, beyond what the others explain."""
-    shuffles = [generator.permutation(len(postures)) for _ in range(SHUFFLES)]
+    shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort: orders to choose from
     if library.jacobian_by_order is None:
         return np.asarray(postures[shuffles[0]])
     scores, base = [], library.base
@@ -268,11 +267,9 @@ def best_order(library: EffectLibrary, postures: Array, generator: np.random.Gen
 
 
 # -- swaps -------------------------------------------------------------------------------------------------------------
-CLOUD, POOL, NEARBY = 512, 1500, 0.15  # effort: postures; neighbors differ by this fraction of a joint's range
+CLOUD, POOL = 512, 1500  # effort: postures
 # effort: runs and postures that are tried per derivative; runs where those bring nothing
 OUTS, INS, MORE_OUTS = 4, 8, 50
-MULTIPLIERS = (2.0, 10.0)  # effort: of the derivative of log det where little of it is left to lose
-TIGHT = 0.1  # effort: log det above the least allowed that counts as little
 # effort: gain of the criterion below which the swaps end, ten of it for the pools; rounds of pools
 LEAST_GAIN, ROUNDS = 1e-3, 5
 RANDOM_PLANS = 25  # effort: whose median bound is shown beside a plan's
@@ -385,7 +382,7 @@ class Swaps:
         self.pool = pool_of(self.problem, POOL, generator)
         if self.problem.choices is None:
             near = self.postures[generator.integers(len(self.postures), size=POOL)]
-            width = NEARBY * (self.problem.upper - self.problem.lower)
+            width = 0.15 * (self.problem.upper - self.problem.lower)  # effort: neighbors by this part of a range
             near = self.problem.clip(near + width * generator.uniform(-1.0, 1.0, near.shape))
             self.pool = np.concatenate([self.pool, near[self.problem.feasible(near)]])
         self.offered = self.extended.problem.scaled_jacobians(self.pool)
@@ -396,9 +393,9 @@ class Swaps:
     def swap(self) -> bool:
         """The best of the most promising swaps, else of more of them; False if none gains enough."""
         gradients = [self.misidentification.gradient(self.information)]
-        if self.slack < TIGHT:
+        if self.slack < 0.1:  # effort: little of log det is left to lose, so its derivative counts too
             p = self.misidentification.base
-            for multiplier in MULTIPLIERS:
+            for multiplier in (2.0, 10.0):  # effort: of the derivative of log det
                 mixed = np.array(gradients[0])
                 mixed[:p, :p] += multiplier * np.linalg.inv(self.information[:p, :p])
                 gradients.append(mixed)

@@ -33,10 +33,8 @@ if TYPE_CHECKING:
 
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
 LAMBDA = 8.0
-UNSEEN = 1e-9  # numerical: fraction of its length off the base model below which no plan is judged by a direction
 # numerical: of a rival's length on random postures; keeps the inverse of a rival that a plan hides
 RIDGE = 1e-12
-NEAR = 0.05  # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,8 @@ class MisidentificationBound:
         probabilities = np.concatenate(
             [(self._probabilities[:, None] * o.reshape(len(self._probabilities), -1)).ravel() for _, o in left]
         )
-        d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), NEAR)
+        # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
+        d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), 0.05)
         slopes = probabilities * np.exp(-(d**2) / 8.0) / (4.0 * d * np.sqrt(2.0 * np.pi))
         lift = np.vstack([base, np.eye(len(schur))])
         return np.asarray(lift @ ((u * slopes[:, None]).T @ u) @ lift.T / self.wrong(information))
@@ -132,7 +131,8 @@ class MisidentificationBound:
         rows, owners, probabilities = [], [], []
         for number, basis in enumerate(self.bases):
             lengths = ((v, float(v @ schur @ v)) for v in (basis @ mix for mix in mixes(basis.shape[1])))
-            shown = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > UNSEEN * float(v**2 @ whole)]
+            # numerical: no plan is judged by a direction that hardly leaves the base model
+            shown = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > 1e-9 * float(v**2 @ whole)]
             rows += shown
             owners += [number] * len(shown)
             probabilities += [float(self.weights[number]) / len(shown) for _ in shown]

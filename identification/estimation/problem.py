@@ -40,8 +40,6 @@ WITH = {  # what an effect needs -> where it comes from
     "distance": "an arm file with an [instrument] of kind distance",
 }
 ROUNDING = 1e-14  # of a coordinate, after a chain of some ten operations
-PAPER_ITERATIONS = 50
-PAPER_TOLERANCE = 1e-12  # of the arm's reach; "required accuracy" of Step 5
 
 
 # -- what must hold ----------------------------------------------------------------------------------------------------
@@ -283,7 +281,7 @@ def damped_gauss_newton(problem: Problem) -> Solution:
 
 def paper_steps(problem: Problem) -> Solution:
     """The paper's iteration (Section III, Steps 1-5): the linearised solution of eq. 11, repeated until the correction
-    is below `PAPER_TOLERANCE` of the reach.
+    is below 1e-12 of the reach ("required accuracy").
 
     Step 1 starts at zero errors, Step 2 computes positions, Step 3 solves eq. 11 for the residuals, Step 4 corrects the
     model, Step 5 repeats. Nothing damps it and it knows no bounds. A linear change of coordinates does not change the
@@ -297,7 +295,7 @@ def paper_steps(problem: Problem) -> Solution:
             bounded = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
             raise InputError(f"method: paper_steps knows no bounds, {bounded}; allowed: gauss_newton")
     errors, status, iteration = np.zeros(len(model.parameters)), Status.iteration_limit, 0  # Step 1
-    while status is Status.iteration_limit and iteration < PAPER_ITERATIONS:
+    while status is Status.iteration_limit and iteration < 50:
         iteration += 1
         residuals, jacobian = (rows[0] for rows in problem.linearize(errors[None], np.arange(1)))  # Step 2
         # Step 3, eq. 11: the least-squares solution, the shortest where the rank is not full
@@ -307,7 +305,7 @@ def paper_steps(problem: Problem) -> Solution:
         errors = errors + correction  # Step 4
         if not np.all(np.isfinite(errors)):
             errors, status = np.zeros(len(errors)), Status.solver_failed
-        elif np.linalg.norm(correction * model.scales) <= PAPER_TOLERANCE * model.reach:  # Step 5
+        elif np.linalg.norm(correction * model.scales) <= 1e-12 * model.reach:  # Step 5
             status = Status.converged
     parameters = errors[None]
     ends = np.array([status], dtype=object), np.array([iteration])
