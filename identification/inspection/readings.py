@@ -28,9 +28,7 @@ from identification.model.placed import frames_of_tip, placed_model, some
 
 ENOUGH = 200  # rows that are used: a wrong sign shows in far fewer
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
-EQUATIONS = 4  # for each fitted number, below which anything may fit
 OTHERS = 2  # readings that are named beside the simplest
-HOPELESS = 2.0  # times what a better reading may leave
 KEPT = 4  # effort: readings from which the next kind of change starts
 ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
 FINE, WHOLE = 1e-3, 0.02  # quarter turns, 0.1 and 2 deg: how well a zero is found; what is a whole quarter turn
@@ -203,7 +201,7 @@ def _read_differently(arm: Arm, rows: Measurements) -> Readings:
     written = _placed(arm, rows)(Reading.as_written(arm.links))
     if _few(arm, rows):
         return Readings(written, None)
-    left = _distance(arm, rows, HOPELESS * max(DRAWN * arm.reach, written.rms / CLEARLY))
+    left = _distance(arm, rows, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
     plain = replace(written, rms=0.0, turn=None)
     tried = {plain: replace(written, turn=None)}
     zero = partial(_moved_zero, left=left)
@@ -352,7 +350,8 @@ def some_of_one_point(measurements: Measurements) -> Measurements:
 def _few(arm: Arm, rows: Measurements) -> bool:
     """Whether another reading would fit by chance: of a pose, and of a point where it is open."""
     point = 0 if TOOL in anywhere(arm).chain.settled else arm.dimension
-    return rows.positions.size < EQUATIONS * (arm.dimension + len(arm.chain.turning) + point)
+    # below four equations for each fitted number anything may fit
+    return rows.positions.size < 4 * (arm.dimension + len(arm.chain.turning) + point)
 
 
 def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], float]:
