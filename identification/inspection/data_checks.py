@@ -30,13 +30,10 @@ ANGLES = {  # factors to radians as read, and what the numbers then were
     "large": {np.pi / 180.0: "degrees: name the columns q1_deg.. instead of q1_rad.."},
 }
 UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
-FITS = 0.02  # relative: so near is a measured factor that of a unit
 OTHER_SIZE = 2.0  # times as large or as small as the drawing, which no drawing is wrong by
-MOVED = 1e-3  # share of the reach: drawn tips that lie nearer to one another tell no unit
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit is suspected
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
-ROUNDS = 5  # of finding rows that are far off, and placing the arm without them
 
 
 def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
@@ -97,7 +94,7 @@ def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
     where that fits the arm clearly better; and an arm that reaches farther than any does.
 
     Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
-    are those of the other is measured, and a unit is named where that is a unit's factor (`FITS`).
+    are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %.
     """
     return list(_units(measurements, arm).sentences)
 
@@ -127,7 +124,8 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     angle = ANGLES["small"] if 0.0 < largest < np.radians(7.0) else ANGLES["large"] if largest > 7.0 else {}
     tips = {t: tip_frames(arm.chain, measurements.postures * np.where(turning, t, 1.0)) for t in (1.0, *angle)}
     drawn = {t: _spread(frames[:, : arm.dimension, 3]) for t, frames in tips.items()}
-    if max(drawn.values()) < MOVED * arm.reach:  # one posture: what its repeats scatter by has no ratio to the drawing
+    # one posture: what its repeats scatter by has no ratio to the drawing
+    if max(drawn.values()) < 1e-3 * arm.reach:
         return _Units(huge)
     spread = 0.0  # contacts read nothing that has a unit
     if not arm.chain.instrument.contact:
@@ -182,7 +180,7 @@ def _other_lengths(factor: float, axes: Sequence[str], *, huge: bool) -> str:
     lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
     if huge and factor > 1.0:
         return lengths
-    unit = next((unit for unit in UNITS if abs(times / unit - 1.0) <= FITS), None)
+    unit = next((unit for unit in UNITS if abs(times / unit - 1.0) <= 0.02), None)
     if unit is None:
         return f"{lengths}, which is the factor of no unit: another arm, or a length that is mistyped?"
     if small == "arm file":
@@ -225,7 +223,7 @@ def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> 
 def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
     """Rows that another marker explains, and rows that nothing does."""
     kept = np.ones(len(measurements), dtype=bool)
-    for _ in range(ROUNDS):
+    for _ in range(5):
         distances = _distances(arm, measurements, kept)
         before, kept = kept, distances <= FAR * np.median(distances)
         if np.array_equal(before, kept):

@@ -62,9 +62,6 @@ from identification.status import Status
 from identification.validate import drawing_residuals
 from identification.workspace import ColumnLimits
 
-STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
-ROUGH = 0.02  # of the reach: more than a drawing is off by
-ALIKE = 1.05  # times as much is left: no telling which angles are the better ones
 NOTHING = 1e-6  # [mm] RMS that is no measurement's: below, nothing is compared
 AWAY = 0.02  # of the reach: a base this far from where the file has it stands elsewhere
 GEOMETRY = {LENGTH_ERROR: "length", JOINT_OFFSET: "zero"}
@@ -265,7 +262,7 @@ def _problems(
         sentences = [*another_frame(arm, measurements), *other_base(arm, measurements)]
         sentences += constant_length(arm, measurements, fit)
     sentences = sentences or zeros
-    if drawing > ROUGH * arm.reach and not sentences:
+    if drawing > DRAWN * arm.reach and not sentences:
         off = f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"
         sentences = out_of_step(arm, measurements) or [off]
     if fit is not None and not sentences:
@@ -301,7 +298,7 @@ def _of_fit(fit: Identification | None, commanded: float | None, problems: Seque
     if commanded is not None:  # which angles explain the positions better
         read = rms_distance(fit.residuals_after)
         figures = f"a fit to the angles read leaves {read:.3g} mm RMS, to those commanded {commanded:.3g} mm"
-        if max(read, commanded) <= ALIKE * min(read, commanded):
+        if max(read, commanded) <= 1.05 * min(read, commanded):  # no telling
             verdict = "which of them a fit uses makes no difference"
         elif read < commanded:
             verdict = "the positions are those of the angles read, which every fit uses"
@@ -321,7 +318,8 @@ def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
     shown, (lower, upper) = in_columns(postures, arm.joint_types), arm.column_limits
     has_limits = np.isfinite(lower) & (limited(arm) | [j in tied for j in range(1, arm.links + 1)])
-    still = np.ptp(postures, axis=0) < np.where(np.array(arm.joint_types) == REVOLUTE, STILL, 0.0)
+    # of a joint that turns by less than 5 deg its own errors are hardly seen
+    still = np.ptp(postures, axis=0) < np.where(np.array(arm.joint_types) == REVOLUTE, np.radians(5.0), 0.0)
     columns = zip(arm.joint_types, shown.T, lower, upper, beyond, has_limits, still, strict=True)
     return tuple(
         JointRange(
