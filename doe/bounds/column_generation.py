@@ -56,6 +56,7 @@ ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the e
 EXACT = 1e-14  # the same at the end: rounding
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
 FINE = 1e-6  # the same, before the first thorough search; and from which the weights at the end are exact
+WEIGHTED = 2000  # candidates that are weighted roughly at once however many parameters there are
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,7 @@ def rough_design(
     if problem.criterion.name not in POWERS:
         raise InputError(f"criterion: {problem.criterion.name} for solver multiplicative, allowed: D, A, I")
     began, prior = perf_counter(), problem.prior.per_new_run(runs)
-    # so many are weighted at once however many parameters there are
-    most = max(2000, REMEMBERED // (problem.model.dimension * problem.parameters))
+    most = max(WEIGHTED, REMEMBERED // (problem.model.dimension * problem.parameters))
     working = well_spread(candidates, most)
     while True:
         jacobians = np.ascontiguousarray(problem.scaled_jacobians(working))
