@@ -81,7 +81,8 @@ def verb(
             elif parameter.kind is inspect.Parameter.KEYWORD_ONLY:
                 parameters.append(_option(parameter.name, hint, default, helps[parameter.name]))
             else:
-                parameters.append(_argument(parameter.name, hint, default))
+                settings, _, several = _typed(hint, default)
+                parameters.append(click.Argument([parameter.name], nargs=-1 if several else 1, **settings))
         parameters += [
             click.Option(["--json", "as_json"], is_flag=True, help="One JSON object on standard output."),
             _option("seed", Annotated[int, click.IntRange(min=0)], 0, "Random seed."),
@@ -101,7 +102,13 @@ def verb(
             if answer.failure is not None:
                 say(str(answer.failure))
                 answer.exit_code = answer.failure.exit_code
-            _deliver(answer, as_json)
+            try:
+                _print(answer, as_json)
+                sys.stdout.flush()
+            except BrokenPipeError:  # `| head`: click ends quietly
+                raise
+            except OSError as error:  # a full disk
+                no_output(error)
             sys.exit(answer.exit_code)
 
         epilog = f"\b\nExample:\n  {example}"
@@ -164,11 +171,6 @@ def _option(name: str, hint: Any, default: Any, help_text: str) -> click.Option:
         return click.Option(words, is_flag=True, default=default, show_default=bool(default), help=help_text)
     shown = settings.get("default") is not None
     return click.Option(words, multiple=several, show_default=shown, help=help_text, **settings)
-
-
-def _argument(name: str, hint: Any, default: Any) -> click.Argument:
-    settings, _, several = _typed(hint, default)
-    return click.Argument([name], nargs=-1 if several else 1, **settings)
 
 
 class PriorOrFile(click.Command):
@@ -296,17 +298,6 @@ def _warnings_as_lines(quiet: bool) -> Iterator[None]:
 
 
 # -- output ------------------------------------------------------------------------------------------------------------
-def _deliver(answer: Answer, as_json: bool) -> None:
-    """Print the answer; a full disk is one line. A closed pipe (`| head`) ends quietly, by click."""
-    try:
-        _print(answer, as_json)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        no_output(error)
-
-
 def no_output(error: OSError) -> NoReturn:
     """Exit with one line on standard error: standard output cannot be written."""
     say(f"standard output cannot be written ({error.strerror})")
@@ -329,13 +320,11 @@ def _print(answer: Answer, as_json: bool) -> None:
     for part in answer.shown:
         for one in [part] if hasattr(part, "__rich_console__") else rendered(part, console.width):
             # names in files may have control characters, which a terminal would obey
-            segments = (Segment(re.sub(r"[^\n]", _visible, s.text), s.style) for s in console.render(one))
+            segments = (
+                Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)
+                for s in console.render(one)
+            )
             console.print(Segments(segments), end="")
-
-
-def _visible(match: re.Match[str]) -> str:
-    """A question mark for a character that is not printable."""
-    return match[0] if match[0].isprintable() else "?"
 
 
 def plain(value: Any) -> Any:

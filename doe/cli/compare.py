@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from doe.cli.common import verb
 from doe.cli.options import Count, JobOptions, Seconds, WholeNumbers, Workers, interruptible, words
 from identification import InputError, Progress, silent
 from identification.document import Answer
-
-if TYPE_CHECKING:
-    import polars
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ def command(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs.rows import RowTable
+    from doe.jobs.rows import RowTable, made, parquet
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.solvers.solving import check_runs
@@ -72,7 +69,9 @@ def command(
     for arm, number in product(loaded, runs):
         check_runs(compared_problem(arm, chosen[0]), number)
     where = job.where()  # before the folder is made
-    table_file = rows_file(job.out)
+    table_file: Path | None = job.out
+    if table_file is not None and table_file.suffix != ".parquet":
+        table_file = made(table_file) / "rows.parquet"
     with (
         interruptible(table_file),
         RowTable.open(table_file, resume=job.resume, force=job.force) as table,
@@ -80,30 +79,15 @@ def command(
         rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown = comparison_parts(rows)
     if job.out is not None and table_file != job.out:
-        write_results(job.out, rows)
+        from doe.report.page import svg
+        from doe.report.studies import profile_figure, time_figure
+        from identification.files.io import write_together
+
+        files: dict[Path, str | bytes] = {
+            job.out / "summary.parquet": parquet(summary(rows)),
+            job.out / "profile.svg": svg(profile_figure(rows)),
+            job.out / "time.svg": svg(time_figure(rows)),
+        }
+        write_together(files, force=True)
         shown.append(f"rows, summary and pictures written to {job.out}")
     return Answer({"rows": rows.drop("key").to_dicts(), "summary": summary(rows).to_dicts()}, shown)
-
-
-def rows_file(out: Path | None) -> Path | None:
-    """The Parquet file of the rows: `out` itself if it names one, else a file in the folder `out`, which is created."""
-
-    from doe.jobs.rows import made
-
-    return out if out is None or out.suffix == ".parquet" else made(out) / "rows.parquet"
-
-
-def write_results(out: Path, rows: polars.DataFrame) -> None:
-    """Summary and pictures beside the rows."""
-    from doe.jobs.rows import parquet
-    from doe.report.page import svg
-    from doe.report.studies import profile_figure, time_figure
-    from doe.studies.comparison import summary
-    from identification.files.io import write_together
-
-    files: dict[Path, str | bytes] = {
-        out / "summary.parquet": parquet(summary(rows)),
-        out / "profile.svg": svg(profile_figure(rows)),
-        out / "time.svg": svg(time_figure(rows)),
-    }
-    write_together(files, force=True)

@@ -71,7 +71,7 @@ def command(
     force : Overwrite an existing file.
     """
     from doe.plan.accuracy import tip_beside_random
-    from doe.plan.order import check_order
+    from doe.plan.order import check_order, ordered
     from doe.plan.plan import plan_text
     from doe.problem.model import offers
     from doe.problem.uncertain import with_choices
@@ -95,7 +95,11 @@ def command(
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
     if search.order is not None:
-        design = _ordered(design, search.order, seed, data, extra)
+        sequence = ordered(design.plan, search.order, seed=seed)
+        design = replace(design, plan=sequence.plan)
+        data["travel_deg"] = sequence.to_json()
+        before, after = (math.degrees(travel) for travel in (sequence.before, sequence.after))
+        extra.append(f"order {search.order}: joint travel {before:.0f} -> {after:.0f} deg ({sequence.saved:.0%} saved)")
     model: Any = design.problem.model
     columns = model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
     text = plan_text(design.plan, loaded.joint_types, columns)
@@ -120,14 +124,3 @@ def _searched(
 
     discriminating = discrimination_design(problem, arm, search.runs, loss=search.loss, progress=progress, **effort)
     return discriminating.design, discriminating.to_json(), discriminating_parts(discriminating)
-
-
-def _ordered(design: Design, order: str, seed: int, data: dict[str, Any], extra: list[Any]) -> Design:
-    """The same runs in the requested order; adds the travel to `data` and `extra`."""
-    from doe.plan.order import ordered
-
-    sequence = ordered(design.plan, order, seed=seed)
-    data["travel_deg"] = sequence.to_json()
-    before, after = (math.degrees(travel) for travel in (sequence.before, sequence.after))
-    extra.append(f"order {order}: joint travel {before:.0f} -> {after:.0f} deg ({sequence.saved:.0%} saved)")
-    return replace(design, plan=sequence.plan)

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 from doe.cli.common import verb, with_collisions
 from doe.cli.options import Count, Seconds, written
 from identification import InputError, Progress, load_sessions, silent
 from identification.document import Answer
 from identification.workflow import Written
-
-if TYPE_CHECKING:
-    from identification import Arm, Measurements
 
 
 @verb("armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5 --out next.csv")
@@ -41,15 +37,21 @@ def command(
     force : Overwrite an existing file.
     """
     from doe.discrimination.t_optimal import discriminate
+    from doe.problem.problem import DesignProblem
     from doe.report.design import missing_payload, next_document
-    from identification import csv_text, diagnose, load_arm
+    from identification import Model, csv_text, diagnose, load_arm, refuse_contacts
 
     loaded = load_arm(arm)
     masses = None if payloads is None else payload_list(payloads)
     if masses is not None and loaded.gravity is None:
         raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = load_sessions(data, loaded)
-    check_postures(loaded, measurements, data[-1])
+    refuse_contacts(loaded.chain)
+    postures, fewest = len(set(measurements.posture_numbers.tolist())), DesignProblem.of(Model(loaded)).fewest_runs
+    if postures < fewest:
+        counted = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
+        enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
+        raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
     diagnosis = diagnose(loaded, measurements, seed=seed, progress=progress)
     if diagnosis.verdict != "ambiguous":
         sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"
@@ -70,19 +72,6 @@ def command(
     rivals = [list(candidate.effects) for candidate in diagnosis.candidates]
     keys = {"verdict": diagnosis.verdict, "candidates": rivals}
     return with_collisions(Answer(keys | next_postures.to_json(), shown), loaded)
-
-
-def check_postures(arm: Arm, measurements: Measurements, path: Path) -> None:
-    """Raises `InputError` for rows of fewer postures than the arm's own parameters need, let alone effects."""
-    from doe.problem.problem import DesignProblem
-    from identification import Model, refuse_contacts
-
-    refuse_contacts(arm.chain)
-    postures, fewest = len(set(measurements.posture_numbers.tolist())), DesignProblem.of(Model(arm)).fewest_runs
-    if postures < fewest:
-        counted = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
-        enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {path} chooses more"
-        raise InputError(f"{path}: {counted}, allowed: {enough}")
 
 
 def payload_list(text: str) -> tuple[float, ...]:

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
     from identification import Array
 
-SECONDS = 40.0  # unless the user says otherwise: a million candidates take a third of its first half
-
 
 @dataclass(frozen=True)
 class RelaxationOptions:
@@ -50,7 +48,8 @@ class RelaxationOptions:
         if self.seconds is not None and solver in LARGEST:
             reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
             raise InputError(f"--seconds: {reason}, which cannot be stopped, allowed: with {allowed}")
-        began, seconds = perf_counter(), SECONDS if self.seconds is None else self.seconds
+        # of 40 s, a million candidates take a third of the first half
+        began, seconds = perf_counter(), 40.0 if self.seconds is None else self.seconds
         weighted = began + seconds * (0.5 if self.check else 1.0)
         return (lambda: perf_counter() > weighted), began + seconds
 
@@ -81,7 +80,11 @@ def command(
     from identification import load_arm
 
     loaded = load_arm(arm)
-    check_prior_runs(chosen, criterion, held=not loaded.chain.planar and loaded.sigma is not None)
+    if criterion.robust and chosen.runs is None:
+        raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
+    held = not loaded.chain.planar and loaded.sigma is not None  # by the prior of the machining
+    if chosen.runs is not None and not criterion.robust and not held:
+        raise InputError("--runs: found without --robust, allowed: with --robust")
     problem = design_problem(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )
@@ -101,17 +104,6 @@ def command(
         shown.append(cross_check_table(compared))
     text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
     return with_collisions(Answer(data, [*shown, *written({out: text}, force, "plan with weights")]), loaded)
-
-
-def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, held: bool) -> None:
-    """Raises `InputError` if prior information needs a number of runs and none is given, or one is given for nothing.
-
-    held : the geometry of a spatial arm has the machining prior
-    """
-    if criterion.robust and chosen.runs is None:
-        raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
-    if chosen.runs is not None and not criterion.robust and not held:
-        raise InputError("--runs: found without --robust, allowed: with --robust")
 
 
 def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array:

@@ -12,8 +12,6 @@ from typing import Any, NoReturn
 
 from identification import ArmcalError
 
-AGAIN = 0.01  # [s] after which a signal that was lost is sent again
-
 
 @contextmanager
 def stoppable() -> Iterator[None]:
@@ -22,7 +20,7 @@ def stoppable() -> Iterator[None]:
 
     def stop(number: int, _: object) -> NoReturn:
         came.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
-        threading.excepthook = _nothing  # of threads whose processes are killed next
+        threading.excepthook = lambda _: None  # of threads whose processes are killed next
         raise came[0]
 
     with ExitStack() as stack:
@@ -44,10 +42,6 @@ def stoppable() -> Iterator[None]:
             raise
 
 
-def _nothing(_: object) -> None:
-    """Report nothing."""
-
-
 def _lost_no_signal(otherwise: Callable[[Any], object], came: list[KeyboardInterrupt], unraisable: Any) -> None:
     """A signal that met the end of an object, where nothing can be raised, comes again a little later.
 
@@ -58,7 +52,7 @@ def _lost_no_signal(otherwise: Callable[[Any], object], came: list[KeyboardInter
         send: Callable[[int], None] = signal.raise_signal
         if hasattr(signal, "pthread_kill"):  # to the main thread, where it ends a wait too; in the timer's it would not
             send = partial(signal.pthread_kill, threading.main_thread().ident or 0)
-        threading.Timer(AGAIN, send, (number,)).start()
+        threading.Timer(0.01, send, (number,)).start()
     elif not came:
         otherwise(unraisable)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -91,21 +92,26 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
     """A Monte Carlo study that a file describes."""
     from dataclasses import replace
 
+    from doe.jobs.rows import journal_of
     from doe.report.studies import monte_carlo_parts
     from doe.studies.monte_carlo import load_study, run_study
-    from doe.studies.monte_carlo.study import CELLS, discard, require_some
+    from doe.studies.monte_carlo.study import BLOCKS, CELLS, PLANS
 
     study = load_study(path)
     if replications is not None:
         study = replace(study, replications=replications)
     new = not os.path.exists(folder)  # False for what cannot be looked at: `run_study` says so
+    tables = [folder / name for name in (PLANS, BLOCKS, CELLS)]
+    resumed = options["resume"] and any(os.path.exists(path) for table in tables for path in (table, journal_of(table)))
     result = run_study(study, folder, workers, **options)
-    try:
-        require_some(result)
-    except JobError:
-        if new or not options["resume"]:
-            discard(folder, new)
-        raise
+    if "done" not in set(result.blocks["status"]):
+        if not resumed:  # a study without a result leaves nothing
+            for table in tables:
+                table.unlink(missing_ok=True)
+        if new:
+            folder.rmdir()
+        reason = re.sub(r"\b[A-Z]\w*Error: ", "", result.blocks["error"][0])  # users need no exception types
+        raise JobError(f"no cell could be done: {reason}")
     failed = result.cells.filter(result.cells["status"] != "done")
     data = {"out": folder, "cells": result.cells.to_dicts(), "failed": len(failed)}
     return Answer(data, [*monte_carlo_parts(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
@@ -113,11 +119,15 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
 
 def _paper(replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
     """The paper reproduced."""
-    from doe.report.studies import paper_parts, paper_pictures
+    from doe.report.page import svg
+    from doe.report.studies import figure_1_picture, figure_2_picture, paper_parts
     from doe.studies.paper.study import paper_study
+    from identification.files.io import write_together
 
     study = paper_study(replications, folder, workers, **options)
-    paper_pictures(folder, study)
+    pictures = {"figure_1": figure_1_picture, "figure_2": figure_2_picture}
+    for name, drawn in pictures.items():
+        write_together({folder / f"{name}.svg": svg(drawn(study.tables[name]))}, force=True)
     return _tables_answer(study, folder, paper_parts(study))
 
 

@@ -182,8 +182,6 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.ra
 
 # -- additions ---------------------------------------------------------------------------------------------------------
 PLACES = 2000  # random postures, of which half have each joint at a limit with probability one half
-AROUND = 64  # random postures around the best
-STEPS = 0.3 * 0.3 ** np.arange(8)  # standard deviations of their distances, in half the range of each joint
 
 
 def with_additions(problem: DesignProblem, plan: Array, count: int, generator: np.random.Generator) -> Array | None:
@@ -200,8 +198,9 @@ def with_additions(problem: DesignProblem, plan: Array, count: int, generator: n
         posture = _best_place(problem, longer, places)
         if posture is None:
             return None
-        for step in STEPS if problem.choices is None else ():
-            moves = step * generator.standard_normal((AROUND, problem.joints))
+        # random postures around the best, at ever smaller parts of half the range of each joint
+        for step in 0.3 * 0.3 ** np.arange(8) if problem.choices is None else ():
+            moves = step * generator.standard_normal((64, problem.joints))
             near = problem.clip(posture + moves * 0.5 * (problem.upper - problem.lower))
             best = _best_place(problem, longer, np.concatenate([posture[None], near]))
             posture = posture if best is None else best

@@ -32,7 +32,6 @@ ANYWHERE = 1e6  # [mm] a side that the arm file leaves out
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
 POINTER = 100.0  # [mm] from the reflector to the point that tells where it looks
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
-SECTIONS = 50  # of golden section: 1e-10 of a link
 PART = 1000  # postures at a time, whose sections stay in the processor's cache
 FLAT = 1e-9  # [mm] lengths that divide nothing
 
@@ -337,7 +336,7 @@ def smallest(function: Callable[[Array], Array], shape: tuple[int, ...]) -> Arra
     low, high = np.zeros(shape), np.ones(shape)
     left, right = high - GOLDEN, low + GOLDEN
     at_left, at_right = function(left), function(right)
-    for _ in range(SECTIONS):
+    for _ in range(50):  # 1e-10 of a link
         lower = at_left <= at_right
         low, high = np.where(lower, low, left), np.where(lower, right, high)
         new = np.where(lower, high - GOLDEN * (high - low), low + GOLDEN * (high - low))

@@ -229,7 +229,7 @@ def confirmed_on(
     model: Fit | PredictingModel,
     measurements: Measurements,
     kept: NDArray[np.bool_],
-    named: bool = True,
+    named: bool,
 ) -> Confirmation:
     """Test a model on rows held out.
 
@@ -290,32 +290,13 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
         )
 
 
-def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
-    """Raise `InputError` for a hold-out of another arm, or one that contains rows of the data."""
-    from scipy.spatial import KDTree
-
-    if holdout.links != measurements.links:
-        raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
-    if holdout.dimension != measurements.dimension:
-        found, needed = holdout.dimension, measurements.dimension
-        raise InputError(f"holdout: positions of {found} coordinates, allowed: {needed} as in the data")
-    data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
-    distance = KDTree(data).query(rows, p=np.inf)[0]
-    shared, near = int(np.sum(distance == 0.0)), int(np.sum(distance <= 1.0))
-    if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy
-        shared = max(shared, near)
-        raise InputError(
-            f"holdout: {shared} of {len(holdout)} rows are also in the data, allowed: rows not used before"
-        )
-
-
 # -- each part of the rows predicted from the others -------------------------------------------------------------------
 def cross_validation(
     posterior: Posterior,
     measurements: Measurements,
     kept: NDArray[np.bool_],
     generator: np.random.Generator,
-    named: bool = True,
+    named: bool,
 ) -> tuple[Confirmation, ...]:
     """Test whether the average holds for other postures, and for another interval of time of the same session.
 

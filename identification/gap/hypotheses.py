@@ -230,9 +230,12 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
                 skipped[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
-            found = [h for h in _with_settings(cls, spec, scope) if h.effect.label not in own]
-            members += found
-            if not found:
+            scans = [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
+            specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
+            each = [Hypothesis.of(arm, one, cls.prior / max(len(specs), 1)) for one in specs]
+            further = [h for h in each if h.effect.label not in own]
+            members += further
+            if not further:
                 skipped[spec.key] = "already in the arm's model"
     aliases = {name: cls.alias for name, cls in known.items() if cls.alias is not None}
     return HypothesisSet(arm, tuple(members), skipped, aliases)
@@ -249,13 +252,6 @@ def untested_joints(model: Model, rows: Rows) -> frozenset[int]:
     sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
     sliding = np.array([kind == PRISMATIC for kind in model.joint_types])
     return frozenset((np.flatnonzero(sliding | (sizes < UNSEEN * model.reach)) + 1).tolist())
-
-
-def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hypothesis]:
-    """The hypotheses of one effect at one joint: one for each setting."""
-    arm, scans = scope.arm, [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
-    specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
-    return [Hypothesis.of(arm, one, cls.prior / max(len(specs), 1)) for one in specs]
 
 
 def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Sequence[Hypothesis]) -> HypothesisSet:

@@ -52,8 +52,7 @@ OF_ARM = (*LIBRARY_WHOLE, *RARE_WHOLE, *PHYSICS_WHOLE, "step_drift")
 NOT_INSIDE = {*OUTSIDE, *SPACE_OUTSIDE, *PHYSICS} - set(SINCE_INSIDE)
 COUNTS = {"small": (14, 22), "several": (6, 9)}  # of many effects at once, the least and the most
 SEEN = 0.02  # of an effect's length that must be left beside the geometry
-EXPLAINED = 0.5  # of the square of an effect outside the library, at most, by any one effect of it
-DRAWS = 20  # until that is so
+EXPLAINED = 0.5  # of the square of an effect outside the library, at most, by any one of it; in 20 draws or never
 
 
 def directions(truth: TrueArm, name: str, joint: int | None, rng: np.random.Generator) -> Values:
@@ -277,7 +276,7 @@ def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rn
     base, blocks = base_jacobian(truth, run), library_blocks(truth, run)
     ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
     blocks = [np.linalg.qr(block)[0] for block in np.split(off(base, np.hstack(blocks)), ends, axis=1)]
-    while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < DRAWS):
+    while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < 20):
         effect = random_effect((name,), truth, run, lam, rng, base)
         left = off(base, column(truth, run, effect))
         drawn.append((max(float(np.sum((left @ block) ** 2)) for block in blocks) / float(left @ left), effect))

@@ -246,11 +246,6 @@ class StudyFile(StrictTable):
     models: list[ModelTable] | None = Field(None, min_length=1, description="tables [[models]], at least one")
 
 
-def parse_study(tables: dict[str, Any]) -> StudyFile:
-    """The tables of a study file, checked. Raises `InputError` naming key, what was found and what is allowed."""
-    return validated(StudyFile, tables)
-
-
 def load_study(path: Path | str) -> Study:
     """The study that a TOML file describes; names of files in it are beside it.
 
@@ -260,7 +255,7 @@ def load_study(path: Path | str) -> Study:
     """
     tables = read_toml(path)
     try:
-        file = parse_study(tables)
+        file = validated(StudyFile, tables)
 
         def beside(name: str, key: str) -> Path:
             return named_file(Path(path).parent, name, key, whose="the study file")
@@ -275,20 +270,18 @@ def load_study(path: Path | str) -> Study:
         if file.models is not None:
             entries = enumerate(file.models, start=1)
             models = [Fitted(table.name, _effects(f"models[{k}]", table.effects, arms)) for k, table in entries]
-        truths: Sequence[Truth] = (Truth(),)
+        truths = [Truth()]
         if file.truths is not None:
-            truths = [_truth(f"truths[{k}]", table, arms) for k, table in enumerate(file.truths, start=1)]
+            truths = []
+            for k, table in enumerate(file.truths, start=1):
+                offsets = None if table.joint_offsets_deg is None else np.radians(table.joint_offsets_deg).tolist()
+                effects = None if table.effects is None else _effects(f"truths[{k}]", table.effects, arms)
+                values = None if table.values is None else _values(f"truths[{k}].values", table.values, arms)
+                truths.append(Truth(table.name, table.length_errors_mm, offsets, effects, values))
         grid = arms, plans, file.runs, file.sigma_mm or (), truths, models
         return Study(*grid, file.replications, file.block, file.solver_seconds)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-
-
-def _truth(place: str, table: TruthTable, arms: Sequence[Arm]) -> Truth:
-    offsets = None if table.joint_offsets_deg is None else np.radians(table.joint_offsets_deg).tolist()
-    effects = None if table.effects is None else _effects(place, table.effects, arms)
-    values = None if table.values is None else _values(f"{place}.values", table.values, arms)
-    return Truth(table.name, table.length_errors_mm, offsets, effects, values)
 
 
 def _values(place: str, entries: Mapping[str, float], arms: Sequence[Arm]) -> dict[str, float]:

@@ -9,7 +9,6 @@ point, or frame, is measured at every posture.
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -173,21 +172,6 @@ def _tasks(study: Study, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]
                     yield {**key, "block": number, "replications": size}, cell
 
 
-def require_some(result: StudyResult) -> None:
-    """Raises `JobError` with the first reason if no cell could be simulated."""
-    if "done" not in set(result.blocks["status"]):
-        reason = re.sub(r"\b[A-Z]\w*Error: ", "", result.blocks["error"][0])  # users need no exception types
-        raise JobError(f"no cell could be done: {reason}")
-
-
-def discard(folder: Path, new: bool) -> None:
-    """Removes the tables of a study without a result, and the folder where it was made for them."""
-    for name in (PLANS, BLOCKS, CELLS):
-        (folder / name).unlink(missing_ok=True)
-    if new:
-        folder.rmdir()
-
-
 def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
     """One row per cell and parameter: blocks pooled.
 
@@ -225,11 +209,7 @@ def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
 
 
 # -- replications ------------------------------------------------------------------------------------------------------
-Z_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
-CHUNK = 20_000  # rows of random plans at a time: their arrays stay in the processor's cache
-SPACE = 3  # coordinates of a point
 MOST_ROWS = 4_000_000  # of one plan at a time: 64 MB of positions
-POSTURES = 100  # where two geometries are compared: three equations each for some forty parameters
 
 
 def in_file_units(postures: Array, joint_types: tuple[str, ...]) -> Array:
@@ -275,7 +255,8 @@ def true_values(model: Model, truth: Model) -> Array:
     values = model.parameters.mapping(model.parameters.vector(truth.best_known))
     if not model.arm.chain.planar:
         drawn, real = (Model(replace(each.arm, effects=())) for each in (model, truth))
-        postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (POSTURES, model.joints))
+        # three equations of each for some forty parameters
+        postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (100, model.joints))
         plan = plan_of(real, postures)
         same = estimate_batch(drawn, plan, real.position(plan.postures, conditions=plan.conditions)[None])
         values |= drawn.parameters.mapping(same.parameters[0])
@@ -332,7 +313,7 @@ def fits_of(cell: Cell, generator: np.random.Generator, total: int) -> tuple[Arr
         parameters, rss = map(np.concatenate, zip(*parts, strict=True))
         return parameters, rss, expected
     problem = DesignProblem.of(model)
-    for count in _sizes(total, CHUNK // rows):
+    for count in _sizes(total, 20_000 // rows):  # rows whose arrays stay in the processor's cache
         postures = random_postures(problem, count * cell.runs, generator).reshape(count, cell.runs, -1)
         noise = cell.sigma * generator.standard_normal((count, rows, model.dimension))
         every, conditions = rows_of(truth, postures, model.remembers)
@@ -367,7 +348,7 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
     turns = [*model.parameters.indices(JOINT_OFFSET).tolist(), *range(unknowns, len(transform))]
     errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
     stds = stds if len(stds) == 1 else stds[good]
-    distances = model.dimension <= SPACE  # the residuals of orientations are none
+    distances = model.dimension <= 3  # the residuals of orientations are none
     rms = float(np.sqrt(np.mean(rss[good]) / rows)) if len(errors) and distances else None
     fits = {"fits": len(errors), "failed": int(np.sum(~good)), "rms_mm": rms}
     reported = [(p.name, p.file_unit, p.to_file) for p in model.parameters]
@@ -387,6 +368,6 @@ def _figures(error: Array, std: Array) -> Row:
     return {
         "mean_error": mean,
         "squares": float(np.sum((error - mean) ** 2)),
-        "covered": int(np.sum(np.abs(error) <= Z_95 * std)),
+        "covered": int(np.sum(np.abs(error) <= 1.959963984540054 * std)),  # two-sided 95 % of the normal distribution
         "expected_std": float(std[0]) if std.size == 1 else float(np.sqrt(np.mean(std**2))),
     }

@@ -6,7 +6,7 @@ import tomllib
 from importlib.metadata import version
 
 from doe.cli import main
-from doe.studies.monte_carlo.specification import parse_study
+from doe.studies.monte_carlo.specification import StudyFile
 from tests.doe.cli.conftest import Folder
 
 
@@ -38,6 +38,6 @@ def test_examples_fit_a_terminal(folder: Folder) -> None:
 
 def test_the_study_of_the_help_is_one(folder: Folder) -> None:
     example = folder.armcal("study", "--help").out.partition("(names of files are beside it):\n")[2]
-    study = parse_study(tomllib.loads(example))
+    study = StudyFile.model_validate(tomllib.loads(example))
     assert study.replications == 10_000
     assert [truth.name for truth in study.truths] == ["eccentric"]

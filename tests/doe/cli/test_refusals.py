@@ -462,7 +462,7 @@ def test_an_answer_that_cannot_be_given_leaves_nothing(
     assert not (folder.path / "folder").exists()
 
 
-@pytest.mark.parametrize("more", ["", " --resume", " --out there"])
+@pytest.mark.parametrize("more", ["", " --resume", " --out there", " --resume --out there"])
 def test_a_study_without_a_result_leaves_nothing(folder: Folder, more: str) -> None:
     folder.write("same.csv", PLAN + "1,0,1,2,3\n" * 4)
     folder.write("study.toml", STUDY + 'plans = ["same.csv"]\nreplications = 4\n')

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from doe.plan.plan import load_plan
-from doe.studies.monte_carlo.specification import parse_study
+from doe.studies.monte_carlo.specification import StudyFile
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements, load_targets
 
@@ -65,7 +65,7 @@ def test_targets(example: Path) -> None:
 
 
 def test_study() -> None:
-    assert parse_study(tomllib.loads(EXAMPLES["Study file"])).replications == 10_000
+    assert StudyFile.model_validate(tomllib.loads(EXAMPLES["Study file"])).replications == 10_000
 
 
 WRITERS = {"to_json", "as_dict", "next_data", "demo_data", "discriminating_data"}  # functions whose keys users read
