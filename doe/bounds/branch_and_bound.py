@@ -227,6 +227,23 @@ class TrigonometricJacobian:
     frequencies: NDArray[np.int64]
     coefficients: NDArray[np.complex128]
 
+    @classmethod
+    def of(cls, problem: DesignProblem) -> TrigonometricJacobian | None:
+        """B as trigonometric polynomials, or None where they are not (a gear ratio, a sign of a torque)."""
+        try:
+            entries = polynomials(problem.scaled_jacobian_function)
+        except NotTrigonometric:
+            return None
+        frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
+        if not frequencies or len(frequencies) > 400:  # beyond, a bound by branch and bound is out of reach
+            return None
+        coefficients = np.zeros((len(frequencies), problem.model.dimension, problem.parameters), dtype=complex)
+        slot = {frequency: k for k, frequency in enumerate(frequencies)}
+        for (row, column), polynomial in entries.items():
+            for frequency, value in polynomial.items():
+                coefficients[slot[frequency], row, column] = value
+        return cls(np.array(frequencies).reshape(-1, problem.joints), coefficients)
+
     def sensitivity(self, gradient: Array, factor: float = 1.0, constant: float = 0.0) -> TrigonometricPolynomial:
         """factor * tr(G B^T B) + constant as a polynomial, G = `gradient` (p, p)."""
         count, n = self.frequencies.shape
@@ -247,23 +264,6 @@ class TrigonometricJacobian:
 
 class NotTrigonometric(Exception):
     """An instruction leaves the ring of trigonometric polynomials."""
-
-
-def trigonometric_jacobian(problem: DesignProblem) -> TrigonometricJacobian | None:
-    """B as trigonometric polynomials, or None where they are not (a gear ratio, a sign of a torque)."""
-    try:
-        entries = polynomials(problem.scaled_jacobian_function)
-    except NotTrigonometric:
-        return None
-    frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
-    if not frequencies or len(frequencies) > 400:  # beyond, a bound by branch and bound is out of reach
-        return None
-    coefficients = np.zeros((len(frequencies), problem.model.dimension, problem.parameters), dtype=complex)
-    slot = {frequency: k for k, frequency in enumerate(frequencies)}
-    for (row, column), polynomial in entries.items():
-        for frequency, value in polynomial.items():
-            coefficients[slot[frequency], row, column] = value
-    return TrigonometricJacobian(np.array(frequencies).reshape(-1, problem.joints), coefficients)
 
 
 def polynomials(function: ca.Function) -> dict[tuple[int, int], Polynomial]:

@@ -22,7 +22,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bounds.branch_and_bound import TrigonometricJacobian, maximum, trigonometric_jacobian
+from doe.bounds.branch_and_bound import TrigonometricJacobian, maximum
 from doe.bounds.certificate import (
     REMEMBERED,
     ApproximateDesign,
@@ -36,7 +36,6 @@ from doe.bounds.weights import (
     interior_point_weights,
     multiplicative_weights,
     proper_weights,
-    smallest_eigenvalue_weights,
     solve_program,
     sparsest,
 )
@@ -56,6 +55,7 @@ ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the e
 EXACT = 1e-14  # the same at the end: rounding
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
 FINE = 1e-6  # the same, before the first thorough search; and from which the weights at the end are exact
+WEIGHTED = 2000  # candidates that are weighted roughly at once however many parameters there are
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,7 @@ def rough_design(
     if problem.criterion.name not in POWERS:
         raise InputError(f"criterion: {problem.criterion.name} for solver multiplicative, allowed: D, A, I")
     began, prior = perf_counter(), problem.prior.per_new_run(runs)
-    # so many are weighted at once however many parameters there are
-    most = max(2000, REMEMBERED // (problem.model.dimension * problem.parameters))
+    most = max(WEIGHTED, REMEMBERED // (problem.model.dimension * problem.parameters))
     working = well_spread(candidates, most)
     while True:
         jacobians = np.ascontiguousarray(problem.scaled_jacobians(working))
@@ -176,7 +175,7 @@ def continuous_design(
     thorough = np.random.default_rng(0) if stop() and not problem.many_parameters else None
     best = everything.best(design.gradient, design.plan.postures, thorough)[1][0]
     largest, rigorous, goal = max(design.level + gap, float(best)), False, max(tolerance, proof)
-    jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
+    jacobians = TrigonometricJacobian.of(problem) if proof > 0.0 and not problem.constraints else None
     if jacobians is not None and not stop():
         stages = ascents(everything, tolerance)
         design, largest, rigorous = prove(everything, jacobians, design, largest, stages, goal, stop)
@@ -306,9 +305,12 @@ def optimal_weights(
     jacobians: Array, criterion: Criterion, prior: PriorInformation, accuracy: float = EXACT
 ) -> tuple[Array, Array]:
     """Weights (k,) for scaled Jacobians (k, d, p), and (p, p) G there, by the method that the criterion allows."""
-    if criterion.name == "E":
-        return smallest_eigenvalue_weights(jacobians, prior)
-    return interior_point_weights(jacobians, criterion, prior, accuracy)
+    if criterion.name != "E":
+        return interior_point_weights(jacobians, criterion, prior, accuracy)
+    weights, status, gradient = solve_program(prior.posture_information(jacobians), criterion, "clarabel")
+    if weights is None or gradient is None:
+        raise JobError(f"clarabel: status {status} on the restricted master of {len(jacobians)} postures")
+    return proper_weights(weights), gradient  # of the dual: E has no gradient of its own
 
 
 def check_identified(problem: DesignProblem, prior: PriorInformation, jacobians: Array) -> None:

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from doe.criteria import Criterion, E
+from doe.criteria import Criterion
 from doe.criteria.criterion import Factored, log_determinants, smooth
 from doe.criteria.variances import InverseTrace
 from doe.problem.problem import PriorInformation, Stop, never
@@ -270,12 +270,3 @@ def _run(program: Any, solver: str) -> str:
             program.solve(solver=solver.upper(), **settings)
             return str(program.status)
     return "solver_error"
-
-
-def smallest_eigenvalue_weights(jacobians: Array, prior: PriorInformation) -> tuple[Array, Array]:
-    """E-optimal weights for scaled Jacobians (k, d, p), and (p, p) G of the dual: the restricted master of a criterion
-    without a gradient."""
-    weights, status, gradient = solve_program(prior.posture_information(jacobians), E(), "clarabel")
-    if weights is None or gradient is None:
-        raise JobError(f"clarabel: status {status} on the restricted master of {len(jacobians)} postures")
-    return proper_weights(weights), gradient

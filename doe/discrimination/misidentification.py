@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
 LAMBDA = 8.0
-# numerical: of a rival's length on random postures; keeps the inverse of a rival that a plan hides
-RIDGE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -57,10 +55,10 @@ class EffectLibrary:
     jacobian_by_order: Callable[[Array], Array] | None = None
     preflight: Callable[[Array], Any] | None = None
 
-
-def effect_library(arm: Arm) -> EffectLibrary:
-    """The effects of the library that an arm can have, besides its own; without the rare ones."""
-    return EffectLibrary(*ArmModel.of(arm).rival_effects())
+    @classmethod
+    def of(cls, arm: Arm) -> EffectLibrary:
+        """The effects of the library that an arm can have, besides its own; without the rare ones."""
+        return cls(*ArmModel.of(arm).rival_effects())
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,8 @@ class MisidentificationBound:
             chosen = list(numbers)
             columns = np.stack([self.bases[number] for number in chosen], axis=1)
             lengths = np.einsum("kgs,kl,lgs->g", columns, schur, columns)
-            groups.append(Rivals(columns, owners[:, None] != chosen, RIDGE * np.maximum(lengths, 1e-300)))
+            # numerical: the ridge keeps the inverse of a rival that a plan hides
+            groups.append(Rivals(columns, owners[:, None] != chosen, 1e-12 * np.maximum(lengths, 1e-300)))
         return tuple(groups)
 
 

@@ -32,7 +32,6 @@ from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError, information_matrix
 
 MOST = 5000  # variables, whose second derivatives are dense: 0.2 GB, and 10 s for each step
-QUIET = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "show_eval_warnings": False}
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,10 @@ class Ipopt:
         """Options of `casadi.nlpsol`."""
         warm = {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6} if self.warm else {}
         return {
-            **QUIET,
+            "print_time": False,
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "show_eval_warnings": False,
             **warm,
             "ipopt.tol": self.tolerance,
             "ipopt.max_iter": self.iterations,

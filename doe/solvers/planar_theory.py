@@ -146,7 +146,7 @@ def small_groups(
     groups: dict[int, list[Pattern]] = {}
     if halves(widths) and runs % 2:
         return groups
-    # as the factorial of all joints has
+    # of up to 48 elements, or as many as the factorial of all joints has
     for size in range(len(widths) + 1, min(runs // 2, max(48, 2 ** len(widths))) + 1):
         if groups and size % np.gcd.reduce(list(groups)) == 0:
             continue  # nothing that the smaller sizes cannot make, but for the smallest multiples
