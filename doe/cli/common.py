@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from identification.document import Document
 
 SHARED_MEMORY = Path("/dev/shm")  # of Linux; may be written to where nothing else may
-PIPE = 110  # characters of a line where no terminal says how many it has
 WORDS = "armcal.words"  # in the context's `meta`: what was typed after `armcal`
 # the arm file with a table added to it; --force may overwrite the old one
 PROVIDED = ("seed", "progress", "page", "constraints")  # parameters that are no options of their own
@@ -315,7 +314,9 @@ def _print(answer: Answer, as_json: bool) -> None:
     from identification.document import rendered
 
     columns = os.environ.get("COLUMNS", "")
-    width = int(columns) if columns.isdecimal() and int(columns) else None if sys.stdout.isatty() else PIPE
+    width = None if sys.stdout.isatty() else 110
+    if columns.isdecimal() and int(columns):
+        width = int(columns)
     console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
     for part in answer.shown:
         for one in [part] if hasattr(part, "__rich_console__") else rendered(part, console.width):

@@ -6,7 +6,6 @@ A verb's parameter of one of these types is an option of it (`common.verb`); a d
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -136,17 +135,6 @@ class JobOptions:
         from doe.jobs.running import chosen_workers
 
         return chosen_workers(self.workers, self.cluster)
-
-
-def one_thread_each() -> None:
-    """Limit BLAS to one thread per process, unless the user has set a number. Call it before numpy is imported.
-
-    The matrices are small: more threads made it five times slower (measured), and the tasks use all cores already.
-    """
-    from identification import SINGLE_THREAD
-
-    for name, number in SINGLE_THREAD.items():
-        os.environ.setdefault(name, number)
 
 
 @contextmanager

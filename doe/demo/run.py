@@ -19,8 +19,6 @@ from identification.document import Answer
 from identification.files.io import write_together
 from identification.workflow import Written, compensate_files, diagnose_files, identify_files
 
-FRESH, TARGETS = 200, 50  # postures
-
 
 @dataclass(frozen=True)
 class Scenario:
@@ -177,7 +175,7 @@ def run_demo(
     begin()
     generator = np.random.default_rng(seed)
     data = measured("data.csv", design.plan.postures)
-    fresh = measured("fresh.csv", random_postures(problem, FRESH, generator))
+    fresh = measured("fresh.csv", random_postures(problem, 200, generator))
     begin()
     path, rows = directory / "arm.toml", directory / "data.csv"
     urdf = None if arm.chain.planar else to_write("corrected.urdf")
@@ -189,7 +187,7 @@ def run_demo(
     named = Written(directory / "extended.toml")
     extended = identify_files(named, rows, out=named, force=True)
     begin()
-    targets = random_postures(problem, TARGETS, generator)  # where the nominal arm would be there the real one is to go
+    targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
     write("targets.csv", plan_text(Plan(targets), arm.joint_types))
     compensated = compensate_files(named, directory / "targets.csv", out=to_write("commands.csv"), force=force)
     begin()

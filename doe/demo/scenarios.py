@@ -40,16 +40,15 @@ LIMITS = np.radians([180.0, 180.0, 150.0, 180.0, 180.0, 180.0])
 
 REFLECTOR = FLANGE + np.array([55.0, 60.0, -50.0])  # [mm] at home
 HIDDEN_JOINT, HIDDEN_WAVE = 2, (0.03, -0.025)  # encoder off centre: joint from 1; cosine, sine [deg]
-SHIFT, LEAN, OFFSET = 0.4, 1.5e-3, 4e-3  # errors of the lines [mm], [rad], of the joints' zeros [rad]: as machined
-SEED = 2026  # of these errors
+SEED = 2026  # of the errors of the real arm
 
 
 def hidden_arm() -> TrueArm:
     """The real arm, its lines in space a little off and its encoder off centre: errors that the fits do not know."""
     generator = np.random.default_rng(SEED)
-    points = POINTS + SHIFT * generator.standard_normal(POINTS.shape)
-    axes = AXES + LEAN * generator.standard_normal(AXES.shape)
-    offsets = OFFSET * generator.standard_normal(len(POINTS))
+    points = POINTS + 0.4 * generator.standard_normal(POINTS.shape)  # [mm], as machined
+    axes = AXES + 1.5e-3 * generator.standard_normal(AXES.shape)  # [rad]
+    offsets = 4e-3 * generator.standard_normal(len(POINTS))  # of the joints' zeros [rad]
     base = np.eye(4)
     base[:3, :3] = turn(np.array([0.0, 0.0, np.radians(160.0)]))
     base = base @ shift(np.array([-2590.0, -410.0, -495.0]))  # about where arm.toml has the tracker

@@ -205,7 +205,6 @@ STEPS = (
     "is a file that armcal score reads. The figures are of criterion D for the model of the arm file alone, also where "
     "the plan was chosen by another criterion or with missing effects in mind (--robust)."
 )
-MOST_RUNS, MOST_NUMBERS = 200, 150_000  # that a person steps through; of the Jacobians, some 12 characters each
 
 
 def plan_section(
@@ -237,7 +236,8 @@ def plan_steps(
 
     problem = DesignProblem.of(Model(arm))
     numbers = len(plan) * problem.model.dimension * problem.parameters
-    if plan.weights is not None or len(plan) > MOST_RUNS or numbers > MOST_NUMBERS:
+    # more runs than a person steps through, or too many numbers of the Jacobians, some 12 characters each
+    if plan.weights is not None or len(plan) > 200 or numbers > 150_000:
         return None
     jacobians = problem.scaled_jacobians(plan.postures).reshape(len(plan), -1)
     if cells is None:

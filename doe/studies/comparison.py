@@ -30,7 +30,6 @@ Subject = str | DesignProblem  # text of an arm file, or the problem of another 
 Task = tuple[Subject, "str | Solver"]
 AGREES = 1e-9  # between the solver's value and ours
 HIT = 1e-6  # a run has found the best known plan if its loss of efficiency is below this
-KILL_FACTOR, KILL_EXTRA = 1.5, 10.0  # a run is killed after 1.5 times its time limit and 10 s more
 PROBLEM = ("arm", "arm_hash", "criterion", "runs")
 CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
 SETTING = ("solver", "starts")
@@ -135,7 +134,7 @@ def compare(
 def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> list[Row]:
     """The row of one run, in a new process."""
     number = int(seed.generate_state(1)[0])
-    limit = key["limit_s"] * KILL_FACTOR + KILL_EXTRA
+    limit = 1.5 * key["limit_s"] + 10.0  # after which it is killed
     outcome = call(solve_and_evaluate, task, key, number, seconds=limit)
     measured = {"status": outcome.status, "error": outcome.error, "peak_memory_mb": outcome.peak_memory_mb}
     return [{**measured, "seconds": outcome.seconds, **(outcome.value or {})}]

@@ -22,7 +22,7 @@ from identification import Array, Measurements
 
 G = 9.81
 UPRIGHT = np.array([0.0, 0.0, 1.0])
-OUTLIERS, OFF = 3, 15.0  # rows of a set that are wrong, and by how much [sigma]
+OUTLIERS = 3  # rows of a set that are wrong
 Values = dict[str, Any]
 Drawn = tuple[str, int | None, Values]  # an effect: its name, its joint from 1 and its values
 OF_GRAVITY = ("joint_compliance", "gravity_backlash", "bearing_compliance", "link_bending")
@@ -425,7 +425,7 @@ def noise(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: st
         worst = rng.choice(m, OUTLIERS, replace=False)
         angle = 2.0 * np.pi * rng.random(OUTLIERS)
         away = np.column_stack([np.cos(angle), np.sin(angle)]) if d == 2 else rng.standard_normal((OUTLIERS, d))
-        e[worst] += OFF * sigma * away / np.linalg.norm(away, axis=1, keepdims=True)
+        e[worst] += 15.0 * sigma * away / np.linalg.norm(away, axis=1, keepdims=True)
     elif kind == "serial":
         for i in range(1, m):
             e[i] = 0.7 * e[i - 1] + np.sqrt(1 - 0.49) * e[i]

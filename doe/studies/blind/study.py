@@ -37,10 +37,7 @@ from identification import Diagnosis, InputError, Measurements, Model, Progress,
 from identification.files.io import write_together
 
 BATCH = 10  # sets per task
-NULL_SETS, SETS = 1000, 400  # data sets per cell, without and with a hidden effect
-SPATIAL_SETS = 100  # per cell in space, where a diagnosis takes ten times as long
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
-MANY_SETS = 1200  # in this cell, of which a third are ambiguous, and where ten sets share an arm and its plan
 COMPARED = ("one, lambda 8, m=50", "one, lambda 8, discriminating plan")  # cells whose gap is compared with rivals'
 FURTHER_RUNS = (2, 8, 16)  # more postures for an ambiguous set
 PLANS, TRUTH, DIAGNOSES = "plans.parquet", "truth.parquet", "diagnoses.parquet"
@@ -103,11 +100,12 @@ def reported_cells(space: bool) -> list[str]:
 
 
 def _usual_count(cell: str) -> int:
+    """Data sets of a cell."""
     if CELLS[cell].space:
-        return SPATIAL_SETS
+        return 100  # a diagnosis takes ten times as long
     if cell == AMBIGUOUS or CELLS[cell].designed:
-        return MANY_SETS
-    return NULL_SETS if any(bar.cell == cell and bar.measure == "alarm" for bar in BARS) else SETS
+        return 1200  # of which a third are ambiguous; or ten of which share an arm and its plan
+    return 1000 if any(bar.cell == cell and bar.measure == "alarm" for bar in BARS) else 400
 
 
 def _number(key: Key) -> int:
