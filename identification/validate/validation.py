@@ -282,8 +282,16 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
         )
         seen = f"{100.0 * np.mean(~beyond):.2g} % of these rows lie at joint angles that the calibration has seen"
         yield f"{seen}: RMS there {familiar}, elsewhere {elsewhere}"
-    if not arm.chain.planar and refit != "none":
-        yield from fresh_points(arm.chain, measurements)
+    tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
+    fresh = [name for name in names if name not in tools]
+    if not arm.chain.planar and refit != "none":  # measured points that the calibration does not have are fitted
+        if not names and len(tools) > 1:
+            several = "where they are of several, name them in the column marker"
+            alone = "the rows are taken as of one reflector, whose position was fitted to them"
+            yield f"no column marker: {alone}; {several}"
+        elif fresh and not len(tools) == 1 == len(names):
+            its = "its position was" if len(fresh) == 1 else "their positions were"
+            yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
     if comes_from(identified(arm), measurements):
         yield FITTED
     if far := extrapolation(arm, measurements.postures):
@@ -415,20 +423,6 @@ def as_calibrated(arm: Arm) -> Arm:
             spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
         effects.append(spec)
     return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
-
-
-def fresh_points(chain: KinematicChain, measurements: Measurements) -> list[str]:
-    """What is said of measured points that the calibration does not have: they are fitted to these measurements."""
-    names = () if chain.instrument.own_targets else measurements.marker_names
-    if not names and len(chain.tools) > 1:
-        several = "where they are of several, name them in the column marker"
-        return [
-            f"no column marker: the rows are taken as of one reflector, whose position was fitted to them; {several}"
-        ]
-    if len(chain.tools) == 1 == len(names) or not (fresh := [name for name in names if name not in chain.tools]):
-        return []
-    its = "its position was" if len(fresh) == 1 else "their positions were"
-    return [f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"]
 
 
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
