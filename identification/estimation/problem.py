@@ -27,7 +27,6 @@ from identification.estimation.levenberg_marquardt import (
 )
 from identification.estimation.prior import Prior
 from identification.information import RANK_TOLERANCE, column_lengths
-from identification.instruments import Instrument
 from identification.kinematics.closed_form import PlanarClosedForm
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -329,7 +328,17 @@ def starts(problem: Problem) -> Array:
         instrument = problem.model.arm.chain.instrument
         names = {parameter.name for parameter in instrument.parameters}
         if numbers := [k for k, name in enumerate(problem.model.names) if name in names]:
-            return _with_instrument(problem, best_known, instrument, numbers)
+            # those of the instrument as they explain the readings best, and all others as they fit best with those of
+            # them that the instrument holds first
+            settled, held = instrument.settled(best_known, problem.residuals, numbers)
+            least = problem.least_squares
+
+            def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
+                residuals, jacobian = least.linearize(parameters, index)
+                jacobian[..., held] = 0.0
+                return residuals, jacobian
+
+            return levenberg_marquardt(replace(least, linearize=linearize), settled).parameters if held else settled
     form = problem.model.closed_form
     if form is None:
         return best_known
@@ -338,17 +347,3 @@ def starts(problem: Problem) -> Array:
     if not np.any(problem.start):
         return solved  # nothing is known that the closed form does not know
     return np.where((problem.squares(best_known) < problem.squares(solved))[:, None], best_known, solved)
-
-
-def _with_instrument(problem: Problem, starts: Array, instrument: Instrument, numbers: list[int]) -> Array:
-    """(K, p) starts (K, p) with the parameters of the instrument, by their numbers, as they explain the readings best,
-    and all others as they fit best with those of them that the instrument holds first."""
-    least = problem.least_squares
-    starts, held = instrument.settled(starts, problem.residuals, numbers)
-
-    def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
-        residuals, jacobian = least.linearize(parameters, index)
-        jacobian[..., held] = 0.0
-        return residuals, jacobian
-
-    return levenberg_marquardt(replace(least, linearize=linearize), starts).parameters if held else starts

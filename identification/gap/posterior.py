@@ -176,8 +176,18 @@ def _climbed(library: HypothesisSet, rows: Rows, generator: np.random.Generator,
         search, chosen = search_of(library, problem), () if climbed is None else climbed.labels
         top = search.products.nothing if climbed is None else _same_set(climbed, problem, search)
         top = top if names else search.climb(top.blocks)
-        climbed = _with_noises(library, at, every, number, wrong, problem, search, top)
-        likely = int(np.argmax(np.where(np.arange(len(every)) == number, climbed.scores + ROUNDING, climbed.scores)))
+        # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
+        # with the outlying rows of the set alone, which noise of another kind may need, too
+        rows_only = search.products.state([(b, size) for b, size in top.key if problem.blocks[b].row])
+        y, jacobian, base = library.as_base(at, every[0].rows)
+        plain, prior, each = jacobian[:, :, base] / at.model.scales[base], np.array([n.prior for n in every]), []
+        for one in {one.key: one for one in (search.products.nothing, top, rows_only)}.values():
+            free = np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2)
+            likelihoods = log_likelihoods(every, y, free)
+            each.append(likelihoods - likelihoods[number] + search.log_odds(one) + prior)
+        scores = np.max(each, axis=0)
+        climbed = Climbed(library, at, every, number, wrong, problem, search, top, scores, each[0])
+        likely = int(np.argmax(np.where(np.arange(len(every)) == number, scores + ROUNDING, scores)))
         settled = climbed.labels == chosen and likely == number
         if turn == PASSES:
             return climbed
@@ -201,28 +211,6 @@ def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> State:
     return search.products.state(
         [(problem.numbers[label], size) for label, (_, size) in sized if label in problem.numbers]
     )
-
-
-def _with_noises(
-    library: HypothesisSet,
-    at: Fit,
-    every: list[NoiseModel],
-    number: int,
-    wrong: list[int],
-    problem: Linearized,
-    search: Search,
-    top: State,
-) -> Climbed:
-    """A set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and with
-    the outlying rows of the set alone, which noise of another kind may need, too."""
-    rows_only = search.products.state([(b, size) for b, size in top.key if problem.blocks[b].row])
-    y, jacobian, base = library.as_base(at, every[0].rows)
-    plain, prior, each = jacobian[:, :, base] / at.model.scales[base], np.array([n.prior for n in every]), []
-    for one in {one.key: one for one in (search.products.nothing, top, rows_only)}.values():
-        free = np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2)
-        likelihoods = log_likelihoods(every, y, free)
-        each.append(likelihoods - likelihoods[number] + search.log_odds(one) + prior)
-    return Climbed(library, at, every, number, wrong, problem, search, top, np.max(each, axis=0), each[0])
 
 
 def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
