@@ -31,7 +31,6 @@ from identification.model import Model
 UNSEEN = 1e-3  # convention: of the reach; a joint whose lever on the measured point is shorter is not looked at
 EFFECT, ORDER = "transmission_ripple", "k"
 ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn; derived: every wave between has a likeness of 0.97 with one
-CLEAR = 8.0  # convention: log likelihood ratio below which a wave of further order is not added
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 
 
@@ -284,7 +283,8 @@ def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Seq
         gains = np.concatenate([_gains(rows, basis, y, levers[:, :, j], q, some) for some in np.array_split(ORDERS, 8)])
         best = int(np.argmax(np.round(gains, 12)))
         freedom = len(y) - basis.shape[1]
-        if freedom < 3 or -0.5 * freedom * np.log1p(-min(gains[best], 1.0 - 1e-12)) < CLEAR:
+        # convention: log likelihood ratio below which a wave of further order is not added
+        if freedom < 3 or -0.5 * freedom * np.log1p(-min(gains[best], 1.0 - 1e-12)) < 8.0:
             continue
         for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
             spec = EffectSpec(EFFECT, j + 1, {ORDER: float(order)})
