@@ -24,10 +24,6 @@ from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification import LENGTH_ERROR, NEEDS_SIGMA, Array, InputError, Progress, silent
 
-FRESH = 5  # random starts beside the plan of fewer runs, where a start climbs on gradients
-SHARE = 0.25  # of the time, at most, for the bounds
-ROUNDING = 1e-9  # relative, of figures that are the same
-
 
 @dataclass(frozen=True)
 class Advice:
@@ -71,9 +67,9 @@ class Advice:
         reached = (d for d in self.designs if (std := self.accuracy(d)) is not None and std <= self.target)
         return min(reached, key=lambda d: len(d.plan), default=None)
 
-    def efficient_runs(self, efficiency: float = 0.999) -> tuple[int, ...]:
-        """Numbers of runs whose plan is at the bound: efficiency at least `efficiency`."""
-        return tuple(len(d.plan) for d in self.designs if d.efficiency is not None and d.efficiency >= efficiency)
+    def efficient_runs(self) -> tuple[int, ...]:
+        """Numbers of runs whose plan is at the bound: efficiency at least 0.999."""
+        return tuple(len(d.plan) for d in self.designs if d.efficiency is not None and d.efficiency >= 0.999)
 
     def to_json(self) -> dict[str, Any]:
         """One row per number of runs, and the smallest number for the target."""
@@ -119,7 +115,8 @@ def advise(
         raise InputError(f"target_mm: {target}, allowed: > 0")
     began, budget = perf_counter(), np.inf if seconds is None else seconds
     errors = TipErrors.of(problem)
-    bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + SHARE * budget)
+    # of the time, at most
+    bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + 0.25 * budget)
     designs: dict[int, Design] = {}
     fewer: Design | None = None
 
@@ -133,12 +130,13 @@ def advise(
             if fewer is not None:
                 generator = np.random.default_rng([seed, m])
                 begin = with_additions(problem, fewer.plan.postures, m - len(fewer.plan), generator)
-                most = promised(problem, fewer.plan.postures, errors) * (1.0 + ROUNDING)
+                most = promised(problem, fewer.plan.postures, errors) * (1.0 + 1e-9)  # as good to rounding
             design = solve(
                 problem,
                 m,
                 seed=seed,
-                starts=FRESH if problem.many_parameters and begin is not None else None,
+                # random ones beside the plan of fewer runs
+                starts=5 if problem.many_parameters and begin is not None else None,
                 seconds=None if seconds is None else max(began + seconds - perf_counter(), 0.0) / (len(runs) - done),
                 bound=bounds[m] or Bound(np.inf, "continuous"),  # none is computed
                 begin=begin,

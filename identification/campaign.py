@@ -263,7 +263,13 @@ class Campaign:
             for part in diagnosis_sections(data):
                 (folded if part.folded else sections).append(part)
         for name in sorted(self.calibrated, key=lambda name: name != self.chosen):
-            sections += calibrated_sections(self.calibrated[name], name, folded=name != self.chosen)
+            arm, closed = self.calibrated[name], name != self.chosen
+            corrected, calibrated = corrected_values(arm), Calibrated.of_arm(arm)
+            dh_rows, places = ((), []) if calibrated is None else dh_table(calibrated, corrected, Path(name))
+            expected = expected_elsewhere(getattr(arm.calibration, "provenance", {})).strip()
+            title, space = f"Corrected values: {name}", not arm.chain.planar
+            sections.append(corrected_section(title, corrected, space, expected, folded=closed))
+            sections += [Section(part.title, part.parts, closed) for part in dh_sections(dh_rows, places, name)]
         for name, data in ({} if self.calibrated else self.results["identify"]).items():
             values, dh = (
                 [CorrectedValue(**row) for row in data.get(key, ())] for key in ("corrected_values", "dh_table")
@@ -311,16 +317,6 @@ class Campaign:
 def fitted_to(arm: Arm) -> list[str]:
     """Hashes of the files that a calibrated arm was fitted to, empty: it does not say."""
     return [] if arm.calibration is None else data_hashes(arm.calibration.provenance)
-
-
-def calibrated_sections(arm: Arm, name: str, *, folded: bool) -> list[Section]:
-    """Corrected values of a calibrated arm, and as numbers of its Denavit-Hartenberg table;  name : of its file"""
-    values, provenance = corrected_values(arm), getattr(arm.calibration, "provenance", {})
-    calibrated = Calibrated.of_arm(arm)
-    rows, lines = ((), []) if calibrated is None else dh_table(calibrated, values, Path(name))
-    expected, title = expected_elsewhere(provenance).strip(), f"Corrected values: {name}"
-    corrected = corrected_section(title, values, not arm.chain.planar, expected, folded=folded)
-    return [corrected, *(Section(part.title, part.parts, folded) for part in dh_sections(rows, lines, name))]
 
 
 def commanded_in_words(name: str, commands: CsvTable) -> str:

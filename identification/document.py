@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 LONG = 24  # characters, from which a cell is text that may be broken
 SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
-PHONE = 38  # characters of a row, a space on both sides of each cell, that a phone shows
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
 MOST = 200  # rows of a table in HTML, where its text says that there may be more
 NUMBER = re.compile(r"[<>]? ?[-+–]?([\d.,]+(e[-+]?\d+)?)?( \*|%)?", re.IGNORECASE)  # or a dash in place of one
@@ -216,6 +215,7 @@ def as_text(part: Part, width: int = 100) -> str:
 
 def rendered(part: Part, width: int) -> Iterator[RenderableType]:
     """What a terminal of this many characters shows of a part (rich), from the top."""
+    from rich.table import Table as RichTable
     from rich.text import Text
 
     if isinstance(part, str):
@@ -226,7 +226,10 @@ def rendered(part: Part, width: int) -> Iterator[RenderableType]:
         yield terminal_table(part, rows, width)
         yield from [Text(rest)] if rest else []
     elif isinstance(part, Facts):
-        yield terminal_facts(part)
+        facts = RichTable(show_header=False, box=None, padding=(0, 2, 0, 0))
+        for row in part.shown():
+            facts.add_row(*map(Text, row))
+        yield facts
     elif isinstance(part, Section) and not part.folded:
         shown: list[Part] = [one for one in part.parts if not isinstance(one, Pictures | PlanSteps)]
         yield from [Text(f"\n{part.title}", "bold italic")] if shown else []
@@ -262,23 +265,13 @@ def terminal_table(table: Sheet, rows: Sequence[Sequence[str]], width: int) -> R
     return shown
 
 
-def terminal_facts(facts: Facts) -> RenderableType:
-    """Names and texts, one below the other, without lines."""
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    shown = RichTable(show_header=False, box=None, padding=(0, 2, 0, 0))
-    for row in facts.shown():
-        shown.add_row(*map(Text, row))
-    return shown
-
-
 # -- HTML, everything escaped ------------------------------------------------------------------------------------------
 def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Headings and rows of ready text; of class `wide` where a phone shows the cells of a row below each other, each
     beside its heading."""
     lines = [list(row) for row in rows]
-    wide = ' class="wide"' if len(headings) > 2 and characters_of_row(headings, lines) > PHONE else ""
+    # more characters than a phone shows, with a space on both sides of each cell
+    wide = ' class="wide"' if len(headings) > 2 and characters_of_row(headings, lines) > 38 else ""
     kinds = [' class="text"' if any(len(row[k]) > LONG for row in lines) else "" for k in range(len(headings))]
     pairs = [(kind, escape(heading)) for kind, heading in zip(kinds, headings, strict=True)]
     head = "".join(f'<th scope="col"{kind}>{heading}</th>' for kind, heading in pairs)

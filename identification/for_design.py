@@ -45,12 +45,10 @@ NEEDS_SIGMA = (  # the end of a sentence
     "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
     "or what the standard deviation of one coordinate is [mm]"
 )
-AHEAD = 0.5  # of the reach: where the center of measured distances is assumed
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
 CHOICES = 2000  # postures that touch to choose from, as for robust designs
 BATCH, BATCHES = 4000, 10  # effort: random postures that are led to the surface at once, and how often
 TOUCHES = 1e-6  # [mm] how near is on the surface
-FEWEST = 100  # with fewer a plan has no choice
 
 
 @dataclass(frozen=True)
@@ -190,7 +188,7 @@ class ArmModel:
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
             if len(kept) == CHOICES:
                 break
-        if len(kept) < FEWEST:
+        if len(kept) < 100:  # with fewer a plan has no choice
             reason = f"touched within limits and constraints at {len(kept)} of {BATCH * BATCHES} random postures led to"
             raise InputError(f"instrument: the {chain.instrument.kind} is {reason} it, allowed: one within reach")
         what = f"{len(kept)} random postures that touch the {chain.instrument.kind} as the arm is best known"
@@ -393,7 +391,7 @@ def with_center(chain: KinematicChain, contacts: bool = False) -> KinematicChain
         )
     if stands:
         return chain
-    away = AHEAD * chain.reach
+    away = 0.5 * chain.reach
     assumed = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
     warnings.warn(f"instrument: the center is not known, {assumed}", stacklevel=2)
     return replace(chain, base=pose([-away, 0.0, 0.0]))

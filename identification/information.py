@@ -30,7 +30,6 @@ PRODUCT_TOLERANCE = 1e-12  # of the largest eigenvalue: a rounding of 1e-15 of t
 VISIBLE = 1e-6  # of the largest
 ALONE = 1e-8  # of 1: rows with less than this left beside their leverage determine a combination by themselves
 CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
-EPS = float(np.finfo(float).eps)
 SHOWN = 0.02  # coefficients below this share of the largest are not shown, and such differences from 1 neither
 TOUCHED = 1e-3  # a parameter with less than this in every null direction is estimable
 
@@ -62,14 +61,14 @@ def significant(values: Array, tolerance: float = RANK_TOLERANCE) -> NDArray[np.
 def rounding_share(p: int) -> float:
     """The share of the largest below which values of p unit columns are nothing but rounding: of matrices that lack a
     rank they come to 3 to 7 rounding units for p up to 60."""
-    return (8 + p) * EPS
+    return (8 + p) * float(np.finfo(float).eps)
 
 
-def product_inverse(product: Array, tolerance: float = PRODUCT_TOLERANCE) -> Array:
+def product_inverse(product: Array) -> Array:
     """(p, p) pseudo-inverse of a product: of a normal matrix or a covariance, whatever its units."""
     sizes = np.sqrt(np.maximum(np.diagonal(product), 0.0))
     lengths = np.where(sizes > 0.0, sizes, 1.0)
-    inverse = np.linalg.pinv(product / lengths / lengths[:, None], rcond=tolerance, hermitian=True)
+    inverse = np.linalg.pinv(product / lengths / lengths[:, None], rcond=PRODUCT_TOLERANCE, hermitian=True)
     return np.asarray(inverse / lengths / lengths[:, None])
 
 
@@ -84,18 +83,15 @@ def column_space_of(jacobian: Array, scales: Array) -> tuple[Array, Array]:
     unit = np.where(zero, 0.0, jacobian / lengths)
     values, vectors = np.linalg.eigh(unit.T @ unit)
     if values.min(initial=1.0) > CLEAR:
-        return _orthonormal(unit, vectors / np.sqrt(values), lengths)
+        # columns that are orthonormal but for what a normal matrix loses, half the digits; a Newton step (A. Bjorck, C.
+        # Bowie, 1971) makes up for it. Products of matrices alone, in half the time of an SVD
+        turn = vectors / np.sqrt(values)
+        basis = unit @ turn
+        step = 1.5 * np.eye(len(turn)) - 0.5 * basis.T @ basis
+        return basis @ step, turn @ step / lengths[:, None]
     left, singular, right = np.linalg.svd(unit, full_matrices=False)
     seen = significant(singular)
     return left[:, seen], right[seen].T / singular[seen] / lengths[:, None]
-
-
-def _orthonormal(unit: Array, turn: Array, lengths: Array) -> tuple[Array, Array]:
-    """Unit columns times `turn`, which are orthonormal but for what a normal matrix loses, half the digits; a Newton
-    step (A. Bjorck, C. Bowie, 1971) makes up for it. Products of matrices alone, in half the time of an SVD."""
-    basis = unit @ turn
-    step = 1.5 * np.eye(len(turn)) - 0.5 * basis.T @ basis
-    return basis @ step, turn @ step / lengths[:, None]
 
 
 @dataclass(frozen=True)
@@ -137,6 +133,13 @@ class Spectrum:
         """(p, rank) whose product with its transpose is the covariance; J @ root has orthonormal columns."""
         return self.estimable / self.values[: self.rank] / self.lengths[:, None]
 
+    def determined(self, jacobian: Array) -> float:
+        """How many of p parameters the data determine, a prior the rest: tr J (J^T J + R^T R)^-1 J^T.
+
+        jacobian : (N, p) rows J of the data alone; the prior's R are in this decomposition, too
+        """
+        return float(np.sum(np.square(jacobian @ self.root)))
+
 
 def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, prior: Array | None = None) -> Spectrum:
     """Decomposes a Jacobian (m, d, p) or (rows, p), whose rows may carry weights.
@@ -161,14 +164,6 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, 
         least = np.min(strengths, initial=np.inf, where=significant(strengths, rounding_share(p)))
         tolerance = float(np.clip(0.1 * least / values[0], rounding_share(p), tolerance))
     return Spectrum(lengths, values, turned.T, p).truncated(tolerance)
-
-
-def effective_count(jacobian: Array, prior: Array, scales: Array) -> float:
-    """How many of p parameters the data determine, the prior the rest: tr J (J^T J + R^T R)^-1 J^T.
-
-    jacobian : (N, p) of the data alone;  prior : (r, p) its rows R, in the same units;  scales : (p,)
-    """
-    return float(np.sum(np.square(jacobian @ spectrum(jacobian, scales, prior=prior).root)))
 
 
 def covariance(jacobian: Array, scales: Array, sigma: float = 1.0) -> Array:
@@ -279,7 +274,16 @@ def sparse_basis(orthonormal: Array) -> Array:
     echelon = orthonormal @ np.linalg.inv(orthonormal[pivots[:k]])
     touched = np.flatnonzero(np.linalg.norm(orthonormal, axis=1) > TOUCHED)
     candidates = [_sparsest(orthonormal, i) for i in touched.tolist()] + list(echelon.T)
-    chosen = _independent([v / np.max(np.abs(v)) for v in candidates if v is not None], k)
+    vectors = [v / np.max(np.abs(v)) for v in candidates if v is not None]
+    chosen: list[Array] = []
+    # fewest parameters first (greedy: the independent sets are a matroid)
+    for vector in sorted(vectors, key=lambda v: (int(np.sum(np.abs(v) > TOUCHED)), float(np.sum(np.abs(v))))):
+        clean = np.where(np.abs(vector) > RANK_TOLERANCE, vector, 0.0)
+        trial = np.array([v / np.linalg.norm(v) for v in (*chosen, clean)])
+        if np.linalg.svd(trial, compute_uv=False)[-1] > VISIBLE:
+            chosen.append(clean)
+        if len(chosen) == k:
+            break
     return np.array(sorted(chosen, key=lambda v: tuple(np.flatnonzero(np.abs(v) > TOUCHED)))).T
 
 
@@ -299,17 +303,3 @@ def _sparsest(orthonormal: Array, one: int) -> Array | None:
         method="highs-ds",
     )
     return orthonormal @ result.x[:k] if result.status == 0 else None
-
-
-def _independent(vectors: list[Array], k: int) -> list[Array]:
-    """The first k independent vectors, fewest parameters first (greedy: the independent sets are a matroid)."""
-    ordered = sorted(vectors, key=lambda v: (int(np.sum(np.abs(v) > TOUCHED)), float(np.sum(np.abs(v)))))
-    chosen: list[Array] = []
-    for vector in ordered:
-        clean = np.where(np.abs(vector) > RANK_TOLERANCE, vector, 0.0)
-        trial = np.array([v / np.linalg.norm(v) for v in (*chosen, clean)])
-        if np.linalg.svd(trial, compute_uv=False)[-1] > VISIBLE:
-            chosen.append(clean)
-        if len(chosen) == k:
-            break
-    return chosen

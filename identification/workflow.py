@@ -280,7 +280,10 @@ def identify_files(
         nonlocal library
         wide = with_sessions(loaded, rows)
         if prior:
-            library, wide = _with_library(wide, rows, names)
+            from identification.gap.library_prior import given_by, library_prior
+
+            library = library_prior(wide, given_by(rows), names)
+            wide = library.arm
         return _fitted(wide, rows, words, library, old, prior_from, method, sigma, minimal=parameters == "minimal")
 
     progress(0, None, f"fitting {len(measurements)} rows")
@@ -344,14 +347,6 @@ def identify_files(
     failed = refusal is not None or (bool(identified.not_identifiable) and not (out or urdf))
     shown = replace(document.plus(*lines), actions=[] if failed else actions)
     return Answer(result, [shown], identified, int(failed), doubts)
-
-
-def _with_library(arm: Arm, rows: Measurements, names: Sequence[str] | None) -> tuple[LibraryPrior, Arm]:
-    """The library's effects that these rows can show, or those named, held by a prior; and the arm with them."""
-    from identification.gap.library_prior import given_by, library_prior
-
-    library = library_prior(arm, given_by(rows), names)
-    return library, library.arm
 
 
 def _fitted(

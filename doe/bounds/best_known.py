@@ -26,10 +26,7 @@ from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, JobError, information_matrix, single_thread
 
-BEATEN = 1e-8  # relative excess over a bound that is not rounding
-EXACT = 1e-8  # relative gap of a bound over all postures
 ROUGH = 1e-3  # the same for models of many parameters: some seconds instead of half a minute
-SUPPORT = 64  # of the postures that carry most weight: starts of the search over all postures
 LOOSE = 1e-3  # of efficiency: a bound this near to a design needs no certificate of its own
 
 
@@ -64,7 +61,7 @@ def best_design(
     """
     many = problem.many_parameters
     if problem.choices is None:
-        free, gap = (replace(problem, constraints=()), ROUGH) if many else (problem, EXACT)
+        free, gap = (replace(problem, constraints=()), ROUGH) if many else (problem, 1e-8)
         return continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
     candidates = listed_candidates(problem, problem.choices)
     if problem.missing and problem.criterion.name in POWERS:
@@ -75,7 +72,7 @@ def best_design(
         listed = column_generation(problem, candidates, runs=runs, stop=stop, **options)
     if not problem.sampled or listed.bound is None or stop():
         return listed
-    starts = np.concatenate([listed.plan.postures[:SUPPORT], *([] if also is None else [also])])
+    starts = np.concatenate([listed.plan.postures[:64], *([] if also is None else [also])])  # those of most weight
     everything = ContinuousSet(replace(problem, choices=None, sampled=False), listed.prior)
     largest = max(listed.largest, float(everything.best(listed.gradient, starts, stop=stop)[1][0]))
     return listed if stop() else replace(listed, largest=largest, candidates=None, rigorous=False)
@@ -99,7 +96,7 @@ def bound_that_holds(
 
 
 def _beats(value: float, bound: Bound) -> bool:
-    return value > bound.value + BEATEN * max(1.0, abs(bound.value))
+    return value > bound.value + 1e-8 * max(1.0, abs(bound.value))  # more than rounding
 
 
 # -- many numbers of runs ----------------------------------------------------------------------------------------------

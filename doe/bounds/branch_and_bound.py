@@ -34,9 +34,6 @@ from numpy.typing import NDArray
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array
 
-BATCH = 2048  # boxes examined together
-UNIT = float(np.finfo(float).eps)
-
 
 @dataclass(frozen=True)
 class Maximum:
@@ -77,7 +74,7 @@ class TrigonometricPolynomial:
     def margin(self) -> float:
         """What rounding can have cost."""
         magnitude = self.magnitude or abs(self.constant) + float(self._amplitudes.sum())
-        return UNIT * (self.operations + len(self.coefficients) + 64) * magnitude
+        return float(np.finfo(float).eps) * (self.operations + len(self.coefficients) + 64) * magnitude
 
     @cached_property
     def _amplitudes(self) -> Array:
@@ -190,7 +187,7 @@ def maximum(
     boxes, discarded_bound = 0, -np.inf
     while len(center) and boxes < most_boxes and not stop():
         order = np.argsort(-promise)
-        now, later = order[:BATCH], order[BATCH:]
+        now, later = order[:2048], order[2048:]  # examined together
         boxes += len(now)
         shrunk = polynomial.shrink(center[now], half[now])
         point, bound = polynomial.bound(*shrunk)
@@ -211,7 +208,6 @@ def maximum(
 # -- is a sensitivity such a polynomial? -------------------------------------------------------------------------------
 Frequency = tuple[int, ...]
 Polynomial = dict[Frequency, complex]  # whole frequencies -> coefficient of exp(i f . q)
-MOST_TERMS = 400  # beyond, a bound by branch and bound is out of reach
 
 
 @dataclass(frozen=True)
@@ -228,6 +224,23 @@ class TrigonometricJacobian:
 
     frequencies: NDArray[np.int64]
     coefficients: NDArray[np.complex128]
+
+    @classmethod
+    def of(cls, problem: DesignProblem) -> TrigonometricJacobian | None:
+        """B as trigonometric polynomials, or None where they are not (a gear ratio, a sign of a torque)."""
+        try:
+            entries = polynomials(problem.scaled_jacobian_function)
+        except NotTrigonometric:
+            return None
+        frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
+        if not frequencies or len(frequencies) > 400:  # beyond, a bound by branch and bound is out of reach
+            return None
+        coefficients = np.zeros((len(frequencies), problem.model.dimension, problem.parameters), dtype=complex)
+        slot = {frequency: k for k, frequency in enumerate(frequencies)}
+        for (row, column), polynomial in entries.items():
+            for frequency, value in polynomial.items():
+                coefficients[slot[frequency], row, column] = value
+        return cls(np.array(frequencies).reshape(-1, problem.joints), coefficients)
 
     def sensitivity(self, gradient: Array, factor: float = 1.0, constant: float = 0.0) -> TrigonometricPolynomial:
         """factor * tr(G B^T B) + constant as a polynomial, G = `gradient` (p, p)."""
@@ -249,23 +262,6 @@ class TrigonometricJacobian:
 
 class NotTrigonometric(Exception):
     """An instruction leaves the ring of trigonometric polynomials."""
-
-
-def trigonometric_jacobian(problem: DesignProblem) -> TrigonometricJacobian | None:
-    """B as trigonometric polynomials, or None where they are not (a gear ratio, a sign of a torque)."""
-    try:
-        entries = polynomials(problem.scaled_jacobian_function)
-    except NotTrigonometric:
-        return None
-    frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
-    if not frequencies or len(frequencies) > MOST_TERMS:
-        return None
-    coefficients = np.zeros((len(frequencies), problem.model.dimension, problem.parameters), dtype=complex)
-    slot = {frequency: k for k, frequency in enumerate(frequencies)}
-    for (row, column), polynomial in entries.items():
-        for frequency, value in polynomial.items():
-            coefficients[slot[frequency], row, column] = value
-    return TrigonometricJacobian(np.array(frequencies).reshape(-1, problem.joints), coefficients)
 
 
 def polynomials(function: ca.Function) -> dict[tuple[int, int], Polynomial]:

@@ -32,7 +32,6 @@ from identification import PRISMATIC, Array, Status
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
 REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
-CACHED, FEWEST = 250_000, 1024  # entries of a chunk's Jacobians, which stay in the processor's cache; and postures
 REMEMBERED = 4_000_000  # entries of candidates' Jacobians that are remembered between passes: 32 MB
 LAST = 2.0  # [s] that a pass over the candidates may take after the time has ended, however short the search was
 
@@ -88,7 +87,8 @@ class CandidateJacobians:
             yield from self._remembered
             return
         each = self.problem.model.dimension * self.problem.parameters
-        parts = chunks(self.candidates, int(np.clip(CACHED // each, FEWEST, CHUNK)))
+        # entries of a chunk's Jacobians that stay in the processor's cache
+        parts = chunks(self.candidates, int(np.clip(250_000 // each, 1024, CHUNK)))
         made = ((postures, self.problem.scaled_jacobians(postures)) for _, postures in parts)
         if len(self.candidates) * each > REMEMBERED:
             yield from made

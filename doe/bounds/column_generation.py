@@ -22,7 +22,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bounds.branch_and_bound import TrigonometricJacobian, maximum, trigonometric_jacobian
+from doe.bounds.branch_and_bound import TrigonometricJacobian, maximum
 from doe.bounds.certificate import (
     REMEMBERED,
     ApproximateDesign,
@@ -36,7 +36,6 @@ from doe.bounds.weights import (
     interior_point_weights,
     multiplicative_weights,
     proper_weights,
-    smallest_eigenvalue_weights,
     solve_program,
     sparsest,
 )
@@ -52,23 +51,11 @@ Price = Callable[[Array, float, Array], tuple[Array, float]]
 
 SAMPLE = 20_000  # of very many candidates, which are priced first
 SHORT = 30_000  # of the best candidates, which are priced then
-PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
-NEAR = 0.2  # [rad] times the root of the relative gap
-ROUNDS = 200
-CROWD = 30  # postures per parameter
 ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
 EXACT = 1e-14  # the same at the end: rounding
-NEGLIGIBLE = 1e-10  # weight below which a posture is dropped
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
 FINE = 1e-6  # the same, before the first thorough search; and from which the weights at the end are exact
-MILLIONTH = 1e-6  # relative gap for very many candidates and many parameters: a pass takes seconds
-SEMIDEFINITE = 1e-6  # relative gap that a semidefinite program reaches reliably
-LONG = 3  # postures per parameter of a plan that is climbed to begin from
-PROOFS = 20  # attempts, each with a posture more that was missed
-MOST_BOXES = 8_000  # of branch and bound; about a second
-GAP = 0.01  # relative gap of rough weights: the bound is within as much of the optimum
 WEIGHTED = 2000  # candidates that are weighted roughly at once however many parameters there are
-CARRIED = 1e-6  # rough weight, relative to the largest, below which a posture is left out
 
 
 @dataclass(frozen=True)
@@ -103,7 +90,7 @@ def column_generation(
     everything = CandidatePrice(problem, candidates, prior)
     stages = [Stage(everything, tolerance)]
     if len(candidates) > 4 * SAMPLE:
-        tolerance = max(tolerance, MILLIONTH) if problem.many_parameters else tolerance
+        tolerance = max(tolerance, 1e-6) if problem.many_parameters else tolerance  # a pass takes seconds
         everything.short = CandidatePrice(problem, PostureList(well_spread(candidates, SAMPLE)), prior)
         cheap = Stage(lambda *request: everything.short(*request), tolerance)  # type: ignore[misc]
         stages = [cheap, Stage(everything, tolerance, back=1)]
@@ -119,7 +106,7 @@ def rough_design(
     candidates: Candidates,
     *,
     runs: int | None = None,
-    tolerance: float = GAP,
+    tolerance: float = 0.01,  # the bound is within as much of the optimum
     stop: Stop = never,
 ) -> ApproximateDesign:
     """Weights over a finite candidate set by the multiplicative algorithm, with a bound that holds whatever the gap.
@@ -141,7 +128,7 @@ def rough_design(
         jacobians = np.ascontiguousarray(problem.scaled_jacobians(working))
         check_identified(problem, prior, jacobians)
         weights = multiplicative_weights(jacobians, problem.criterion, prior, tolerance, stop)
-        carried = np.where(weights > CARRIED * weights.max(), weights, 0.0)
+        carried = np.where(weights > 1e-6 * weights.max(), weights, 0.0)  # the others are left out
         design = ApproximateDesign.heaviest_first(problem, prior, working, carried)
         price = CandidatePrice(problem, candidates, prior, last_pass(stop, began))
         offers, largest = price(design.gradient, design.level, working)
@@ -178,7 +165,7 @@ def continuous_design(
         stages = [Stage(stages[-1].price, tolerance)]
         start = also
         if start is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
-            anywhere = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
+            anywhere = random_postures(problem, 3 * problem.parameters, np.random.default_rng(0))
             start = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop)
     else:
         starts = PostureList(everything.starts)
@@ -188,7 +175,7 @@ def continuous_design(
     thorough = np.random.default_rng(0) if stop() and not problem.many_parameters else None
     best = everything.best(design.gradient, design.plan.postures, thorough)[1][0]
     largest, rigorous, goal = max(design.level + gap, float(best)), False, max(tolerance, proof)
-    jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
+    jacobians = TrigonometricJacobian.of(problem) if proof > 0.0 and not problem.constraints else None
     if jacobians is not None and not stop():
         stages = ascents(everything, tolerance)
         design, largest, rigorous = prove(everything, jacobians, design, largest, stages, goal, stop)
@@ -203,7 +190,7 @@ def ascents(everything: ContinuousSet, tolerance: float, stop: Stop = never) -> 
         def best(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
             postures, values = everything.best(gradient, near, generator, stop)
             # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
-            reach = NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0))
+            reach = 0.2 * np.sqrt(max(values[0] / level - 1.0, 0.0))  # [rad], the root of the relative gap
             apart = distinct(everything.problem.comparable(postures), reach)
             return best_offers(postures[apart], values[apart], level, 10 * everything.problem.parameters, 0.0)
 
@@ -220,7 +207,7 @@ def ascents(everything: ContinuousSet, tolerance: float, stop: Stop = never) -> 
 
 def _attainable(problem: DesignProblem, tolerance: float) -> float:
     """E-optimal weights come from a semidefinite program, which is less accurate than Newton's method."""
-    return max(tolerance, SEMIDEFINITE) if problem.criterion.name == "E" else tolerance
+    return max(tolerance, 1e-6) if problem.criterion.name == "E" else tolerance
 
 
 def prove(
@@ -237,13 +224,13 @@ def prove(
     Returns the design, its largest sensitivity, and whether that is proven.
     """
     problem, prior = everything.problem, everything.prior
-    for _ in range(PROOFS):
+    for _ in range(20):  # attempts, each with a posture more that was missed
         constant = float(prior.mixed(np.zeros(()), design.gradient))
         polynomial = jacobians.sensitivity(design.gradient, prior.new_fraction, constant)
         close, supported = tolerance * abs(design.level), design.plan.postures
         top = maximum(
-            polynomial, problem.lower, problem.upper, tried=supported, tolerance=close, most_boxes=MOST_BOXES, stop=stop
-        )
+            polynomial, problem.lower, problem.upper, tried=supported, tolerance=close, most_boxes=8_000, stop=stop
+        )  # so many boxes take about a second
         largest = max(largest, top.value)
         if not top.proven:
             return design, largest, False
@@ -278,7 +265,7 @@ def generate_columns(
         weights, gradient = optimal_weights(jacobians, criterion, prior, accuracy)
     finest = EXACT if stages[-1].goal <= FINE else ROUGH * stages[-1].goal
     current, gap, smallest = 0, np.inf, np.inf
-    for _ in range(ROUNDS):
+    for _ in range(200):
         stage, level = stages[current], float(np.sum(gradient * prior.mixture(jacobians, weights)))
         offers, largest = stage.price(gradient, level, postures)
         gap = largest - level
@@ -289,7 +276,7 @@ def generate_columns(
         if len(offers) and gap > stage.goal * abs(level) and not stuck:
             accuracy = max(ROUGH * gap / abs(level), finest)
             # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
-            if len(postures) > CROWD * problem.parameters or gap < 0.9 * smallest:
+            if len(postures) > 30 * problem.parameters or gap < 0.9 * smallest:
                 carrying = _sparse(jacobians, weights) > 0.0
                 postures, jacobians = postures[carrying], jacobians[carrying]
             postures = np.concatenate([postures, offers])
@@ -311,16 +298,19 @@ def generate_columns(
 
 def _sparse(jacobians: Array, weights: Array) -> Array:
     """(k,) weights of the same information on as few postures as possible."""
-    return sparsest(jacobians, np.where(weights > NEGLIGIBLE, weights, 0.0))
+    return sparsest(jacobians, np.where(weights > 1e-10, weights, 0.0))  # as good as none
 
 
 def optimal_weights(
     jacobians: Array, criterion: Criterion, prior: PriorInformation, accuracy: float = EXACT
 ) -> tuple[Array, Array]:
     """Weights (k,) for scaled Jacobians (k, d, p), and (p, p) G there, by the method that the criterion allows."""
-    if criterion.name == "E":
-        return smallest_eigenvalue_weights(jacobians, prior)
-    return interior_point_weights(jacobians, criterion, prior, accuracy)
+    if criterion.name != "E":
+        return interior_point_weights(jacobians, criterion, prior, accuracy)
+    weights, status, gradient = solve_program(prior.posture_information(jacobians), criterion, "clarabel")
+    if weights is None or gradient is None:
+        raise JobError(f"clarabel: status {status} on the restricted master of {len(jacobians)} postures")
+    return proper_weights(weights), gradient  # of the dual: E has no gradient of its own
 
 
 def check_identified(problem: DesignProblem, prior: PriorInformation, jacobians: Array) -> None:
@@ -346,7 +336,8 @@ class CandidatePrice:
     ) -> None:
         self.problem, self.prior, self.give_up = problem, prior, give_up
         self.jacobians = CandidateJacobians(problem, candidates)
-        self.part = max(16, -(-len(candidates) // PARTS))
+        # about 256 parts, of which each may offer one posture per round: keeps new postures apart
+        self.part = max(16, -(-len(candidates) // 256))
         self.short: CandidatePrice | None = None
 
     def __call__(self, gradient: Array, level: float, near: Array) -> tuple[Array, float]:
@@ -443,8 +434,7 @@ def relax(
                 "works at this size"
             )
         weights = proper_weights(weights)
-        # interior points give every posture a little
-        carried = np.where(weights > 1e-7, weights, 0.0)
+        carried = np.where(weights > 1e-7, weights, 0.0)  # interior points give every posture a little
         design = ApproximateDesign.heaviest_first(problem, prior, postures, carried, dual)
         return replace(
             design,

@@ -20,14 +20,10 @@ from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDe
 from identification import Array
 from identification.newton_ascent import newton_ascent
 
-LANDMARKS = 2187  # 3^7: limits and middle of seven joints
-SAMPLES = 2000  # random postures beside the landmarks
 CLIMBERS = 64
-THOROUGH = 20_000  # random postures of a thorough search
 # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
 # the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
 BARRIERS = np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)])
-MERGED = 1e-6  # [rad] of postures nearer than this under a barrier, only one climbs on
 SAME = 1e-7  # [rad] postures nearer than this are one
 
 
@@ -68,14 +64,15 @@ class ContinuousSet:
         """(k, n) limits and middles of the joints that matter, and random postures, those that are feasible."""
         problem, generator = self.problem, np.random.default_rng(0)
         active, middle = list(problem.active_joints), 0.5 * (problem.lower + problem.upper)
-        if 3 ** len(active) <= LANDMARKS:
+        most = 3**7  # limits and middle of seven joints
+        if 3 ** len(active) <= most:
             places = np.array(list(product(range(3), repeat=len(active))), dtype=int)
         else:
-            places = generator.integers(0, 3, (LANDMARKS, len(active)))
+            places = generator.integers(0, 3, (most, len(active)))
         landmarks = np.tile(middle, (len(places), 1))
         landmarks[:, active] = np.stack([problem.lower, problem.upper, middle])[places, active]
         also = [] if self.also is None else [np.atleast_2d(self.also)]
-        anywhere = random_postures(problem, SAMPLES, generator)
+        anywhere = random_postures(problem, 2000, generator)  # beside the landmarks
         return np.concatenate([landmarks[problem.feasible(landmarks)], *also, anywhere])
 
     def best(
@@ -87,7 +84,7 @@ class ContinuousSet:
         the best of many fresh random postures, and others whatever their value, for a high maximum may be narrow.
         `stop` ends the climb on its way.
         """
-        pool = self.starts if generator is None else random_postures(self.problem, THOROUGH, generator)
+        pool = self.starts if generator is None else random_postures(self.problem, 20_000, generator)
         order = np.argsort(-self.sensitivities(pool, gradient))
         promising = (
             [pool[order[:CLIMBERS]]] if generator is None else [pool[order[: 4 * CLIMBERS]], pool[: 4 * CLIMBERS]]
@@ -107,8 +104,8 @@ class ContinuousSet:
         kind = np.arange(len(q)) % len(BARRIERS)
         for barriers in scale * BARRIERS.T:
             q = self._ascend(q, gradient, barriers[kind], stop)
-            # most starts share a maximum; those that came to it by the other barriers climb on
-            apart = distinct(np.column_stack([self.problem.comparable(q), kind]), MERGED)
+            # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
+            apart = distinct(np.column_stack([self.problem.comparable(q), kind]), 1e-6)
             q, kind = q[apart], kind[apart]
         return q
 

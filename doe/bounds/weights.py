@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from doe.criteria import Criterion, E
+from doe.criteria import Criterion
 from doe.criteria.criterion import Factored, log_determinants, smooth
 from doe.criteria.variances import InverseTrace
 from doe.problem.problem import PriorInformation, Stop, never
@@ -39,11 +39,6 @@ from identification import Array, InputError, JobError
 from identification.information import CLEAR, PRODUCT_TOLERANCE, significant
 from identification.vectorize import PART
 
-ITERATIONS = 100
-FRACTION = 0.99  # of the way to the boundary w = 0, s = 0
-SHRINK = 0.1  # of the complementarity asked for per step
-STALLS = 5  # steps without a smaller gap: rounding is reached
-STEPS = 2000  # of the multiplicative algorithm
 POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
 
 
@@ -64,16 +59,16 @@ def interior_point_weights(
     nu = float(g.max()) + 0.1 * abs(float(w @ g))
     s = nu - g
     best, smallest, stalled = (w, gradient), np.inf, 0
-    for _ in range(ITERATIONS):
+    for _ in range(100):
         gap = float(g.max() - w @ g)
         stalled += 1
         if gap < 0.9 * smallest:
             best, smallest, stalled = (w, gradient), gap, 0
-        if gap <= tolerance * abs(float(w @ g)) or stalled > STALLS:
+        if gap <= tolerance * abs(float(w @ g)) or stalled > 5:  # steps without a smaller gap: rounding is reached
             break
         curvature, mu, residual = (
             minus_hessian(jacobians, w, criterion, prior),
-            SHRINK * float(w @ s) / len(w),
+            0.1 * float(w @ s) / len(w),  # of the complementarity
             g + s - nu,
         )
         try:
@@ -84,7 +79,7 @@ def interior_point_weights(
         dnu = float(right[:, 0].sum() / right[:, 1].sum())
         dw = right[:, 0] - dnu * right[:, 1]
         ds = curvature @ dw + dnu - residual
-        step = min(1.0, FRACTION * _to_boundary(w, dw), FRACTION * _to_boundary(s, ds))
+        step = min(1.0, 0.99 * min(_to_boundary(w, dw), _to_boundary(s, ds)))
         w, s, nu = w + step * dw, s + step * ds, nu + step * dnu
         w = w / w.sum()
         gradient, g = judged(w)
@@ -127,7 +122,7 @@ def multiplicative_weights(
     k, d, p = jacobians.shape
     parts = [jacobians[start : start + PART].reshape(-1, p) for start in range(0, k, PART)]
     weights = np.full(k, 1.0 / k)
-    for _ in range(STEPS):
+    for _ in range(2000):
         information = prior.mixture(jacobians, weights)
         gradient = criterion.gradient(information)
         each = np.concatenate([np.einsum("ia,ia->i", rows @ gradient, rows) for rows in parts])
@@ -274,12 +269,3 @@ def _run(program: Any, solver: str) -> str:
             program.solve(solver=solver.upper(), **settings)
             return str(program.status)
     return "solver_error"
-
-
-def smallest_eigenvalue_weights(jacobians: Array, prior: PriorInformation) -> tuple[Array, Array]:
-    """E-optimal weights for scaled Jacobians (k, d, p), and (p, p) G of the dual: the restricted master of a criterion
-    without a gradient."""
-    weights, status, gradient = solve_program(prior.posture_information(jacobians), E(), "clarabel")
-    if weights is None or gradient is None:
-        raise JobError(f"clarabel: status {status} on the restricted master of {len(jacobians)} postures")
-    return proper_weights(weights), gradient

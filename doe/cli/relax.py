@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
     from identification import Array
 
-SECONDS = 40.0  # unless the user says otherwise: a million candidates take a third of its first half
-
 
 @dataclass(frozen=True)
 class RelaxationOptions:
@@ -50,7 +48,8 @@ class RelaxationOptions:
         if self.seconds is not None and solver in LARGEST:
             reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
             raise InputError(f"--seconds: {reason}, which cannot be stopped, allowed: with {allowed}")
-        began, seconds = perf_counter(), SECONDS if self.seconds is None else self.seconds
+        # of 40 s, a million candidates take a third of the first half
+        began, seconds = perf_counter(), 40.0 if self.seconds is None else self.seconds
         weighted = began + seconds * (0.5 if self.check else 1.0)
         return (lambda: perf_counter() > weighted), began + seconds
 

@@ -12,8 +12,6 @@ from typing import Any, NoReturn
 
 from identification import ArmcalError
 
-AGAIN = 0.01  # [s] after which a signal that was lost is sent again
-
 
 @contextmanager
 def stoppable() -> Iterator[None]:
@@ -54,7 +52,7 @@ def _lost_no_signal(otherwise: Callable[[Any], object], came: list[KeyboardInter
         send: Callable[[int], None] = signal.raise_signal
         if hasattr(signal, "pthread_kill"):  # to the main thread, where it ends a wait too; in the timer's it would not
             send = partial(signal.pthread_kill, threading.main_thread().ident or 0)
-        threading.Timer(AGAIN, send, (number,)).start()
+        threading.Timer(0.01, send, (number,)).start()
     elif not came:
         otherwise(unraisable)
 

@@ -119,11 +119,15 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
 
 def _paper(replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
     """The paper reproduced."""
-    from doe.report.studies import paper_parts, paper_pictures
+    from doe.report.page import svg
+    from doe.report.studies import figure_1_picture, figure_2_picture, paper_parts
     from doe.studies.paper.study import paper_study
+    from identification.files.io import write_together
 
     study = paper_study(replications, folder, workers, **options)
-    paper_pictures(folder, study)
+    pictures = {"figure_1": figure_1_picture, "figure_2": figure_2_picture}
+    for name, drawn in pictures.items():
+        write_together({folder / f"{name}.svg": svg(drawn(study.tables[name]))}, force=True)
     return _tables_answer(study, folder, paper_parts(study))
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from identification import Array
 from identification.information import column_lengths, rounding_share, significant
 
-RIDGE = 1e-9  # a plan that lacks one run may be singular; this part of the mean eigenvalue keeps the ranking right
 Factors = list[tuple[float, Array, Array]]  # number c, and symmetric (p, p) L and R
 
 
@@ -93,7 +92,8 @@ def values_after_adding(criterion: Criterion, information: Array, jacobians: Arr
 def ridged(information: Array) -> Array:
     """(..., p, p) the matrices, whose diagonals are about one, with a little added: they have an inverse."""
     p = information.shape[-1]
-    ridge = RIDGE * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
+    # of the mean eigenvalue: where a run is lacking M may be singular, and this keeps the ranking right
+    ridge = 1e-9 * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
     return np.asarray(information + ridge[..., None, None] * np.eye(p))
 
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from doe.criteria import D
 from doe.criteria.criterion import log_determinants
-from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound, effect_library
+from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound
 from doe.plan.spacing import ROUNDING, allowed_value, neighbor_counts, spread_free_joints
 from doe.problem.postures import listed_candidates, random_postures
 from doe.solvers import Solver, solve
@@ -42,11 +42,7 @@ if TYPE_CHECKING:
     from identification import Arm, Detectability
 
 TURN = 2.0 * np.pi  # [rad]
-# effort: steps [rad] by which joints move off their limits, and tries of each
-MOVES, TRIES = np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10
-THEORY_PLANS, SHUFFLES = 64, 200  # effort: plans of theory, and orders of runs, to choose from
 MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take gigabytes
-ORDERING = 1.0  # [s] effort: that the order of measurement has in any case
 
 
 @dataclass(frozen=True)
@@ -120,7 +116,7 @@ def discrimination_design(
     if not isinstance(problem.criterion, D):
         raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
     began = perf_counter()
-    library = effects if isinstance(effects, EffectLibrary) else effect_library(effects)
+    library = effects if isinstance(effects, EffectLibrary) else EffectLibrary.of(effects)
     if runs > LONG_PLAN and starts is None and seconds is None:
         seconds = 2.0 * LONG_PLAN_SECONDS
     budget = Budget(1, None if seconds is None else began + seconds)
@@ -128,9 +124,10 @@ def discrimination_design(
     best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=half, progress=progress)
     best_sees = seen(problem, library, best.plan.postures)
     generator = np.random.default_rng(seed)
-    extended = extended_problem(problem, library)
+    extended = ExtendedProblem.of(problem, library)
     chosen, status = search(extended, best, loss, generator, budget, progress)
-    ordering = replace(budget, deadline=budget.deadline and max(budget.deadline, perf_counter() + ORDERING))
+    # effort: the order has a second in any case
+    ordering = replace(budget, deadline=budget.deadline and max(budget.deadline, perf_counter() + 1.0))
     plan = replace(best.plan, postures=best_order(library, chosen, generator, ordering))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
     bounds = extended.wrong(chosen), extended.wrong(best.plan.postures), extended.at_random(runs)
@@ -209,7 +206,7 @@ def start(
     round_joints, plans = np.flatnonzero(turning(problem)), [np.array(best.plan.postures)]
     origin, step = problem.lower[round_joints], TURN / runs
     theory = optimal_plans(problem, runs, generator) if problem.choices is None else iter(())
-    for plan in takewhile(lambda _: not budget.out_of_time, islice(theory, THEORY_PLANS)):
+    for plan in takewhile(lambda _: not budget.out_of_time, islice(theory, 64)):  # effort: plans to choose from
         moved = np.array(plan)
         angles = moved[:, round_joints] + step * generator.uniform(-0.5, 0.5, (runs, len(round_joints)))
         moved[:, round_joints] = origin + np.mod(angles - origin, TURN)
@@ -241,7 +238,8 @@ def off_the_limits(problem: DesignProblem, postures: Array, least: float, genera
     """
     joints = np.flatnonzero(~turning(problem))
     low, high = problem.lower[joints], problem.upper[joints]
-    for size in np.repeat(MOVES, TRIES):
+    # effort: steps by which joints move off their limits, ten tries of each
+    for size in np.repeat(np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10):
         step = size * problem.joint_units[joints]
         angle = postures[:, joints] + generator.uniform(-step, step, (len(postures), len(joints)))
         moved = np.array(postures)
@@ -254,7 +252,7 @@ def off_the_limits(problem: DesignProblem, postures: Array, least: float, genera
 def best_order(library: EffectLibrary, postures: Array, generator: np.random.Generator, budget: Budget) -> Array:
     """The postures in the order, of many shuffles, that shows backlash and drift best beside the model's parameters: by
     log det of what the data tell of the order's effects, beyond what the others explain."""
-    shuffles = [generator.permutation(len(postures)) for _ in range(SHUFFLES)]
+    shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort: orders to choose from
     if library.jacobian_by_order is None:
         return np.asarray(postures[shuffles[0]])
     scores, base = [], library.base
@@ -268,15 +266,9 @@ def best_order(library: EffectLibrary, postures: Array, generator: np.random.Gen
 
 
 # -- swaps -------------------------------------------------------------------------------------------------------------
-CLOUD, POOL, NEARBY = 512, 1500, 0.15  # effort: postures; neighbors differ by this fraction of a joint's range
-# effort: runs and postures that are tried per derivative; runs where those bring nothing
-OUTS, INS, MORE_OUTS = 4, 8, 50
-MULTIPLIERS = (2.0, 10.0)  # effort: of the derivative of log det where little of it is left to lose
-TIGHT = 0.1  # effort: log det above the least allowed that counts as little
+CLOUD, POOL = 512, 1500  # effort: postures
 # effort: gain of the criterion below which the swaps end, ten of it for the pools; rounds of pools
 LEAST_GAIN, ROUNDS = 1e-3, 5
-RANDOM_PLANS = 25  # effort: whose median bound is shown beside a plan's
-RANDOM_RUNS = 100_000  # effort: of all these plans; those of thousands of runs are much alike
 
 
 @dataclass(frozen=True)
@@ -290,28 +282,29 @@ class ExtendedProblem:
     problem: DesignProblem
     misidentification: MisidentificationBound
 
+    @classmethod
+    def of(cls, problem: DesignProblem, library: EffectLibrary) -> ExtendedProblem:
+        """The same design space for the model with the effects that postures show, as tests see it: in space with a
+        minimal set of parameters, which has no prior."""
+        shown = set(library.shown_by_postures.parameters.names) if library.base == problem.parameters else ()
+        deviations = {name: size for name, size in problem.deviations.items() if name in shown}
+        extended = replace(problem, model=library.shown_by_postures, deviations=deviations)
+        cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
+        reference = information_matrix(extended.scaled_jacobians(cloud)) / len(cloud)
+        bound = MisidentificationBound(library.base, library.bases, library.weights, reference)
+        return cls(problem, extended, bound)
+
     def wrong(self, postures: Array) -> float:
         """Bound on the mean probability of a wrong name that a plan leaves, see `MisidentificationBound.wrong`."""
         return float(self.misidentification.wrong(self.problem.information(postures)))
 
     def at_random(self, runs: int) -> float:
         """The bound that as many random postures leave, the median of many plans."""
-        generator, many = np.random.default_rng(0), max(1, min(RANDOM_PLANS, RANDOM_RUNS // runs))
+        # effort: fewer plans of thousands of runs, which are much alike
+        generator, many = np.random.default_rng(0), max(1, min(25, 100_000 // runs))
         cloud = pool_of(self.problem, many * runs, generator)
         plans = [generator.permutation(cloud)[:runs] for _ in range(many)]
         return float(np.median([self.wrong(plan) for plan in plans]))
-
-
-def extended_problem(problem: DesignProblem, library: EffectLibrary) -> ExtendedProblem:
-    """The same design space for the model with the effects that postures show, as tests see it: in space with a minimal
-    set of parameters, which has no prior."""
-    shown = set(library.shown_by_postures.parameters.names) if library.base == problem.parameters else ()
-    deviations = {name: size for name, size in problem.deviations.items() if name in shown}
-    extended = replace(problem, model=library.shown_by_postures, deviations=deviations)
-    cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
-    reference = information_matrix(extended.scaled_jacobians(cloud)) / len(cloud)
-    bound = MisidentificationBound(library.base, library.bases, library.weights, reference)
-    return ExtendedProblem(problem, extended, bound)
 
 
 def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
@@ -385,7 +378,7 @@ class Swaps:
         self.pool = pool_of(self.problem, POOL, generator)
         if self.problem.choices is None:
             near = self.postures[generator.integers(len(self.postures), size=POOL)]
-            width = NEARBY * (self.problem.upper - self.problem.lower)
+            width = 0.15 * (self.problem.upper - self.problem.lower)  # effort: neighbors by this part of a range
             near = self.problem.clip(near + width * generator.uniform(-1.0, 1.0, near.shape))
             self.pool = np.concatenate([self.pool, near[self.problem.feasible(near)]])
         self.offered = self.extended.problem.scaled_jacobians(self.pool)
@@ -396,16 +389,16 @@ class Swaps:
     def swap(self) -> bool:
         """The best of the most promising swaps, else of more of them; False if none gains enough."""
         gradients = [self.misidentification.gradient(self.information)]
-        if self.slack < TIGHT:
+        if self.slack < 0.1:  # effort: little of log det is left to lose, so its derivative counts too
             p = self.misidentification.base
-            for multiplier in MULTIPLIERS:
+            for multiplier in (2.0, 10.0):  # effort: of the derivative of log det
                 mixed = np.array(gradients[0])
                 mixed[:p, :p] += multiplier * np.linalg.inv(self.information[:p, :p])
                 gradients.append(mixed)
-        return self._best(gradients, OUTS) or self._best(gradients, MORE_OUTS)
+        return self._best(gradients, 4) or self._best(gradients, 50)  # effort: runs that are tried per derivative
 
     def _best(self, gradients: list[Array], outs: int) -> bool:
-        """Makes the best swap of the `outs` runs and `INS` postures that look best by any of the gradients."""
+        """Makes the best swap of the `outs` runs and 8 postures that look best by any of the gradients."""
         pairs = np.unique(np.concatenate([self._promising(gradient, outs) for gradient in gradients]), axis=0)
         gains = np.concatenate([self._gains(part) for part in np.array_split(pairs, len(pairs) // CLOUD + 1)])
         for k in np.argsort(-gains, kind="stable"):
@@ -419,7 +412,7 @@ class Swaps:
         """(c, 2) runs and postures of the pool."""
         losses = np.sum((self.jacobians @ gradient) * self.jacobians, axis=(1, 2))
         gains = np.where(self.open, np.sum((self.offered @ gradient) * self.offered, axis=(1, 2)), -np.inf)
-        ins = min(INS, int(self.open.sum()))
+        ins = min(8, int(self.open.sum()))  # effort
         runs, places = np.argsort(losses, kind="stable")[:outs], np.argsort(-gains, kind="stable")[:ins]
         return np.stack(np.meshgrid(runs, places, indexing="ij"), axis=-1).reshape(-1, 2)
 

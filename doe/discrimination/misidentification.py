@@ -33,10 +33,6 @@ if TYPE_CHECKING:
 
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
 LAMBDA = 8.0
-UNSEEN = 1e-9  # numerical: fraction of its length off the base model below which no plan is judged by a direction
-# numerical: of a rival's length on random postures; keeps the inverse of a rival that a plan hides
-RIDGE = 1e-12
-NEAR = 0.05  # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
 
 
 @dataclass(frozen=True)
@@ -59,10 +55,10 @@ class EffectLibrary:
     jacobian_by_order: Callable[[Array], Array] | None = None
     preflight: Callable[[Array], Any] | None = None
 
-
-def effect_library(arm: Arm) -> EffectLibrary:
-    """The effects of the library that an arm can have, besides its own; without the rare ones."""
-    return EffectLibrary(*ArmModel.of(arm).rival_effects())
+    @classmethod
+    def of(cls, arm: Arm) -> EffectLibrary:
+        """The effects of the library that an arm can have, besides its own; without the rare ones."""
+        return cls(*ArmModel.of(arm).rival_effects())
 
 
 @dataclass(frozen=True)
@@ -112,7 +108,8 @@ class MisidentificationBound:
         probabilities = np.concatenate(
             [(self._probabilities[:, None] * o.reshape(len(self._probabilities), -1)).ravel() for _, o in left]
         )
-        d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), NEAR)
+        # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
+        d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), 0.05)
         slopes = probabilities * np.exp(-(d**2) / 8.0) / (4.0 * d * np.sqrt(2.0 * np.pi))
         lift = np.vstack([base, np.eye(len(schur))])
         return np.asarray(lift @ ((u * slopes[:, None]).T @ u) @ lift.T / self.wrong(information))
@@ -132,7 +129,8 @@ class MisidentificationBound:
         rows, owners, probabilities = [], [], []
         for number, basis in enumerate(self.bases):
             lengths = ((v, float(v @ schur @ v)) for v in (basis @ mix for mix in mixes(basis.shape[1])))
-            shown = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > UNSEEN * float(v**2 @ whole)]
+            # numerical: no plan is judged by a direction that hardly leaves the base model
+            shown = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > 1e-9 * float(v**2 @ whole)]
             rows += shown
             owners += [number] * len(shown)
             probabilities += [float(self.weights[number]) / len(shown) for _ in shown]
@@ -158,7 +156,8 @@ class MisidentificationBound:
             chosen = list(numbers)
             columns = np.stack([self.bases[number] for number in chosen], axis=1)
             lengths = np.einsum("kgs,kl,lgs->g", columns, schur, columns)
-            groups.append(Rivals(columns, owners[:, None] != chosen, RIDGE * np.maximum(lengths, 1e-300)))
+            # numerical: the ridge keeps the inverse of a rival that a plan hides
+            groups.append(Rivals(columns, owners[:, None] != chosen, 1e-12 * np.maximum(lengths, 1e-300)))
         return tuple(groups)
 
 

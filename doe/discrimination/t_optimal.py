@@ -43,9 +43,6 @@ if TYPE_CHECKING:
     from identification import Arm, Diagnosis
 
 POOL = 1500  # effort: random postures to choose from
-SWEEPS = 2  # effort: exchange passes after the greedy choice
-WINDOW = 6.0  # convention: -2 log odds within which a rival is left, odds of 20
-NUDGE = 1e-2  # effort: weight of the smooth part of the merit, which leads where the probability is still flat
 
 
 @dataclass(frozen=True)
@@ -130,9 +127,7 @@ class RivalPredictions:
         return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians, right)
 
     @classmethod
-    def of_problems(
-        cls, rivals: Sequence[tuple[DesignProblem, Array, float]], postures: Array, right: float = 1.0
-    ) -> RivalPredictions:
+    def of_problems(cls, rivals: Sequence[tuple[DesignProblem, Array, float]], postures: Array) -> RivalPredictions:
         """Of any models at postures (N, n), each in a problem, with the covariance (p, p) of its values, fitted to the
         data at hand, and its -2 log odds, as the BIC is; sigma is that of the first."""
         sigma = rivals[0][0].model.sigma
@@ -145,7 +140,7 @@ class RivalPredictions:
             jacobians.append(jacobian @ _root(covariance, problem.model.parameters.scales) / sigma)
         delta = np.array([odds for _, _, odds in rivals])
         weights = np.exp(-0.5 * (delta - delta.min()))
-        return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians, right)
+        return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians)
 
     def noncentrality(self, chosen: list[int]) -> tuple[Array, Array]:
         """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""
@@ -166,14 +161,16 @@ class RivalPredictions:
     def pair_chance(self, squares: Array) -> Array:
         """(K, K, N) probability that -2 log odds of rival j to truth i exceed the window, of lambda^2."""
         length = np.sqrt(np.maximum(squares, 1e-12))
-        return np.asarray(ndtr((squares + self.bic_lead[:, :, None] - WINDOW) / (2.0 * length)))
+        # convention: a rival is left within -2 log odds of 6, odds of 20
+        return np.asarray(ndtr((squares + self.bic_lead[:, :, None] - 6.0) / (2.0 * length)))
 
     def best_beside(self, chosen: list[int]) -> int:
         """Row of the pool of the greatest merit: the weighted sum over pairs of the chance to distinguish them, and a
         little of the logarithm of lambda^2."""
         noncentrality, gain = self.noncentrality(chosen)
         squares = noncentrality[:, :, None] + gain
-        merit = self.pair_chance(squares) + NUDGE * np.log1p(squares)
+        # effort: the smooth part leads where the probability is still flat
+        merit = self.pair_chance(squares) + 1e-2 * np.log1p(squares)
         return int(np.argmax(np.einsum("i,ij,ijn->n", self.weights, 1.0 - np.eye(len(self.weights)), merit)))
 
 
@@ -234,7 +231,7 @@ def t_optimal(rivals: RivalPredictions, runs: int, stop: Stop = never) -> list[i
     while len(chosen) < runs and not stop():
         chosen.append(rivals.best_beside(chosen))
     chosen = [chosen[k % len(chosen)] for k in range(runs)]
-    for _ in range(SWEEPS):
+    for _ in range(2):  # effort: exchanges after the greedy choice
         before = list(chosen)
         for k in range(runs):
             if stop():

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
 Row = dict[str, Any]
-SYNC = 1.0  # [s] of finished rows that a power failure may cost; the death of the process costs none
 KEY = "key"  # column with the key's canonical text
 
 
@@ -95,7 +94,8 @@ class RowTable:
     def _append(self, line: bytes, journal: FileIO) -> None:
         while line:
             line = line[journal.write(line) :]
-        if time.monotonic() > self._synced + SYNC:
+        # a second of finished rows is what a power failure may cost; the death of the process costs none
+        if time.monotonic() > self._synced + 1.0:
             os.fsync(journal.fileno())
             self._synced = time.monotonic()
 

@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 # -- tasks -------------------------------------------------------------------------------------------------------------
 Function = Callable[..., list[Row]]  # (key, seed sequence), and the key's payload where there is one
 SEED = "seed"  # column; a key with an entry of this name brings its own
-AHEAD = 3  # tasks handed out per worker, so that none waits; a million tasks are never in flight at once
-WATCH = 0.2  # [s] between two looks at whether a cluster's scheduler is still there
 
 
 def seed_of(key: Key, seed: int = 0) -> np.random.SeedSequence:
@@ -78,7 +76,8 @@ def run_tasks(
                 raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
     queue = deque({canonical(key): key for key in keys if key not in table}.values())
     workers, done, failed = workers or serial(), len(keys) - len(queue), 0
-    ahead = workers.count * AHEAD if workers.count > 1 else 1
+    # three tasks per worker, so that none waits; a million tasks are never in flight at once
+    ahead = workers.count * 3 if workers.count > 1 else 1
     running: dict[Future[Any], Key] = {}
 
     def store(future: Future[Any], key: Key) -> None:
@@ -98,7 +97,7 @@ def run_tasks(
                         key = queue.popleft()
                         sent = () if payload is None else (payload(key),)
                         running[executor.submit(perform, function, dict(key), seed, *sent)] = key
-                    for future in wait(running, WATCH, FIRST_COMPLETED).done:
+                    for future in wait(running, 0.2, FIRST_COMPLETED).done:  # then look after a cluster
                         if _lost(future):
                             raise BrokenExecutor
                         store(future, running.pop(future))
@@ -173,7 +172,6 @@ class Job:
 
 # -- workers -----------------------------------------------------------------------------------------------------------
 LOUD = ("distributed", "tornado", "asyncio")  # loggers of dask
-TRIES = 3  # a task whose worker dies so often is at fault
 
 
 @dataclass(frozen=True)
@@ -269,7 +267,7 @@ class _Processes(Executor):
     def _run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         place = self._idle.get()
         try:
-            for _ in range(TRIES):
+            for _ in range(3):  # a task whose worker dies so often is at fault
                 try:
                     return self._processes[place].submit(function, *arguments).result()
                 except BrokenExecutor:
@@ -355,7 +353,6 @@ QUIET = {
     "PYTHONSAFEPATH": "1",
     "PYTHONFAULTHANDLER": "",
 }  # nothing is imported from the folder it starts in, no traceback
-GRACE = 60.0  # [s] for the interpreter to start and import; not part of the limit on the call itself
 
 
 @dataclass(frozen=True)
@@ -410,7 +407,8 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outco
     """
     process, started = OneProcess(), time.monotonic()
     try:
-        process.submit(id, function).result(GRACE)  # its module is imported by now
+        # a minute to start and import, which is not part of the limit on the call itself
+        process.submit(id, function).result(60.0)  # its module is imported by now
         started = time.monotonic()
         return process.submit(_measured, function, arguments).result(seconds)
     except TimeoutError:

@@ -191,10 +191,8 @@ def criterion_values(problem: DesignProblem, postures: Array) -> dict[str, float
 
 
 # -- error of the tip --------------------------------------------------------------------------------------------------
-SPACE = 3  # coordinates of a point
 PLANS = 50  # random plans that a plan is compared with
 POOL = 2000  # postures that they are drawn from
-BETTER = 0.5  # share of them that a plan must be better than to be worth its search
 
 
 @dataclass(frozen=True)
@@ -255,7 +253,7 @@ class TipErrors:
         """(k, d, P) the same, its squares a mean over the measured points, without orientations that are measured too:
         they are no distance."""
         k, points, _, p = self.targets.shape
-        return np.asarray(self.targets[:, :, :SPACE].reshape(k, -1, p) / np.sqrt(points))
+        return np.asarray(self.targets[:, :, :3].reshape(k, -1, p) / np.sqrt(points))  # coordinates of a point
 
     @cached_property
     def _weight(self) -> Array:
@@ -334,7 +332,7 @@ class ExpectedTip:
             f"{self.plan:.3g} mm by this plan, {np.median(self.random):.3g} mm by the median of {PLANS} random ones"
         )
         share = f"better than {100.0 * self.better_than:.0f} % of them"
-        if self.better_than > BETTER:
+        if self.better_than > 0.5:  # else it is not worth its search
             return f"{where}: {figures}; {share}."
         instead = "" if self.fit else " armcal design --robust chooses postures for that."
         return f"{where}: {figures}. In this the plan is no better than postures chosen at random ({share}).{instead}"

@@ -21,15 +21,8 @@ from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDe
 from identification import Array, information_matrix
 from identification.information import VISIBLE
 
-STEPS = 400
-FIRST = 0.1  # of half the ranges, length of the first step: a longer one ends on limits
-MEMORY = 12  # pairs of steps and slopes that stand for the Hessian
-SINGULAR = 1e10  # what takes the place of -Phi where M is singular: no step leads there
 FIRMNESS = (10.0, 100.0, 1000.0)  # s in units of the mean slope: a tenth, hundredth, thousandth of a radian outside
-ROUGHLY = 10.0  # times the tolerance, as long as s still grows
-MOVES = 1e-3  # of the steepest constraint: less steep ones, such as the height of the base, do not count as walls
 INSIDE = 1e-6  # [rad] constraints are kept by this much: geometry and symbolic forms differ by rounding
-CORRECTIONS, CORRECTION = 20, 0.3  # Newton steps back inside, and the largest change of a joint in one
 
 
 class PlanAscent:
@@ -73,18 +66,21 @@ class PlanAscent:
         self.firmness = 0.0
         slope = float(np.sqrt(np.mean(self.rise(plan)[1] ** 2)))
         steepness = np.sqrt(np.mean(np.sum(self.walls.first(plan)[1] ** 2, axis=2), axis=0))
-        self.steepness = np.maximum(steepness, MOVES * steepness.max(initial=0.0))
+        # of the steepest: less steep ones, such as the height of the base, do not count as walls
+        self.steepness = np.maximum(steepness, 1e-3 * steepness.max(initial=0.0))
         moved = plan
         for firmness in FIRMNESS if slope > 0.0 else ():
             self.firmness = firmness * slope
-            moved = self._climbed(moved, tolerance * (1.0 if firmness == FIRMNESS[-1] else ROUGHLY), stop)
+            # less exact as long as s still grows
+            moved = self._climbed(moved, tolerance * (1.0 if firmness == FIRMNESS[-1] else 10.0), stop)
         inside = self.put_inside(moved)
         return np.where(self.problem.feasible(inside)[:, None], inside, plan)
 
     def _climbed(self, plan: Array, tolerance: float, stop: Stop) -> Array:
         from scipy.optimize import minimize  # 0.1 s to import
 
-        unit = np.tile(FIRST * 0.5 * (self.problem.upper - self.problem.lower)[self.joints], len(plan))
+        # of half the ranges, the length of the first step: a longer one ends on limits
+        unit = np.tile(0.1 * 0.5 * (self.problem.upper - self.problem.lower)[self.joints], len(plan))
         limits = [np.tile(limit[self.joints], len(plan)) / unit for limit in (self.problem.lower, self.problem.upper)]
 
         def postures(point: Array) -> Array:
@@ -94,7 +90,7 @@ class PlanAscent:
 
         def fall(point: Array) -> tuple[float, Array]:
             value, slopes = self.rise(postures(point))
-            return (-value if np.isfinite(value) else SINGULAR), -slopes.ravel() * unit
+            return (-value if np.isfinite(value) else 1e10), -slopes.ravel() * unit  # no step leads where M is singular
 
         def ended(_: Array) -> None:
             if stop():
@@ -103,7 +99,8 @@ class PlanAscent:
         start = np.clip(plan[:, self.joints].ravel() / unit, *limits)
         if not start.size or stop():
             return plan
-        options = {"ftol": tolerance, "gtol": 0.0, "maxcor": MEMORY, "maxiter": STEPS}
+        # pairs of steps and slopes that stand for the Hessian
+        options = {"ftol": tolerance, "gtol": 0.0, "maxcor": 12, "maxiter": 400}
         reached = minimize(
             fall, start, jac=True, method="L-BFGS-B", bounds=list(zip(*limits, strict=True)), callback=ended,
             options=options,
@@ -114,7 +111,7 @@ class PlanAscent:
     def put_inside(self, postures: Array) -> Array:
         """(m, n) postures moved by as little as satisfies the constraints that are broken, most of them into all."""
         inside = np.array(postures)
-        for _ in range(CORRECTIONS):
+        for _ in range(20):  # Newton steps back inside
             values, slopes = self.walls.first(inside)
             missing = np.maximum(0.0, 2.0 * INSIDE - values / self.steepness)
             outside = np.flatnonzero((missing > INSIDE).any(axis=1))
@@ -122,7 +119,8 @@ class PlanAscent:
                 break
             slopes = np.where(missing[outside, :, None] > 0.0, slopes[outside] / self.steepness[:, None], 0.0)
             steps = (np.linalg.pinv(slopes, rcond=VISIBLE) @ missing[outside, :, None])[..., 0]
-            steps *= np.minimum(1.0, CORRECTION / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-300))
+            # the largest change of a joint in one step
+            steps *= np.minimum(1.0, 0.3 / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-300))
             moved = inside[outside]
             moved[:, self.joints] += steps
             inside[outside] = self.problem.clip(moved)

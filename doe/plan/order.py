@@ -19,8 +19,6 @@ from doe.plan.plan import Plan
 from identification import Array, InputError, nearest
 
 ORDERS = ("given", "random", "travel")
-EXACT = 40  # postures up to which the path is proven shortest
-ROUNDS = 60  # of cuts
 
 Path = NDArray[np.intp]
 
@@ -101,7 +99,7 @@ def shortest_path(postures: Array, speeds: Array | None = None) -> Path:
             left[path[-1]] = False
         starts.append(np.array(path))
     best = min((two_opt(padded, start) for start in starts), key=lambda path: length(cost, path))
-    if 3 < m <= EXACT:
+    if 3 < m <= 40:  # up to which proof takes a fraction of a second
         proven = exact_path(padded)
         if proven is not None and length(cost, proven) < length(cost, best):
             best = proven
@@ -132,7 +130,7 @@ def exact_path(padded: Array) -> Path | None:
     first, second = np.triu_indices(m + 1, 1)
     incidence = (first == np.arange(m + 1)[:, None]) | (second == np.arange(m + 1)[:, None])
     constraints = [LinearConstraint(incidence.astype(float), 2.0, 2.0)]
-    for _ in range(ROUNDS):
+    for _ in range(60):  # of cuts
         solved = milp(
             padded[first, second], constraints=constraints, integrality=np.ones(first.size), bounds=(0.0, 1.0),
             options={"node_limit": 2000},

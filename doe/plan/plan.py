@@ -28,8 +28,6 @@ from identification import (
     readonly,
 )
 
-SUM = 1e-6  # by which weights may miss one
-
 
 @dataclass(frozen=True, eq=False)
 class Plan(ByValue):
@@ -120,7 +118,7 @@ def apportion(weights: Array, runs: int) -> NDArray[np.int64]:
     weights : (k,) positive, summing to one. With fewer runs than postures only the heaviest `runs` get one.
     """
     shares = np.asarray(weights, dtype=float)
-    if not np.all(shares > 0.0) or abs(shares.sum() - 1.0) > SUM:
+    if not np.all(shares > 0.0) or abs(shares.sum() - 1.0) > 1e-6:  # more than rounding of a file
         raise InputError(f"weights: sum {shares.sum():g}, smallest {shares.min():g}, allowed: positive, sum one")
     if runs <= len(shares):
         heaviest = np.argsort(-shares, kind="stable")[:runs]

@@ -28,11 +28,9 @@ COLLISIONS = (
     "Collisions were not looked at, neither of the arm with itself nor with what is around it: try each posture "
     "slowly, or let armcal design --candidates FILE choose from postures that you allow."
 )
-ANYWHERE = 1e6  # [mm] a side that the arm file leaves out
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
 POINTER = 100.0  # [mm] from the reflector to the point that tells where it looks
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
-SECTIONS = 50  # of golden section: 1e-10 of a link
 PART = 1000  # postures at a time, whose sections stay in the processor's cache
 FLAT = 1e-9  # [mm] lengths that divide nothing
 
@@ -53,7 +51,7 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
         if limit.kind == "joint_limits":
             made.append(WithinColumn(limit, model.reach if model.joint_types[limit.joint - 1] == REVOLUTE else 1.0))
         elif limit.kind == "workspace_box":
-            sides = [limit.x, limit.y, limit.z or (-ANYWHERE, ANYWHERE)][:space]
+            sides = [limit.x, limit.y, limit.z or (-1e6, 1e6)][:space]  # [mm] for a side that the arm file leaves out
             made.append(InsideBox(model, tuple(side[0] for side in sides), tuple(side[1] for side in sides)))
         elif limit.kind == "keep_out_cylinder":
             made.append(OutsideCylinder(model, limit))
@@ -337,7 +335,7 @@ def smallest(function: Callable[[Array], Array], shape: tuple[int, ...]) -> Arra
     low, high = np.zeros(shape), np.ones(shape)
     left, right = high - GOLDEN, low + GOLDEN
     at_left, at_right = function(left), function(right)
-    for _ in range(SECTIONS):
+    for _ in range(50):  # 1e-10 of a link
         lower = at_left <= at_right
         low, high = np.where(lower, low, left), np.where(lower, right, high)
         new = np.where(lower, high - GOLDEN * (high - low), low + GOLDEN * (high - low))

@@ -21,9 +21,6 @@ Index = NDArray[np.int64]
 CHUNK = 8192  # postures; the Jacobians of a chunk stay in the processor's cache, which is fastest
 MOST = 2**27  # candidates of a grid: a number for each fits into memory
 OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, from rounding in a file in degrees
-BATCH = 4096
-TRIES = 8  # batches without a single feasible posture before they are searched for
-CLIMBS = 60  # rounds of that search
 SOME = "constraints that leave some"  # postures
 
 
@@ -45,8 +42,8 @@ def random_postures(problem: DesignProblem, count: int, generator: np.random.Gen
 def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], generator: np.random.Generator) -> Array:
     """(count, n) feasible postures of those that `draw(size)` makes, or near them where they are too rare."""
     feasible, seen = np.empty((0, problem.joints)), []
-    for _ in range(TRIES):
-        drawn = draw(max(BATCH, count))
+    for _ in range(8):  # batches, before feasible postures are searched for
+        drawn = draw(max(4096, count))
         seen.append(drawn)
         feasible = np.concatenate([feasible, drawn[problem.feasible(drawn)]])
         if len(feasible) >= count:
@@ -66,7 +63,7 @@ def led_inside(problem: DesignProblem, postures: Array, generator: np.random.Gen
 
     best = postures[np.argsort(shortfall(postures))[:64]]
     miss, width = shortfall(best), problem.upper - problem.lower
-    for k in range(CLIMBS):
+    for k in range(60):
         trials = problem.clip(best + generator.standard_normal((16, *best.shape)) * 0.2 * 0.85**k * width)
         values = shortfall(trials.reshape(-1, problem.joints)).reshape(len(trials), -1)
         better = values.min(axis=0) < miss

@@ -123,13 +123,6 @@ def ensemble_problem(problem: DesignProblem, draws: Array, kind: str = "average"
 
 
 # -- one arm that may have more effects --------------------------------------------------------------------------------
-# reasons: doe/README.md, "Robust designs"
-FASTEST = 24.0  # order of the fastest wave of an error curve that a plan is to show
-POSES = 1000  # random postures that stand for the workspace
-LIBRARY = "library-prior"  # what its criterion promises is of a fit with `armcal identify --library-prior`
-CHOICES = 2000  # postures to choose from where none are listed
-
-
 def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) -> Any:
     """What a problem's model may lack of what postures can show; what order, time and temperature show is left out.
 
@@ -138,24 +131,24 @@ def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) 
     missing = offered(problem.model, "missing_effects", "robust")
     if problem.model.sigma is None:
         raise InputError(f"--robust {NEEDS_SIGMA}")
-    return missing(names, FASTEST)
+    # the order of the fastest wave of an error curve that a plan is to show (doe/README.md, "Robust designs")
+    return missing(names, 24.0)
 
 
-def robust_problem(
-    problem: DesignProblem, missing: Any = None, criterion: Criterion | None = None, poses: Array | None = None
-) -> DesignProblem:
-    """The same design space for an arm that may have these effects too.
+def robust_problem(problem: DesignProblem, missing: Any = None, poses: Array | None = None) -> DesignProblem:
+    """The same design space for an arm that may have these effects too, with criterion I: the mean squared error of the
+    tip over `poses`, with the estimated effects in the model.
 
     missing : None: all that postures can show, `missing_effects`
-    criterion : None: I, the mean squared error of the tip over `poses`, with the estimated effects in the model
     poses : (k, n) where the tip is needed, None: the `workspace`
     """
     added = missing_effects(problem) if missing is None else missing
     model, deviations, beyond = offered(problem.model, "with_effects", "robust")(added)
-    wide = replace(problem, model=model, deviations={**problem.deviations, **deviations}, fit=LIBRARY)
+    # what its criterion promises is of a fit with `armcal identify --library-prior`
+    wide = replace(problem, model=model, deviations={**problem.deviations, **deviations}, fit="library-prior")
     poses = workspace(wide) if poses is None else poses
     wide = replace(wide, beyond=beyond(poses))
-    return replace(wide, criterion=average_error(wide, poses) if criterion is None else criterion)
+    return replace(wide, criterion=average_error(wide, poses))
 
 
 def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignProblem:
@@ -169,7 +162,7 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     listed, sampled = problem.choices, problem.sampled
     if listed is None:  # half as they are drawn, of the others each joint is at a limit with probability one half
         generator, sampled = np.random.default_rng(0), True
-        anywhere, others = (random_postures(problem, CHOICES // 2, generator) for _ in range(2))
+        anywhere, others = (random_postures(problem, 1000, generator) for _ in range(2))
         nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
         at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
         listed = np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
@@ -194,4 +187,4 @@ def workspace(problem: DesignProblem) -> Array:
     where a probe is to touch something."""
     if problem.choices is not None and not getattr(problem.model, "tied", False):
         return listed_candidates(problem, problem.choices).postures
-    return random_postures(problem, POSES, np.random.default_rng(0))
+    return random_postures(problem, 1000, np.random.default_rng(0))

@@ -16,7 +16,7 @@ from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
 from identification import EFFECT, Array, Model
-from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
+from identification.document import Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 Data = Mapping[str, Any]  # what a command says with --json
 
-HELD = 0.5  # of its standard deviation before, above which the prior says more of a parameter than the plan
 NEAR = 0.9  # of the bound, which a plan of whole runs should reach where it determines every parameter
 WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
     "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
@@ -140,7 +139,8 @@ def accuracy(design: Design) -> list[Sheet | str]:
     weak = [
         p.name
         for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
-        if not mean.planar and p.kind != EFFECT and std > HELD * problem.deviations.get(p.name, np.inf)
+        # above half of the deviation before, the prior says more of a parameter than the plan
+        if not mean.planar and p.kind != EFFECT and std > 0.5 * problem.deviations.get(p.name, np.inf)
     ]
     hidden = {*missing, *weak}
     names = ["" if p.name in hidden else f"{p.name} [{p.file_unit}]" for p in mean.parameters]
@@ -197,16 +197,6 @@ def criteria_lines(data: Data) -> list[str]:
     indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
     every = f"every criterion, the larger the better: {figures} (I: {tip}; Ds: what is in mm)"
     return [every, f"observability indices: {indices}"]
-
-
-def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv", fit: str = "") -> list[Action]:
-    """From a plan to a calibration;  fit : of the plan"""
-    why = ", as the plan is meant: what it promises is of this fit" if fit else ""
-    return [
-        Action(f"Measure the postures of {plan}, and write the positions beside the angles (armcal help formats)."),
-        Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
-        Action(f"Identify the arm{why}:", f"armcal identify {arm} data.csv{fit and f' --{fit}'} --out calibrated.toml"),
-    ]
 
 
 # -- a plan to step through --------------------------------------------------------------------------------------------
@@ -275,7 +265,6 @@ def to_digits(values: Array, digits: int) -> Any:
 
 
 # -- armcal advise -----------------------------------------------------------------------------------------------------
-ENOUGH = 0.999  # of the bound
 # figure of `TipError` -> heading
 TIP_ERRORS = {
     "right": "model\nright\n[mm]",
@@ -303,7 +292,7 @@ def advice_document(advice: Advice) -> Document:
     """The answer in one sentence, a row for some of the numbers of runs, and what the figures do not promise."""
     deviations = [design.deviations for design in advice.designs]
     missing = any(np.isfinite(error.missing) for error in advice.tip_errors)  # as in a model that was not diagnosed
-    stars = [" *" if (design.efficiency or 0.0) >= ENOUGH else "  " for design in advice.designs]
+    stars = [" *" if (design.efficiency or 0.0) >= 0.999 else "  " for design in advice.designs]  # of the bound
     columns: dict[str, Iterable[str]] = {
         "runs": map(str, advice.runs),
         "efficiency": [f"{number(d.efficiency, 5)}{star}" for d, star in zip(advice.designs, stars, strict=True)],

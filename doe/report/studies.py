@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from doe.report.figures import AFTER, BEFORE
-from doe.report.page import svg
 from doe.studies.blind.score import ALL, KEEPS, BlindStudy
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo.specification import CELL
@@ -253,12 +252,6 @@ def figure_2_picture(data: pl.DataFrame) -> Figure:
         fontsize=9,
     )
     return figure
-
-
-def paper_pictures(folder: Path, result: PaperStudy) -> None:
-    """figure_1.svg and figure_2.svg in the folder."""
-    write_together({folder / "figure_1.svg": svg(figure_1_picture(result.tables["figure_1"]))}, force=True)
-    write_together({folder / "figure_2.svg": svg(figure_2_picture(result.tables["figure_2"]))}, force=True)
 
 
 # -- armcal study blind ------------------------------------------------------------------------------------------------

@@ -32,10 +32,6 @@ from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError, information_matrix
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
-SWEEPS = 60
-TOGETHER = 20_000  # runs of all starts of a batch, at most: keeps memory and time of a batch small
-DEAR, FEWEST = 100, 2  # parameters from which a list has fewer starts; the fewest starts
-CHUNK = 20_000  # listed postures compared at once: stays in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,8 @@ class Exchange:
     def begin(self, problem: DesignProblem, left: int, runs: int, generator: np.random.Generator) -> Array:
         """(s, m, n) random plans on the grid: a batch, or as many starts as are left; joints that play no part stay in
         the middle."""
-        count, grid = max(1, min(self.batch, left, TOGETHER // runs)), self.grid(problem)
+        # runs of all starts, at most: keeps memory and time of a batch small
+        count, grid = max(1, min(self.batch, left, 20_000 // runs)), self.grid(problem)
 
         def on_grid(size: int) -> Array:
             postures = np.tile((problem.lower + problem.upper) / 2.0, (size, 1))
@@ -112,7 +109,8 @@ class Fedorov:
         """Each start is thorough; fewer for many parameters that have a prior, as each costs the square of them."""
         if not problem.deviations:
             return self.count
-        return max(FEWEST, round(self.batch * min(1.0, (DEAR / problem.parameters) ** 2)))
+        # fewer of a list where parameters are many
+        return max(2, round(self.batch * min(1.0, (100 / problem.parameters) ** 2)))
 
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
@@ -151,7 +149,7 @@ class Batch(ABC):
 
     def improve(self, generator: np.random.Generator, budget: Budget) -> None:
         """Sweeps until none changes anything, or time is up."""
-        for _ in range(SWEEPS):
+        for _ in range(60):
             if not self.running.size or budget.out_of_time:
                 break
             before = self.values[self.running]
@@ -242,7 +240,7 @@ class ListBatch(Batch):
 
     def exchange(self, run: int) -> None:
         """Move one run of every running start to the best posture of the list."""
-        parts = np.array_split(self.offered, -(-len(self.offered) // CHUNK))
+        parts = np.array_split(self.offered, -(-len(self.offered) // 20_000))  # what stays in cache
         for start in self.running.tolist():
             old = self.chosen[start, run]
             without = self.information[start] - information_of_each(self.offered[old]) / self.total
@@ -258,11 +256,6 @@ class ListBatch(Batch):
 
 
 # -- with a climb ------------------------------------------------------------------------------------------------------
-SAME = 1e-7  # exchange plans of the same value are taken for the same plan up to symmetry, and polished once
-HALF = 0.5  # of the time, at most, for the relaxation
-CLIMBING = 2_000  # runs of all starts that climb between two exchanges, at most
-
-
 @dataclass(frozen=True)
 class ExchangeIpopt:
     """Exchange in batches; the best plans of each batch are polished by IPOPT. Every second batch varies the best.
@@ -343,7 +336,7 @@ class RelaxRound:
         """The rounded plan as it is, then one offer per start."""
         from doe.bounds.column_generation import continuous_design  # deferred: it needs scipy.linalg
 
-        weights = continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(HALF).ended)
+        weights = continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(0.5).ended)  # of the time, at most
         first = rounded_plan(weights.plan, runs)
         yield Offer(first)
         started = varied(self.exchange.begin(problem, budget.starts, runs, generator), first, generator, self.redrawn)
@@ -386,7 +379,8 @@ class Gradient:
         climb, left, best = PlanAscent(problem), budget.starts, list[Array]()
         elite = max(2, self.pool // runs)
         while True:
-            count = max(1, min(self._together(problem), left, CLIMBING // runs))
+            # runs of all starts that climb between two exchanges, at most
+            count = max(1, min(self._together(problem), left, 2_000 // runs))
             left -= count
             started = random_postures(problem, count * runs, generator).reshape(count, runs, -1)
             yield Offer(started[0])  # something to return if the user stops during the first batch
@@ -409,7 +403,7 @@ def varied(plans: Array, best: Array, generator: np.random.Generator, redrawn: f
 
 def unlike(value: float, others: list[float]) -> bool:
     """True for a criterion value that none of the others equals."""
-    return all(abs(value - other) > SAME for other in others)
+    return all(abs(value - other) > 1e-7 for other in others)  # the same plan up to symmetry: polished once
 
 
 def exchanged(

@@ -32,10 +32,6 @@ from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError, information_matrix
 
 MOST = 5000  # variables, whose second derivatives are dense: 0.2 GB, and 10 s for each step
-POLISHED = 1500  # variables, beyond which what other solvers found is left as it is
-NEAR_LIMIT = 1e-5  # joint unit: an interior point method ends this near to a limit that is active; it is put on it
-MARGIN = 1e-4  # [mm] constraints are kept by this much, since IPOPT keeps them to about 1e-8 only
-QUIET = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "show_eval_warnings": False}
 
 
 @dataclass(frozen=True)
@@ -73,7 +69,10 @@ class Ipopt:
         """Options of `casadi.nlpsol`."""
         warm = {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6} if self.warm else {}
         return {
-            **QUIET,
+            "print_time": False,
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "show_eval_warnings": False,
             **warm,
             "ipopt.tol": self.tolerance,
             "ipopt.max_iter": self.iterations,
@@ -91,7 +90,7 @@ def variables(problem: DesignProblem, runs: int) -> int:
 
 def polishes(problem: DesignProblem, runs: int) -> bool:
     """Whether IPOPT improves what other solvers found: not where that takes longer than to search on."""
-    return variables(problem, runs) <= POLISHED
+    return variables(problem, runs) <= 1500
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,8 @@ class Climber:
         self.walls = ConstraintDerivatives(problem, self.joints)
         self.base = np.tile(free_values(problem), (runs, 1))
         self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
-        self.near_limit = np.tile(NEAR_LIMIT * problem.joint_units[self.joints], runs)
+        # an interior point method ends this near to a limit that is active; it is put on it
+        self.near_limit = np.tile(1e-5 * problem.joint_units[self.joints], runs)
         self.interrupted = False
         self.expand = lru_cache(1)(lambda x: self.function.expand(self._of_bytes(x)))  # IPOPT asks one by one
         self.values = lru_cache(1)(self._values)
@@ -160,7 +160,8 @@ class Climber:
         if not start.size:  # a single link: every posture is as good as any other
             return self.postures(start)
         with self._interrupts_noted():
-            ended = self.ipopt(x0=start, lbx=self.lower, ubx=self.upper, lbg=MARGIN, ubg=np.inf)
+            # constraints are kept by more [mm], since IPOPT keeps them to about 1e-8 only
+            ended = self.ipopt(x0=start, lbx=self.lower, ubx=self.upper, lbg=1e-4, ubg=np.inf)
         inside = np.clip(np.asarray(ended["x"]).ravel(), self.lower, self.upper)
         snapped = np.where(inside - self.lower < self.near_limit, self.lower, inside)
         snapped = np.where(self.upper - inside < self.near_limit, self.upper, snapped)

@@ -38,11 +38,7 @@ Pattern = tuple[Array, Array]  # (b, J) angles above the lower limits [rad] and 
 ROUNDING = 1e-9  # [rad] by which a range may fall short; and of a mean product of columns that counts as zero
 ALL, SAMPLE = 64, 32  # runs up to which all characters are tried; number tried of a larger group
 TURN = 2.0 * np.pi
-WHOLE = 2048  # runs up to which one group is tried
-SMALL = 48  # runs of the plans that are put together, or as many as the factorial of all joints has
 PATTERNS = 16  # different plans of one size, and times that those too near others are placed again
-ATTEMPTS = 8  # plans of one group before smaller ones are put together
-NEARLY = 64  # runs by which a plan may exceed one from theory to be begun from it
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,7 @@ def nearly_optimal(
 ) -> Iterator[Offer]:
     """A plan from theory of a few runs less, the others chosen by exchange, before and after; nothing without one."""
     exchange = Exchange()
-    for fewer in range(runs - 1, max(runs - NEARLY, problem.fewest_runs) - 1, -1):
+    for fewer in range(runs - 1, max(runs - 64, problem.fewest_runs) - 1, -1):
         optimal = next(optimal_plans(problem, fewer, generator, 12, budget.ended), None)
         if optimal is not None:
             plan = np.vstack([optimal, exchange.begin(problem, 1, runs - fewer, generator)[0]])
@@ -98,7 +94,7 @@ def optimal_plans(
         return
     joints = list(chain_joints(problem))
     lower, upper = problem.lower[joints], problem.upper[joints]
-    whole, small = runs <= WHOLE, None
+    whole, small = runs <= 2048, None  # one group of so many runs is tried
     apart = problem.minimum_distance if replicates_allowed(problem) == 1.0 else 0.0  # where no joint is free
 
     def placed(pattern: Pattern) -> Array:
@@ -107,7 +103,7 @@ def optimal_plans(
 
     while True:
         angles, crowded = np.empty((0, len(joints))), True
-        for _ in range(ATTEMPTS if whole else 0):
+        for _ in range(8 if whole else 0):  # plans of one group before smaller ones are put together
             pattern = next(character_plans(upper - lower, runs, tries, generator), None)
             if pattern is None:
                 whole = False
@@ -150,7 +146,8 @@ def small_groups(
     groups: dict[int, list[Pattern]] = {}
     if halves(widths) and runs % 2:
         return groups
-    for size in range(len(widths) + 1, min(runs // 2, max(SMALL, 2 ** len(widths))) + 1):
+    # of up to 48 elements, or as many as the factorial of all joints has
+    for size in range(len(widths) + 1, min(runs // 2, max(48, 2 ** len(widths))) + 1):
         if groups and size % np.gcd.reduce(list(groups)) == 0:
             continue  # nothing that the smaller sizes cannot make, but for the smallest multiples
         if stop():

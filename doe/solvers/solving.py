@@ -113,7 +113,6 @@ def solver_named(name: str) -> Solver:
 
 
 # -- the search --------------------------------------------------------------------------------------------------------
-HALF = 0.5  # of the time: for what comes first, the search or the bound
 AGREEMENT = 10  # independent local searches that end at the best value
 AGREES = 1e-7  # difference of criterion values that counts as none
 
@@ -155,8 +154,9 @@ def solve(
         limit = time_limit(runs, starts, seconds)
         deadline = None if limit is None else began + limit
         whole = Budget(starts or chosen.starts_for(problem), deadline, may_agree=starts is None, began=began)
-        # a bound for many parameters takes seconds, which are no part of the search's time; a theorem takes none
-        first, late = whole.part(HALF), bound is None and problem.many_parameters and not applies(problem)
+        # a bound for many parameters takes seconds, which are no part of the search's time; a theorem takes none;
+        # half the time is for what comes first, the search or the bound
+        first, late = whole.part(0.5), bound is None and problem.many_parameters and not applies(problem)
         best_bound = None if late else bound or best_known_bound(problem, runs, first.ended)
         budget = first if late else whole
         offers = named_offers(problem, runs, chosen, budget, seed, begin, theory_first=solver is None)

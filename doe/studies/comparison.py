@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 Subject = str | DesignProblem  # text of an arm file, or the problem of another model
 Task = tuple[Subject, "str | Solver"]
-FEASIBLE = 1e-9  # [rad] outside the joint limits, or below zero in a constraint's margin
 AGREES = 1e-9  # between the solver's value and ours
 HIT = 1e-6  # a run has found the best known plan if its loss of efficiency is below this
 KILL_FACTOR, KILL_EXTRA = 1.5, 10.0  # a run is killed after 1.5 times its time limit and 10 s more
@@ -167,7 +166,8 @@ def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
     outside = [np.max(problem.lower - postures), np.max(postures - problem.upper)]
     outside += [-np.min(constraint.margin(postures)) for constraint in problem.constraints]
     violation = float(max(0.0, *outside))
-    correct = len(postures) == runs and design.plan.weights is None and violation <= FEASIBLE
+    # [rad] outside the joint limits, or below zero in a constraint's margin
+    correct = len(postures) == runs and design.plan.weights is None and violation <= 1e-9
     correct &= bool(np.isclose(value, design.value, rtol=0.0, atol=AGREES))
     return {
         "outcome": design.status.name,

@@ -40,9 +40,6 @@ from identification.servo import servo_shift
 from identification.sessions import BASE
 from identification.validate.origin import check_calibrated, extrapolated, familiar_range, identified, outside
 
-TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
-FEW = 0.5  # of the targets: of more out of reach, the frame or the unit is likelier to be wrong than each of them
-STILL = 1e-9  # [rad] a joint that did not move has so much room
 APPROACH = {"directions", "past"}  # what an effect needs whose error depends on the side that a joint comes from
 
 
@@ -188,7 +185,7 @@ class Compensation:
 
     @property
     def reached(self) -> NDArray[np.bool_]:
-        """(k,) True where the error is at most `tolerance`, the angle no more at full reach, or `TURNED`, and every
+        """(k,) True where the error is at most `tolerance`, the angle no more at full reach, or 1e-8 rad, and every
         constraint holds."""
         near = self.near
         return near if self.violations is None else near & ~np.any(self.violations > 0.0, axis=1)
@@ -197,7 +194,7 @@ class Compensation:
     def near(self) -> NDArray[np.bool_]:
         """(k,) as `reached`, whatever the constraints say."""
         near = self.errors <= self.tolerance
-        return near if self.angles is None else near & (self.angles <= max(TURNED, self.tolerance / self.reach))
+        return near if self.angles is None else near & (self.angles <= max(1e-8, self.tolerance / self.reach))
 
     @property
     def messages(self) -> list[str]:
@@ -234,7 +231,8 @@ class Compensation:
         """What must be known of the commands, in sentences."""
         outside = extrapolated(self.outside, "targets")
         notes = [] if outside is None else [f"{outside}, and the error that is left may be larger than it says"]
-        if (out := np.count_nonzero(~self.near)) > FEW * len(self.targets):
+        # of more than half of the targets out of reach, the frame or the unit is likelier to be wrong than each of them
+        if (out := np.count_nonzero(~self.near)) > 0.5 * len(self.targets):
             frame = "are they in mm, and in the frame of the measurements that calibrated the arm"
             notes.append(f"{out} of {len(self.targets)} targets are out of reach: {frame}?")
         if close := np.count_nonzero(self.reached & (self.errors > TOLERANCE)):
@@ -340,7 +338,7 @@ def reaching(
     nominal: Array,
     conditions: Conditions,
     constraints: Constraints,
-    enough: float = TOLERANCE,
+    enough: float,
 ) -> Array:
     """(k, n) postures from nominal ones (k, n); from many seeds where that ends short of the target, or where the arm
     may not stand. What ends so near as `enough` [mm] is left only for what gets there exactly: another branch of the
@@ -387,7 +385,7 @@ def nearest_familiar(
     reached: Array,
     where: Conditions,
     constraints: Constraints,
-    enough: float = TOLERANCE,
+    enough: float,
 ) -> Array:
     """(k, n) postures that were found for goals (k, d); for those out of reach, farther than `enough` [mm], where they
     are outside familiar angles, the nearest within them."""
@@ -395,7 +393,8 @@ def nearest_familiar(
     left = np.linalg.norm(goals - model.position(reached, conditions=where), axis=1)
     out = np.flatnonzero((left > enough) & np.any((reached < lower) | (reached > upper), axis=1))
     if out.size:
-        inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + STILL)))
+        # a joint that did not move has 1e-9 rad of room
+        inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + 1e-9)))
         starts = np.clip(reached[out], lower, upper)
         reached[out] = best_of_seeds(inside, goals[out], starts, where.rows(out), constraints)[0]
     return reached

@@ -471,28 +471,18 @@ def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Secti
         "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
         "say, with everything else in the model. Waves: per turn, strongest first, and their share of the curve."
     )
-    rows = [
-        [
-            str(c["joint"]),
-            f"{c['angle_deg'][0]:.0f} to {c['angle_deg'][-1]:.0f}",
-            *(f"{np.sqrt(np.mean(np.square(c[key]))):.2g}" for key in ("error_deg", "std_deg")),
-            shape_in_short(c),
-        ]
-        for c in data["curves"]
-    ]
+    rows = []
+    for c in data["curves"]:
+        kind, waves, _ = str(c["shape"]).partition(": ")
+        shape = str(c["shape"]).partition(" over ")[0]  # without the angles
+        if waves:  # `waves 11, 14, 2, 5 (93 %)`
+            orders = ", ".join(f"{wave['order']:g}" for wave in c["waves"])
+            shape = f"{kind} {orders} ({100.0 * sum(wave['share'] for wave in c['waves']):.0f} %)"
+        sizes = (f"{np.sqrt(np.mean(np.square(c[key]))):.2g}" for key in ("error_deg", "std_deg"))
+        rows.append([str(c["joint"]), f"{c['angle_deg'][0]:.0f} to {c['angle_deg'][-1]:.0f}", *sizes, shape])
     table = Sheet(("joint", "angles [deg]", "RMS [deg]", "std [deg]", "shape"), rows)
     pictures = [] if diagnosis is None else [Pictures(lambda: [_pictures().curves_figure(diagnosis)])]
     return [Section("Error curves of joints", [table, text, *pictures])] if rows else []
-
-
-def shape_in_short(curve: Data) -> str:
-    """`waves 11, 14, 2, 5 (93 %)`; other shapes as they are said, without the angles."""
-    shape = str(curve["shape"])
-    kind, waves, _ = shape.partition(": ")
-    if not waves:
-        return shape.partition(" over ")[0]
-    orders = ", ".join(f"{wave['order']:g}" for wave in curve["waves"])
-    return f"{kind} {orders} ({100.0 * sum(wave['share'] for wave in curve['waves']):.0f} %)"
 
 
 def further_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Section]:

@@ -51,7 +51,6 @@ BETA = (
     "beta: turn about the new y axis after alpha, where the next axis is nearly parallel (Hayati). A controller that "
     "has no beta cannot take that row; --full prints frames of six numbers, --urdf writes them."
 )
-MOVED = 1e-3  # of the RMS: where a file lacks the place it has been fitted before
 
 
 def p_value_in_words(p: float) -> str:
@@ -133,7 +132,11 @@ def identification_document(
     if result.not_identifiable:
         parts.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         parts += [f"  {combination}" for combination in result.not_identifiable]
-    parts += servo_parts(data.get("servo_error", ()))
+    if servo := data.get("servo_error", ()):
+        keys = ("offset", "reversal", "rms", "largest", "rest")
+        cells = [[str(row["joint"]), *(f"{row[key]:z.5f}" for key in keys), row["unit"]] for row in servo]
+        meaning = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
+        parts += [Sheet(("joint", *keys, "unit"), cells, "Servo error"), meaning]
     verdict = [identification_verdict(data, compared_with(result, "rms_nominal_mm" in data))]
     if not data.get("offered", {"better": True})["better"]:
         verdict.insert(0, hardly_better(data["offered"]))
@@ -174,7 +177,8 @@ def expected_elsewhere(data: Data) -> str:
 
 def compared_with(result: Identification, place: bool = False) -> str:
     """What the errors before the fit are those of;  place : nothing but where a calibrated arm stands."""
-    if place and result.rms_before > (1.0 + MOVED) * result.rms_after:
+    # without a place in the file, one has been fitted before: the RMS hardly falls
+    if place and result.rms_before > (1.0 + 1e-3) * result.rms_after:
         return "where the arm file has it"
     arm, places = getattr(result.model, "arm", None), placing(result.model.parameters)
     calibrated = arm is None or arm.calibration is not None
@@ -267,14 +271,6 @@ def in_short(rows: Sequence[CorrectedValue], minimal: bool) -> Section:
     parts += [f"{place} [mm]: {', '.join(figures)}" for place, figures in places.items()]
     title = f"Well determined: {len(sure)} of {len(frames)} corrected values"
     return Section(title, [*parts, *(ALL_OF_THEM if minimal else ALL_OF_THEM[:1])])
-
-
-def servo_parts(errors: Sequence[Data]) -> list[Any]:
-    """Servo error of each joint, reading less command, and how it is read;  errors : key `servo_error`"""
-    keys = ("offset", "reversal", "rms", "largest", "rest")
-    rows = [[str(row["joint"]), *(f"{row[key]:z.5f}" for key in keys), row["unit"]] for row in errors]
-    meaning = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
-    return [Sheet(("joint", *keys, "unit"), rows, "Servo error"), meaning] if rows else []
 
 
 def correct(arm: str) -> Action:

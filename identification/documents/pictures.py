@@ -40,11 +40,8 @@ BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 MANY = 500  # more points are drawn smaller, as pixels in vector formats
 
 SHORT = 0.3  # of the longest lever: below, a row counts less
-STILL = 0.02  # of the reach: a joint with shorter levers says little
 POINTS = 721  # of a line
-NEARBY = 10  # rows that a point of the line between two models is the mean of, at most an eighth of all
 FAR = 0.1  # share of the range without rows over which no line is drawn
-OTHERWISE = 0.1  # of what an effect does, RMS, that its function of the angle may leave
 READ = "Each dot is one row: the error of this joint that would best explain what is left (measured less computed)."
 
 
@@ -87,7 +84,7 @@ def joint_errors(levers: Array, residuals: Array) -> Array:
 def line_between(q: Array, lever: Array, change: Array) -> tuple[Array, Array]:
     """Angles, and the error of a joint there that the change (m, d) [mm] between two models means: of groups of rows by
     least squares; broken by NaN where no rows are."""
-    size = int(np.clip(len(q) // 8, 3, NEARBY))
+    size = int(np.clip(len(q) // 8, 3, 10))  # rows of one point of the line, at most an eighth of all
     groups = np.array_split(np.argsort(q, kind="stable"), max(1, len(q) // size))
     weight, along = np.sum(lever**2, axis=1), np.sum(lever * change, axis=1)
     angles = [float(np.mean(q[g])) for g in groups]
@@ -138,7 +135,8 @@ def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> tupl
     if effect.curve is None:
         moved = done_by(model, effect, rows.postures, rows.conditions)[:, : lever.shape[1]]
         left = moved - lever * np.interp(q, grid, line)[:, None]
-        return line, moved, bool(np.linalg.norm(left) <= OTHERWISE * np.linalg.norm(moved))
+        # True: its function of the angle is nearly all that the effect does
+        return line, moved, bool(np.linalg.norm(left) <= 0.1 * np.linalg.norm(moved))
     curves = [(e.joint - 1, e.curve) for e in model.effects if e.curve is not None and e.joint is not None]
     hold = all_hold(curves, rows.postures)
     places = np.concatenate([[-np.inf], np.sort(q[hold > 0.5]), [np.inf]])
@@ -158,7 +156,8 @@ def signed_figures(rows: Compared) -> list[Figure]:
         axes = figure.subplots()
         title = draw_joint(axes, rows, j, levers, factor)
         axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]")
-        still = np.linalg.norm(levers[:, :, j], axis=1).max() < STILL * rows.arm.reach
+        # a joint with shorter levers says little
+        still = np.linalg.norm(levers[:, :, j], axis=1).max() < 0.02 * rows.arm.reach
         axes.set_title("hardly moves the measured point" if still else title, fontsize=9, parse_math=False)
         if j == 0:
             axes.plot([], [], color="k", lw=1.3, label="effects" if at_joints(rows.named) else "change")

@@ -17,7 +17,6 @@ from identification.effects.settings import Setting
 from identification.kinematics.chain import IN_SPACE, planar_chain
 from identification.kinematics.parameters import Parameter
 
-JOINTS = 3  # of the arm that parameters are listed for; one parameter per joint is listed as the first
 # what the arm or the data must have -> how to give it
 SUPPLY = {
     "gravity": "[gravity] in the arm file: acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg, ..",
@@ -101,7 +100,7 @@ def entry(name: str) -> Entry:
     settings = {key: Setting.of(value) for key, value in cls.settings.items()}
     chosen = {key: int(value.low) if value.whole else value.low for key, value in settings.items()}
     joint = None if cls.per_joint == "none" else max(cls.first_joint, 1) if cls.per_joint == "required" else None
-    chain = planar_chain(np.ones(JOINTS))
+    chain = planar_chain(np.ones(3))  # one parameter per joint is listed as the first
     effect = cls(chain if PLANAR in cls.dimensions else replace(chain, axes=IN_SPACE), joint, chosen)
     return Entry(
         name=name,

@@ -18,7 +18,6 @@ from identification.effects.chain import Chain
 from identification.kinematics.chain import KinematicChain
 
 OF_LOAD = ("payload", "gravity_turn", "payload_shift")
-Parts = list[tuple[Effect, ca.SX]]  # effects with the values of their own parameters
 
 
 def widths(chain: KinematicChain) -> dict[str, int]:

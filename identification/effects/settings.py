@@ -12,9 +12,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.measurements import Conditions
 
-STEPS, FEWER, MANY_ROWS = 100, 40, 400  # effort: times of a step that are tried, and of more than so many rows
 SESSION = 1.1  # from one session to the next on the clock of steps, a gap of 0.1 between them
-MARGIN = 0.05  # of the session at either end, where a step would be a few rows
 DIGITS = 6  # of a value, significant: labels and files hold it exactly
 
 
@@ -86,12 +84,12 @@ def step_times(scope: Scope) -> list[float]:
     """Times to try for a step: between rows, evenly spaced, and between sessions."""
     time = scope.conditions.time
     if time is None or np.ptp(time) == 0.0:
-        return list(np.linspace(-0.5, 0.5, FEWER)[2:-2])
+        return list(np.linspace(-0.5, 0.5, 40)[2:-2])
     sessions = np.zeros(len(time)) if scope.conditions.session is None else scope.conditions.session
     values = np.unique(clock(time, sessions))
     between = 0.5 * (values[1:] + values[:-1])
-    first = int(np.ceil(MARGIN * len(between)))
+    first = int(np.ceil(0.05 * len(between)))  # at either end a step would be a few rows
     inner = between[first : len(between) - first] if 2 * first < len(between) else between
-    count = STEPS if len(between) <= MANY_ROWS else FEWER
+    count = 100 if len(between) <= 400 else 40  # effort: of many rows fewer
     spread = inner[np.unique(np.linspace(0, len(inner) - 1, count).round().astype(int))]
     return [*spread, *((np.unique(sessions)[1:] - 0.5) * SESSION)]

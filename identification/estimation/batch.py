@@ -36,10 +36,6 @@ from identification.measurements import Conditions, Measurements, directions_fro
 from identification.model import Model
 from identification.status import Status
 
-CHUNK = 20_000  # rows (data sets times postures) at a time: the arrays of one pass stay in the processor's cache
-STEPS = 12  # of the chord method
-CONTRACTION = 0.3  # a step that shrinks the gradient by less hands the data set over
-
 
 @dataclass(frozen=True, eq=False)
 class BatchFit:
@@ -75,7 +71,7 @@ class BatchFit:
 
 
 def _chunks(count: int, rows: int) -> Iterator[slice]:
-    size = max(1, CHUNK // rows)
+    size = max(1, 20_000 // rows)  # rows of all data sets: the arrays of one pass stay in the processor's cache
     return (slice(start, min(start + size, count)) for start in range(0, count, size))
 
 
@@ -169,7 +165,7 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
     parameters, squares, stationary = starts.copy(), np.full(len(starts), np.nan), np.zeros(len(starts), dtype=bool)
     index, x, last = np.arange(len(starts)), starts, np.full(len(starts), np.inf)
     data, rounding = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0)), problem.rounding
-    for _ in range(STEPS):
+    for _ in range(12):
         arguments = problem.postures, table, x[:, None, :], np.moveaxis(data, 0, -1)
         gradients, by_row = problem.model.expressions.residual_gradient(*arguments)
         # components come first in memory, so these sums over rows are products with contiguous memory
@@ -182,7 +178,7 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
         done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + rounding) & inside
         finished = index[done]
         squares[finished], stationary[finished] = cost[done], True
-        contracts = size <= CONTRACTION * last
+        contracts = size <= 0.3 * last  # a step that shrinks the gradient by less hands the data set over
         parameters[index[(contracts | done) & inside]] = x[(contracts | done) & inside]
         going = ~done & contracts
         if not going.any():

@@ -26,10 +26,7 @@ from identification.model import Model
 if TYPE_CHECKING:
     from identification.estimation.result import Identification
 
-LITTLE = 0.1  # share of its variance before that the measurements take from a value that the prior holds
-NARROWED = 0.5  # of its standard deviation before, below which the measurements say more than the prior
 STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
-UPRIGHT = 85.0  # [deg] of pitch, from which a small turn may be a large roll and yaw (gimbal lock)
 LINK = "length of the link"
 ZERO = "add to the zero of joint {j}: real position = reading + this; or take it off every command"
 FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y, z, then roll, pitch, yaw"
@@ -61,7 +58,7 @@ class CorrectedValue:
     std, low_95, high_95 : None where the value is held, or nothing can be said
     convention : what the value means, and what to do with it
     prior_std : standard deviation before the measurements, None: nothing was known, or not of all that it is made of
-    held_by_prior : the measurements say next to nothing about it (`LITTLE`)
+    held_by_prior : the measurements say next to nothing about it: they take less than a tenth of its variance
     """
 
     name: str
@@ -78,8 +75,8 @@ class CorrectedValue:
 
     @property
     def weak(self) -> bool:
-        """Whether the measurements leave more than `NARROWED` of the standard deviation that it had before."""
-        return self.std is not None and self.prior_std is not None and self.std > NARROWED * self.prior_std
+        """Whether the measurements leave more than half of the standard deviation that it had before."""
+        return self.std is not None and self.prior_std is not None and self.std > 0.5 * self.prior_std
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `corrected_values` (identification/files/README.md, "JSON keys")."""
@@ -158,7 +155,7 @@ def _row(
     prior = float(np.linalg.norm(before[at].T @ slope)) if has_prior else None
     held = False
     if std is not None and prior is not None and seen is not None:
-        held = bool(slope @ seen[np.ix_(at, at)] @ slope > (1.0 - LITTLE) * prior**2)
+        held = bool(slope @ seen[np.ix_(at, at)] @ slope > 0.9 * prior**2)
     return CorrectedValue(*about, value, std, low, high, quantity.unit, quantity.convention, prior, held)
 
 
@@ -239,7 +236,8 @@ def _tables(chain: KinematicChain, values: Values) -> dict[str, dict[str, float]
     tables = geometry.tables()
     rows = {f"joint {row.pop('joint')}": row for row in tables["geometry"]}
     for j, joint in enumerate(chain.joints, start=1):
-        if abs(joint.origin[2, 0]) > np.sin(np.radians(UPRIGHT)):
+        # pitched by more, a small turn may be a large roll and yaw (gimbal lock)
+        if abs(joint.origin[2, 0]) > np.sin(np.radians(85.0)):
             place, drawn = geometry.origin(j), joint.origin[:3, :3]
             turned = pose_table(pose(place[:3, 3], drawn.T @ place[:3, :3]))
             # as drawn is zero, whatever the product of matrices rounds it to

@@ -37,16 +37,12 @@ if TYPE_CHECKING:
     from identification.estimation.result import Identification
 
 # reasons: identification/README.md, "Doubtful fits"
-FLIPPED = 0.5  # of a link's nominal length: no drawing and no machining is that wrong
-TURNED = np.radians(30.0)  # of a frame of a spatial arm: no machining is that wrong, a joint with the wrong sign is
-MOVED = 0.1  # of the reach, of a frame of a spatial arm
 FAR_ZERO = np.radians(5.0)  # an offset that is no machining error
 FAR = 0.05  # of the reach: residuals of another arm, frame or unit
 FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
 OTHER_FRAME = "the data are in another frame than the arm"
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 SPARE = 4  # degrees of freedom
-ROUNDING = 1e-13  # of the largest coordinate: the sums of a fit to data without noise are rounded by less
 SHOWN = 3  # contradictions in a sentence
 
 
@@ -135,15 +131,15 @@ def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.b
 def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
     """True for residuals of the size of rounding: data without noise, for which standard deviations mean nothing."""
     left, largest = rms_distance(residual), float(np.max(np.abs(measurements.positions)))
-    if left > ROUNDING * largest:
+    if left > 1e-13 * largest:  # the sums of a fit to data without noise are rounded by less
         return []
     return [f"the fit leaves {left:.2g} mm RMS, which is rounding: data without noise, deviations mean nothing"]
 
 
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
     """Links whose length changes sign or by the order of the length; in space the correction of a frame that is the
-    largest, where no machining is that wrong."""
-    limits, sentences = {ROTATION_ERROR: TURNED, TRANSLATION_ERROR: MOVED * model.reach}, list[str]()
+    largest, where no machining is that wrong, but a joint with the wrong sign is."""
+    limits, sentences = {ROTATION_ERROR: np.radians(30.0), TRANSLATION_ERROR: 0.1 * model.reach}, list[str]()
     excess = [abs(x) / limits.get(p.kind, np.inf) for p, x in zip(model.parameters, parameters, strict=True)]
     if excess[worst := int(np.argmax(excess))] > 1.0:
         p = model.parameters[worst]
@@ -153,7 +149,7 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
     for p, value, estimable in zip(model.parameters, parameters, identifiable, strict=True):
         if p.kind == LENGTH_ERROR and p.joint is not None and estimable:
             length = float(model.arm.lengths[p.joint - 1])
-            if abs(value) > FLIPPED * length:
+            if abs(value) > 0.5 * length:
                 comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
                 sentences.append(f"implausible: {comparison}; another arm, frame or unit?")
     return sentences
@@ -203,7 +199,8 @@ def beyond_limits(arm: Arm, postures: Array) -> NDArray[np.bool_]:
 
 
 def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
-    """How many postures lie outside the joint limits, and the first of them."""
+    """How many postures lie outside the joint limits, the first of them, and joints that are within their limits if
+    whole turns are taken off."""
     q = measurements.postures
     outside = beyond_limits(arm, q)
     if not outside.any():
@@ -214,17 +211,14 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     low, high, place = (v[joint] * factor for v in (*arm.column_limits, in_columns(q[row], arm.joint_types)))
     count = int(outside.any(axis=1).sum())
     first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
-    return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}{_turns(arm, q)}"]
-
-
-def _turns(arm: Arm, postures: Array) -> str:
-    """Joints that are within their limits if whole turns are taken off, in words."""
-    within = ~beyond_limits(arm, turned_into(postures, arm.lower, arm.upper, arm.joint_types, OVERSHOOT))
-    joints = np.flatnonzero(np.any(beyond_limits(arm, postures) & within, axis=0)) + 1
+    sentence = f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}"
+    within = ~beyond_limits(arm, turned_into(q, arm.lower, arm.upper, arm.joint_types, OVERSHOOT))
+    joints = np.flatnonzero(np.any(outside & within, axis=0)) + 1
     if not joints.size:
-        return ""
+        return [sentence]
     which = f"joint{'s' if joints.size > 1 else ''} {', '.join(map(str, joints.tolist()))}"
-    return f"; {which} would be within them whole turns (360 deg) away: count these readings from the drawing's zero"
+    away = "would be within them whole turns (360 deg) away: count these readings from the drawing's zero"
+    return [f"{sentence}; {which} {away}"]
 
 
 def copied_rows(measurements: Measurements) -> list[str]:

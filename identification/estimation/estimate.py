@@ -39,12 +39,7 @@ from identification.status import Status
 from identification.threads import single_thread
 
 LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
-FIRST = 2  # steps before the noise is estimated again: the model is nearly linear
-ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
-STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
-NEAR = 0.5  # of the limit: rows this near are tested with their leverage, which is small where rows are many
-MANY = 20  # equations for each parameter
 
 
 def estimate(
@@ -130,7 +125,7 @@ def estimate_with_prior(
         Problem.of(model, measurements, sigma, weights, prior), zeros
     )
     decomposed = spectrum(jacobian, model.scales, problem.tolerance, problem.prior_rows)
-    determined = float(np.sum(np.square(jacobian @ decomposed.root)))  # tr J (J^T J + R^T R)^-1 J^T
+    determined = decomposed.determined(jacobian)
     fit = identification(problem, measurements, "gauss_newton", solution, decomposed, determined)
     far = (*fit.doubts, *far_from_drawing(model.arm.machining, *widths))
     fit = replace(fit, prior=problem.prior, machining_factor=widths[0] if model.prior else None, doubts=far)
@@ -205,13 +200,15 @@ def _with_likeliest_noise(
 
     elsewhere = [p.name in zeros for p in model.parameters]
     start = np.where(elsewhere, model.parameters.vector(zeros, default=0.0), starts(problem)[0])
-    posed, solution, widths = solved(start, ITERATIONS if holds else FIRST)
+    # two steps before the noise is estimated again, in ten rounds at most: the model is nearly linear, so that the
+    # second round changes little
+    posed, solution, widths = solved(start, ITERATIONS if holds else 2)
     most = ITERATIONS
-    for _ in range(0 if holds else ROUNDS):
+    for _ in range(0 if holds else 10):
         before, steps = posed.noise, solution.iterations
         posed, solution, widths = solved(solution.parameters[0], most)
         solution = replace(solution, iterations=solution.iterations + steps)
-        if most == 0 or abs(posed.noise - before) <= STEADY * before:
+        if most == 0 or abs(posed.noise - before) <= 1e-4 * before:  # far below its own uncertainty
             break
         most = 0 if solution.status[0] is Status.iteration_limit else ITERATIONS  # the noise there, no further steps
     return posed, solution, widths, about(solution.parameters[0]).jacobian
@@ -331,7 +328,8 @@ def unexplained_by_fit(problem: Problem, parameters: Array, residual: Array) -> 
     p, d = len(parameters), white.shape[1]
     if white.size - p + len(problem.prior_rows) <= p:
         return unexplained
-    if white.size > MANY * p and robust_squares(np.sum(white**2, axis=1), d).max() < NEAR * limit_of(d):
+    # rows nearer than half the limit need no test with their leverage, which is small where rows are many
+    if white.size > 20 * p and robust_squares(np.sum(white**2, axis=1), d).max() < 0.5 * limit_of(d):
         return unexplained
     columns = problem.jacobian(parameters).reshape(len(used), -1)[used].reshape(white.size, p)
     held = problem.prior_rows

@@ -35,10 +35,8 @@ if TYPE_CHECKING:
 # reasons: identification/README.md, "Doubtful fits"
 POSES = 1000  # random postures that stand for the joint limits
 FEW = "too few measurements"  # the beginning of that sentence
-SHARE = 0.5  # of the drawing's own error
 TOGETHER = "base and tool cannot be told apart"  # the beginning of that sentence
 HARDLY = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
-CAUSE = 2.0  # times less uncertain with the tool given: it is the reason
 
 
 # -- the covariance of the parameters, at the tip ----------------------------------------------------------------------
@@ -120,7 +118,7 @@ def hardly_determined(fit: Identification) -> list[str]:
     noise = max(fit.scatter or 0.0, fit.sigma or 0.0) * float(np.sqrt(fit.model.arm.dimension))
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
-    few, far_off = inside > max(SHARE * before, noise), anywhere > max(before, noise)
+    few, far_off = inside > max(0.5 * before, noise), anywhere > max(before, noise)
     if few or far_off:
         everywhere = working_postures(fit.model.arm.lower, fit.model.arm.upper)
         if cause := base_and_tool(fit, lambda c: expected_tip(fit.model, fit.parameters, c, everywhere)):
@@ -160,7 +158,7 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
     if tip is not None:
         across = fit.covariance[:, tools]
         with_tools = fit.covariance - across @ product_inverse(fit.covariance[np.ix_(tools, tools)]) @ across.T
-        if CAUSE * tip(with_tools) > tip(fit.covariance):
+        if 2.0 * tip(with_tools) > tip(fit.covariance):  # with the tool given not half as uncertain: another reason
             return []
     able = flange_turns(arm.chain, Measurements(working_postures(arm.lower, arm.upper), np.zeros((POSES, 3))))
     if able[0] <= HARDLY:  # all its axes are parallel

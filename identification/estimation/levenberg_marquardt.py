@@ -30,15 +30,9 @@ from identification.status import Status
 
 GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine with the residuals above this
 ITERATIONS = 200
-MAX_DAMPING = 1e12
-ROUNDING = 1e-14  # of a sum of squares, relative
 SMALL_FALL = 1e-8  # of a sum of squares, relative
 RIDGE = 1e-14  # of a normal matrix of unit columns: keeps its inverse alive where it is singular and not used
-FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) standard deviations
-LEAST = 0.1  # share of a step's length that is tried where it failed, see `_next_damping`
 VANISHED = 1e-4  # of the length that a column had at the start: its parameter has no effect to speak of
-NEGLIGIBLE = 0.1  # damping below this share of the stiffness is none
-TALL = 20  # rows per column from which the triangle pays: a step passes over the rows some ten times
 MANY = 100  # parameters of one problem: singular values then take several times as long as a triangle
 BLOCK = 2048  # rows at a time, which stay in the processor's cache
 Index = NDArray[np.intp]
@@ -114,7 +108,8 @@ def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
     """Residuals (k, q) and Jacobians (k, q, p), q = p + 1, of the same least-squares problems as tall (k, N) and
     (k, N, p); those that are not tall as they are."""
     rows = jacobians.shape[1]
-    if rows < TALL * (jacobians.shape[2] + 1):
+    # from 20 rows per column the triangle pays: a step passes over the rows some ten times
+    if rows < 20 * (jacobians.shape[2] + 1):
         return residuals, jacobians
     triangles = []
     for residual, jacobian in zip(residuals, jacobians, strict=True):
@@ -154,7 +149,7 @@ def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points
     ends = []
     for iteration in range(problem.iterations):
         steps, stationary, active, _, stiffness = _steps(problem, points)
-        ended = stationary | (points.damping > MAX_DAMPING)
+        ended = stationary | (points.damping > 1e12)
         status = outcomes(stationary[ended], Status.converged, Status.almost_solved)
         solution.record(points.at(ended), active[ended], status, iteration)
         ends.append(points.at(ended))
@@ -166,7 +161,8 @@ def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points
         # a flat curved valley (nearly undetermined combination, few rows) is left slowly: what is missing is far below
         # its standard deviation
         _, _, active, explained, _ = _steps(problem, points._replace(damping=np.zeros(len(points.problems))))
-        status = outcomes(explained <= FLAT, Status.almost_solved, Status.iteration_limit)
+        # share of the residuals that the last step would still explain: 1e-4 sqrt(N) standard deviations
+        status = outcomes(explained <= 1e-4, Status.almost_solved, Status.iteration_limit)
         solution.record(points, active, status, problem.iterations)
         ends.append(points)
     return Points._make(np.concatenate(arrays) for arrays in zip(*ends, strict=True))
@@ -353,7 +349,7 @@ def _moved(problem: LeastSquares, points: Points, steps: Array, stiffness: Array
     residuals, jacobians = problem.linearize(trial, points.problems)
     squares = _squares(residuals)
     # rounding of residuals and of their sum may hide the descent of the last steps
-    allowance = 2.0 * np.sqrt(points.squares) * problem.rounding[points.problems] + ROUNDING * points.squares
+    allowance = 2.0 * np.sqrt(points.squares) * problem.rounding[points.problems] + 1e-14 * points.squares
     better = squares <= points.squares + allowance
     moved = Points(points.problems, trial, residuals, jacobians, squares, points.damping)
     damping = _next_damping(points, moved, better, stiffness)
@@ -383,6 +379,7 @@ def _next_damping(before: Points, after: Points, better: NDArray[np.bool_], stif
         share = slope / np.maximum(2.0 * slope - fall, np.finfo(float).tiny)
     good = better & (fall >= np.where(before.damping > 0.0, 0.75, 0.25) * predicted)
     poor = ~(better & (fall >= 0.25 * predicted))
-    share = np.clip(np.where(np.isfinite(fall), share, 0.0), np.where(good, 1.0, LEAST), np.where(poor, 0.5, np.inf))
+    # of the step's length; at least a tenth where it failed
+    share = np.clip(np.where(np.isfinite(fall), share, 0.0), np.where(good, 1.0, 0.1), np.where(poor, 0.5, np.inf))
     damping = np.maximum(before.damping + (1.0 / share - 1.0) * stiffness, before.damping / 10.0)
-    return np.where(damping > NEGLIGIBLE * (stiffness - before.damping), damping, 0.0)
+    return np.where(damping > 0.1 * (stiffness - before.damping), damping, 0.0)  # less is none

@@ -17,9 +17,7 @@ from identification.information import column_space, product_inverse
 # 8 to 200 rows lose a row; at 4 it would be 3 to 70 in 1,000, at 3 from 4 % to 89 %
 OUTLIER = 6.0
 MOST_OUTLIERS = 0.25  # of the rows; derived: the robust scale is then 1.26 times too large; more is structure
-AT_ONCE = 1000  # effort: rows, of which one is taken out before the model is fitted again
 CHANCE = 1e-3  # convention: of calling outliers that are independent of each other structure, in one data set
-STRETCHES, SHORTEST = 16, 8  # effort: of each joint's angles, and rows in each; effects of a narrower part are rare
 
 
 def limit_of(d: int) -> float:
@@ -45,7 +43,7 @@ def outlying(
     kept, limit = np.ones(m, dtype=bool), limit_of(d)
     for _ in range(int(MOST_OUTLIERS * m) + 1):
         squares = studentised(residual, blocks, kept, held_basis, moment)
-        worst = np.argsort(squares)[-(1 + m // AT_ONCE) :]
+        worst = np.argsort(squares)[-(1 + m // 1000) :]  # several at once only to save effort
         if squares[worst[-1]] <= limit:
             return ~kept if np.mean(kept) >= 1.0 - MOST_OUTLIERS else np.zeros(m, dtype=bool)
         kept[worst[squares[worst] > limit]] = False
@@ -66,7 +64,8 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: NDArray[np.in
     _, first, posture = np.unique(numbers, return_index=True, return_inverse=True)
     posture, count = posture.ravel(), len(first)
     of_posture = np.bincount(posture, outlier) > 0.0
-    parts = max(min(STRETCHES, count // SHORTEST), 1)
+    # up to 16, of eight rows or more: effects of a narrower part of a joint's angles are rare
+    parts = max(min(16, count // 8), 1)
     stretches = [np.argsort(np.argsort(angles, kind="stable")) * parts // count for angles in postures[first].T]
     alike = _crowded(outlier, [posture]) & outlier
     return alike | _crowded(of_posture, stretches)[posture] & outlier
@@ -101,22 +100,18 @@ def _log_ways(n: NDArray[np.int64], k: NDArray[np.int64]) -> Array:
     return np.where(possible, -np.log1p(n) - betaln(np.where(possible, n - k, 0) + 1.0, k + 1.0), -np.inf)
 
 
-def studentised(
-    residual: Array, blocks: Array, kept: NDArray[np.bool_], held_rows: Array | None = None, moment: Array | None = None
-) -> Array:
+def studentised(residual: Array, blocks: Array, kept: NDArray[np.bool_], held_rows: Array, moment: Array) -> Array:
     """(m,) squared residual of each row in units of its own covariance and of the robust scale of the kept rows, after
     a fit to these; 0 of the others.
 
     residual : (m, d);  blocks : (m, d, k) columns that are orthonormal together with `held_rows`
-    held_rows : (r, k) of a prior;  moment : (k,) held_rows.T times the prior's residuals
+    held_rows : (r, k) of a prior, r = 0 without;  moment : (k,) held_rows.T times the prior's residuals
     """
     d, k = blocks.shape[1:]
     kept_blocks, inside, squares = blocks[kept], residual[kept], np.zeros(len(kept))
     flat = kept_blocks.reshape(inside.size, k)
-    normal = flat.T @ flat if held_rows is None else flat.T @ flat + held_rows.T @ held_rows
-    inverse = product_inverse(normal)
-    right = flat.T @ inside.reshape(-1) if moment is None else flat.T @ inside.reshape(-1) + moment
-    off = inside - kept_blocks @ (inverse @ right)
+    inverse = product_inverse(flat.T @ flat + held_rows.T @ held_rows)
+    off = inside - kept_blocks @ (inverse @ (flat.T @ inside.reshape(-1) + moment))
     rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(kept_blocks.shape) @ kept_blocks.transpose(0, 2, 1)
     squares[kept] = robust_squares(np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0]), d)
     return squares

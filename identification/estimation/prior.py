@@ -25,7 +25,7 @@ from scipy.special import chdtrc, fdtrc
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
-from identification.information import PRODUCT_TOLERANCE, effective_count, product_inverse, significant
+from identification.information import PRODUCT_TOLERANCE, product_inverse, significant, spectrum
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 
 if TYPE_CHECKING:
@@ -33,15 +33,8 @@ if TYPE_CHECKING:
 
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
 ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
-AS_STATED = (1.0, 1.0)
-CREDIBLE = 4.0  # difference of -2 log likelihood from the sizes as stated: chi2 of one degree of freedom, 5 %
-ENOUGH = 3000  # equations: of more, rows show the same misfits again, and widths are chosen as from so many
-GRID = 33  # values of the noise at once, on a logarithmic scale: each pass finds it 16 times as closely
-FINE = 1e-4  # of its logarithm, where the likelihood is a parabola
-ROUNDS = 3  # of noise and of what the machining's prior is worth beside it
 LEAST = 1e-12  # [mm] of noise: data without any
 LEVEL = 0.01  # of a contradiction that is said
-RIVAL = 0.05  # p-value from which another parameter explains a contradiction as well
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
 
 
@@ -190,10 +183,11 @@ def restricted_likelihood(
 def likeliest_noise(minus_log: Callable[[Array], Array], least: float, largest: float) -> tuple[float, float]:
     """Least -2 log of the likelihood, and the noise there, between two values."""
     low, high = np.log(least), np.log(largest)
-    while high - low > FINE:
-        grid = np.linspace(low, high, GRID)
+    count = 33  # values of the noise at once, on a logarithmic scale: each pass finds it 16 times as closely
+    while high - low > 1e-4:  # then the likelihood is a parabola
+        grid = np.linspace(low, high, count)
         lowest = int(np.argmin(minus_log(np.exp(grid))))
-        low, high = grid[max(lowest - 1, 0)], grid[min(lowest + 1, GRID - 1)]
+        low, high = grid[max(lowest - 1, 0)], grid[min(lowest + 1, count - 1)]
     first, middle, last = minus_log(np.exp([low, 0.5 * (low + high), high]))
     bend = first - 2.0 * middle + last  # of a parabola, whose vertex rounding hardly moves
     vertex = 0.5 * (low + high) + (0.25 * (high - low) * (first - last) / bend if bend > 0.0 else 0.0)
@@ -220,7 +214,7 @@ def likeliest(linearized: LinearProblem) -> tuple[float, tuple[float, float]]:
     scatter = float(np.linalg.norm(target)) / np.sqrt(max(spare, 1))  # without all that has a prior
     unit = 1.0 if has_sigma else max(scatter, 1e-12)
     if spare == 0:
-        return unit, AS_STATED
+        return unit, (1.0, 1.0)
     least, largest = unit if has_sigma else unit / LARGEST, unit if sigma_holds else LARGEST * unit
 
     def fitted(widths: tuple[float, float], share: float) -> tuple[float, float]:
@@ -229,10 +223,12 @@ def likeliest(linearized: LinearProblem) -> tuple[float, tuple[float, float]]:
         effects, root = (jacobian * times) @ factor, np.sqrt(share)
         minus_log = restricted_likelihood(root * target, effects[:, :0], root * effects, max(round(share * spare), 1))
         value, noise = likeliest_noise(minus_log, least, largest)
-        return value + CREDIBLE * sum(width != 1.0 for width in widths), noise
+        # 4, by which other sizes than those stated must be likelier: chi2 of one degree of freedom, 5 %
+        return value + 4.0 * sum(width != 1.0 for width in widths), noise
 
     several = [*product(WIDTHS if machined.any() else WIDTHS[:1], ZERO_WIDTHS if zeros.any() else ZERO_WIDTHS[:1])]
-    share = min(1.0, ENOUGH / problem.equations)
+    # of more equations, rows show the same misfits again, and widths are chosen as from so many
+    share = min(1.0, 3000 / problem.equations)
     best = several[0] if len(several) == 1 else min(several, key=lambda widths: fitted(widths, share)[0])
     return fitted(best, 1.0)[1], best
 
@@ -271,8 +267,9 @@ def _noise_without_earlier(about: LinearProblem) -> tuple[float, float]:
     alone = problem.prior.released(model.names, model.prior)
     has_sigma, holds = problem.sigma is not None, problem.reliance == "given"
     noise, spare = 1.0 if has_sigma or holds else problem.noise, 0.0
-    for _ in range(0 if holds else ROUNDS):
-        spare = problem.equations - effective_count(about.jacobian, alone.rows(model.parameters, noise), model.scales)
+    for _ in range(0 if holds else 3):  # rounds of noise and of what the machining's prior is worth beside it
+        decomposed = spectrum(about.jacobian, model.scales, prior=alone.rows(model.parameters, noise))
+        spare = problem.equations - decomposed.determined(about.jacobian)
         if spare < 1.0:
             break
         noise = max(float(np.sqrt(about.squares(alone, noise) * noise**2 / spare)), 1.0 if has_sigma else LEAST)
@@ -300,4 +297,4 @@ def worst_contradicted(
     best = min(left, key=lambda name: left[name])
     if p_value(about.squares(prior.released(explained, model.prior), noise) - left[best]) * len(rest) >= LEVEL:
         return None
-    return {best: tuple(name for name in rest if name != best and p_value(left[name] - left[best]) > RIVAL)}
+    return {best: tuple(name for name in rest if name != best and p_value(left[name] - left[best]) > 0.05)}

@@ -27,7 +27,6 @@ from identification.estimation.levenberg_marquardt import (
 )
 from identification.estimation.prior import Prior
 from identification.information import RANK_TOLERANCE, column_lengths
-from identification.instruments import Instrument
 from identification.kinematics.closed_form import PlanarClosedForm
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -40,8 +39,6 @@ WITH = {  # what an effect needs -> where it comes from
     "distance": "an arm file with an [instrument] of kind distance",
 }
 ROUNDING = 1e-14  # of a coordinate, after a chain of some ten operations
-PAPER_ITERATIONS = 50
-PAPER_TOLERANCE = 1e-12  # of the arm's reach; "required accuracy" of Step 5
 
 
 # -- what must hold ----------------------------------------------------------------------------------------------------
@@ -283,7 +280,7 @@ def damped_gauss_newton(problem: Problem) -> Solution:
 
 def paper_steps(problem: Problem) -> Solution:
     """The paper's iteration (Section III, Steps 1-5): the linearised solution of eq. 11, repeated until the correction
-    is below `PAPER_TOLERANCE` of the reach.
+    is below 1e-12 of the reach ("required accuracy").
 
     Step 1 starts at zero errors, Step 2 computes positions, Step 3 solves eq. 11 for the residuals, Step 4 corrects the
     model, Step 5 repeats. Nothing damps it and it knows no bounds. A linear change of coordinates does not change the
@@ -297,7 +294,7 @@ def paper_steps(problem: Problem) -> Solution:
             bounded = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
             raise InputError(f"method: paper_steps knows no bounds, {bounded}; allowed: gauss_newton")
     errors, status, iteration = np.zeros(len(model.parameters)), Status.iteration_limit, 0  # Step 1
-    while status is Status.iteration_limit and iteration < PAPER_ITERATIONS:
+    while status is Status.iteration_limit and iteration < 50:
         iteration += 1
         residuals, jacobian = (rows[0] for rows in problem.linearize(errors[None], np.arange(1)))  # Step 2
         # Step 3, eq. 11: the least-squares solution, the shortest where the rank is not full
@@ -307,7 +304,7 @@ def paper_steps(problem: Problem) -> Solution:
         errors = errors + correction  # Step 4
         if not np.all(np.isfinite(errors)):
             errors, status = np.zeros(len(errors)), Status.solver_failed
-        elif np.linalg.norm(correction * model.scales) <= PAPER_TOLERANCE * model.reach:  # Step 5
+        elif np.linalg.norm(correction * model.scales) <= 1e-12 * model.reach:  # Step 5
             status = Status.converged
     parameters = errors[None]
     ends = np.array([status], dtype=object), np.array([iteration])
@@ -331,7 +328,17 @@ def starts(problem: Problem) -> Array:
         instrument = problem.model.arm.chain.instrument
         names = {parameter.name for parameter in instrument.parameters}
         if numbers := [k for k, name in enumerate(problem.model.names) if name in names]:
-            return _with_instrument(problem, best_known, instrument, numbers)
+            # those of the instrument as they explain the readings best, and all others as they fit best with those of
+            # them that the instrument holds first
+            settled, held = instrument.settled(best_known, problem.residuals, numbers)
+            least = problem.least_squares
+
+            def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
+                residuals, jacobian = least.linearize(parameters, index)
+                jacobian[..., held] = 0.0
+                return residuals, jacobian
+
+            return levenberg_marquardt(replace(least, linearize=linearize), settled).parameters if held else settled
     form = problem.model.closed_form
     if form is None:
         return best_known
@@ -340,17 +347,3 @@ def starts(problem: Problem) -> Array:
     if not np.any(problem.start):
         return solved  # nothing is known that the closed form does not know
     return np.where((problem.squares(best_known) < problem.squares(solved))[:, None], best_known, solved)
-
-
-def _with_instrument(problem: Problem, starts: Array, instrument: Instrument, numbers: list[int]) -> Array:
-    """(K, p) starts (K, p) with the parameters of the instrument, by their numbers, as they explain the readings best,
-    and all others as they fit best with those of them that the instrument holds first."""
-    least = problem.least_squares
-    starts, held = instrument.settled(starts, problem.residuals, numbers)
-
-    def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
-        residuals, jacobian = least.linearize(parameters, index)
-        jacobian[..., held] = 0.0
-        return residuals, jacobian
-
-    return levenberg_marquardt(replace(least, linearize=linearize), starts).parameters if held else starts

@@ -311,7 +311,6 @@ class Identification:
         return self.document()._repr_html_()
 
 
-_OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")
 # by a calibration, which has them elsewhere or is read without them
 _NOT_KEPT = (
     "parameters",
@@ -321,5 +320,9 @@ _NOT_KEPT = (
     "outlier_rows",
     "unexplained_rows",
     "clusters",
-    *_OF_GEOMETRY,
+    "base",
+    "tools",
+    "geometry",
+    "joint_offsets",
+    "strict_table",
 )

@@ -36,9 +36,6 @@ BELIEVED = (0.1, 0.99)  # p-values of chi2 between which intervals rely on the s
 LEVEL = 0.01  # of misfit that is said, of lack of fit and of serial correlation
 NORMAL_99 = 2.3263478740408408  # one-sided, of `LEVEL`
 FEWEST = 2.0  # degrees of freedom: with no more, Student's t has no variance
-STRETCHES = 40  # of a session whose rows are correlated; Student's quantile is then within 4 % of the normal one
-TINY = 1e-15  # leverages below it are rounding
-LARGE = 200  # groups, and combinations: of more, what two groups share through the fit is left out of the freedom
 FREEDOM = "interval_dof"  # key of a calibration's provenance
 
 
@@ -218,7 +215,7 @@ def correlated(rows: WhiteRows, root: Array) -> int:
 
     The lag-1 correlation of the scores Q_i^T r_i, with its standard error if their signs were random. The length is
     that of E. Carlstein (1986) for a first-order autoregression, m^(1/3) (2 rho / (1 - rho^2))^(2/3), and no less than
-    leaves `STRETCHES` stretches.
+    leaves 40 stretches: Student's quantile is then within 4 % of the normal one.
     """
     scores = np.einsum("mdr,md->mr", rows.jacobian @ root, rows.residual)[rows.sequence]
     products = np.sum(scores[1:] * scores[:-1], axis=1)
@@ -227,7 +224,7 @@ def correlated(rows: WhiteRows, root: Array) -> int:
         return 1
     rho, m = min(float(products.sum() / np.sum(scores**2)), 0.99), len(scores)
     carlstein = m ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0)
-    return int(np.ceil(max(carlstein, m / STRETCHES)))
+    return int(np.ceil(max(carlstein, m / 40)))
 
 
 def stretches(sequence: NDArray[np.int64], length: int) -> NDArray[np.int64]:
@@ -306,7 +303,8 @@ def decomposed_groups(columns: Array, residual: Array, groups: NDArray[np.int64]
         across = np.swapaxes(q, 1, 2)
         if q.shape[1] < r:
             eigenvalues, left = np.linalg.eigh(q @ across)
-            directions = across @ left / np.sqrt(np.where(eigenvalues > TINY, eigenvalues, np.inf))[:, None, :]
+            # leverages below 1e-15 are rounding
+            directions = across @ left / np.sqrt(np.where(eigenvalues > 1e-15, eigenvalues, np.inf))[:, None, :]
         else:
             eigenvalues, directions = np.linalg.eigh(across @ q)
         values[of_size, columns_used], vectors[of_size, :, columns_used] = eigenvalues, directions
@@ -324,7 +322,7 @@ def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array, he
     diagonal = np.sum(leverages * np.square(factors * turned), axis=1)
     inner = (vectors @ (leverages * factors * turned)[:, :, None])[:, :, 0]
     lengths = np.sum(inner**2, axis=1)
-    if min(inner.shape) > LARGE:
+    if min(inner.shape) > 200:  # groups, and combinations: what two groups share through the fit is left out
         squares = np.sum(lengths**2)
     else:
         squares = np.sum(np.square(inner.T @ inner if inner.shape[0] > inner.shape[1] else inner @ inner.T))

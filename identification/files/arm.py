@@ -33,7 +33,7 @@ from identification.files.schema import (
     validated_arm,
 )
 from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
-from identification.instruments import Instrument, kinds
+from identification.instruments import kinds
 from identification.kinematics.chain import BASE, TOOL, KinematicChain, planar_chain
 from identification.kinematics.corrected import before_errors
 from identification.kinematics.counting import Counting, check_kinds
@@ -60,7 +60,6 @@ UNIT = re.compile(r"_(mm|deg|kg|m_s2)$")
 RENAMED = {"range_mm": "reach"}  # keys that are called otherwise in our classes
 CONSTRAINTS = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
 CONSTRAINTS["keep_out_sphere"] = KeepOutCircle
-FREE = (-np.pi, np.pi)
 
 
 def load_arm(path: PathLike) -> Arm:
@@ -99,7 +98,14 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
         check_kinds(counting, chain.joint_types)
     lower, upper, tied = _joint_limits(file, chain, counting)
     effects = built([_spec(table, k, chain) for k, table in enumerate(file.effects, start=1)], chain)
-    _check_needs(file, chain.instrument, effects)
+    state = f"an [instrument] of kind {chain.instrument.kind}" if file.instrument else "no [instrument] table"
+    for spec, effect in effects:
+        if effect.of_positions and file.instrument:
+            raise InputError(f"effects: {spec.key} is of measured positions, found {state}, allowed: without it")
+        if "distance" in effect.needs - chain.instrument.offers:
+            raise InputError(f"effects: {spec.key} needs measured distances, found {state}, allowed: kind distance")
+        if "gravity" in effect.needs and file.gravity is None:
+            raise InputError(f"effects: {spec.key} needs gravity torques, found no [gravity] table, allowed: with one")
     if file.links_mm is None:  # so that they stand in its URDF file
         limits = zip(chain.joints, lower.tolist(), upper.tolist(), strict=True)
         chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in limits))
@@ -161,7 +167,9 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> KinematicChain:
             if row.joint == PRISMATIC and file.joint_limits_mm is None:
                 missing = "a prismatic joint without limits"
                 raise InputError(f"dh[{k}]: {missing}, allowed: lower and upper in [joint_limits_mm]")
-        chain = chain_of([replace(_row(row), limits=FREE) for row in file.dh], next(iter(conventions), STANDARD))
+        chain = chain_of(
+            [replace(_row(row), limits=(-np.pi, np.pi)) for row in file.dh], next(iter(conventions), STANDARD)
+        )
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
@@ -360,19 +368,6 @@ def _with_geometry(
             spec = replace(spec, curve=replace(spec.curve, geometry=values))
         specs.append(spec)
     return tuple(specs)
-
-
-def _check_needs(file: ArmFile, instrument: Instrument, effects: Iterable[tuple[EffectSpec, Effect]]) -> None:
-    """Raises `InputError` for an effect of gravity on an arm without gravity, and for one of measured distances where
-    something else is measured."""
-    state = f"an [instrument] of kind {instrument.kind}" if file.instrument else "no [instrument] table"
-    for spec, effect in effects:
-        if effect.of_positions and file.instrument:
-            raise InputError(f"effects: {spec.key} is of measured positions, found {state}, allowed: without it")
-        if "distance" in effect.needs - instrument.offers:
-            raise InputError(f"effects: {spec.key} needs measured distances, found {state}, allowed: kind distance")
-        if "gravity" in effect.needs and file.gravity is None:
-            raise InputError(f"effects: {spec.key} needs gravity torques, found no [gravity] table, allowed: with one")
 
 
 # -- calibration -------------------------------------------------------------------------------------------------------

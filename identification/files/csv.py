@@ -80,7 +80,9 @@ class Table:
         for column in columns:
             if column not in self:
                 others = [name for name in self.columns if not KNOWN.fullmatch(name)]
-                close = close_names(column, others) or [name for name in others if _of_same_joint(name, column)]
+                close = close_names(column, others)
+                if not close and (joint := re.match(r"q(\d+)_", column)):  # a name such as `theta1_deg` or `J1`
+                    close = [name for name in others if re.fullmatch(rf"[A-Za-z_]+0*{joint[1]}([^\d].*)?", name)]
                 hint = suggestion(close[:1]).replace("did you mean", "did you mean to rename")
                 state = f"column {column!r} is missing, found: {', '.join(self.columns)}"
                 raise InputError(f"{self.path}: {state}; {hint}allowed: a column of that name")
@@ -120,12 +122,6 @@ class Table:
         if empty.any():
             raise InputError(f"{self.place(int(np.argmax(empty)), column)}: found an empty cell, allowed: a name")
         return np.array(text.to_list(), dtype=np.str_)
-
-
-def _of_same_joint(name: str, column: str) -> bool:
-    """Whether a name such as `theta1_deg` or `J1` has the number of the joint that `q1_deg` is of."""
-    joint = re.match(r"q(\d+)_", column)
-    return joint is not None and re.fullmatch(rf"[A-Za-z_]+0*{joint[1]}([^\d].*)?", name) is not None
 
 
 def _numbers(text: pl.Series) -> Array:
@@ -188,19 +184,17 @@ def table_of_frame(frame: Any, name: str = "frame") -> Table:
     if not hasattr(frame, "keys") and not hasattr(frame, "columns"):
         raise InputError(f"{name}: {type(frame).__name__}, allowed: a data frame of polars or pandas")
     names = list(frame.columns if hasattr(frame, "columns") else frame.keys())
-    series = [pl.Series(str(column), _texts(frame[column]), dtype=pl.String) for column in names]
+    series = []
+    for column in names:  # numbers by `repr`, which loses no digit
+        cells = frame[column].to_list() if hasattr(frame[column], "to_list") else np.asarray(frame[column]).tolist()
+        missing = (cell is None or cell != cell or str(cell) == "<NA>" for cell in cells)
+        texts = [None if gone else str(cell) for gone, cell in zip(missing, cells, strict=True)]
+        series.append(pl.Series(str(column), texts, dtype=pl.String))
     if len({len(each) for each in series}) > 1:
         raise InputError(f"{name}: found columns of different lengths, allowed: one length")
     if not series or not len(series[0]):
         raise InputError(f"{name}: there are no rows, allowed: at least 1 row")
     return Table(name, pl.DataFrame(series), np.zeros(0, dtype=np.int64), "")
-
-
-def _texts(column: Any) -> list[str | None]:
-    """A column's values as texts; None where there is none. Numbers by `repr`, which loses no digit."""
-    values = column.to_list() if hasattr(column, "to_list") else np.asarray(column).tolist()
-    missing = (value is None or value != value or str(value) == "<NA>" for value in values)
-    return [None if gone else str(value) for gone, value in zip(missing, values, strict=True)]
 
 
 def _without_comments(path: PathLike, content: bytes) -> tuple[bytes, int, str]:

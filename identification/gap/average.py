@@ -223,16 +223,12 @@ def _curve(posterior: Posterior, mixed: Mixture, block: Block, part: Index, valu
     base = posterior.library.base.names
     covariance = beside_known(mixed.covariance, part, np.arange(len(base)))
     error, variance = functions @ mixed.mean[part], np.sum((functions @ covariance) * functions, axis=1)
-    geometry = dict(zip(base, mixed.response[:, part] @ mixed.mean[part], strict=True))
+    # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
+    response = zip(base, (mixed.response[:, part] @ mixed.mean[part]).tolist(), strict=True)
+    geometry = {name: value for name, value in response if not name.startswith(f"{SESSIONS}.")}
+    along = model.arm.chain.along_base(geometry, model.parameters.mapping(values), back=True)
+    geometry |= {name: float(value) for name, value in along.items() if name in geometry}
     table = basis.table(np.radians(np.round(np.degrees(error[::2]), 7)))
-    table = replace(table, geometry=_tied(model, geometry, values))
+    table = replace(table, geometry=geometry)
     std = np.sqrt(np.maximum(variance, 0.0))
     return Curve(basis.joint + 1, table, std)
-
-
-def _tied(model: Model, geometry: Mapping[str, float], values: Array) -> dict[str, float]:
-    """The part of the geometry that was fitted together with a curve; shifts of the base along its axes."""
-    by_name, chain = model.parameters.mapping(values), model.arm.chain
-    kept = {name: float(value) for name, value in geometry.items() if not name.startswith(f"{SESSIONS}.")}
-    named = {name: float(value) for name, value in chain.along_base(kept, by_name, back=True).items() if name in kept}
-    return {**kept, **named}

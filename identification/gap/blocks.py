@@ -124,7 +124,12 @@ def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
     table += [
         (timed, "time", OUTSIDE, lambda w: w.moved(_in_time(w, TIMES))),
         (timed, "time[parameters]", 0.3 * OUTSIDE, lambda w: w.varied(_in_time(w, SLOW))),
-        (timed and arm.gravity is not None, "time[load]", 0.3 * OUTSIDE, _sagging),
+        (
+            timed and arm.gravity is not None,
+            "time[load]",
+            0.3 * OUTSIDE,
+            lambda w: times(w.levers * w.moments[:, None, :], _in_time(w, SLOW)),
+        ),
         (warmed, "temperature", OUTSIDE, lambda w: w.moved(warm(w))),
         (warmed, "temperature[parameters]", 0.3 * OUTSIDE, lambda w: w.varied(warm(w))),
         (seen, "workspace", OUTSIDE / 4.0, partial(_smooth, corner=corner, size=size)),
@@ -187,11 +192,6 @@ def _in_time(w: Where, count: int) -> Array:
     assert w.conditions.time is not None
     orders = np.arange(1, count + 1)
     return np.cos(np.pi * (w.conditions.time + 0.5)[:, None] * orders) / orders
-
-
-def _sagging(w: Where) -> Array:
-    """(m, d, n SLOW) columns of joints that yield to gravity by their moment times functions of time."""
-    return times(w.levers * w.moments[:, None, :], _in_time(w, SLOW))
 
 
 def _smooth(w: Where, corner: Array, size: Array) -> Array:

@@ -140,19 +140,19 @@ def bundles(arm: Arm, effects: Sequence[tuple[int, Effect]]) -> tuple[Bundle, ..
         else:
             plain.append([(number, effect)])
     groups = [(plain, False), *((list(by_joint.values()), True) for by_joint in scanned.values())]
-    return tuple(_bundle(arm, remembers, parts, symbolic) for parts, symbolic in groups if parts)
-
-
-def _bundle(arm: Arm, remembers: bool, parts: Sequence[Sequence[tuple[int, Effect]]], symbolic: bool) -> Bundle:
-    """A group;  parts : hypotheses that differ in their settings alone;  symbolic : whether these are arguments"""
-    longest, keys, settings = max(map(len, parts)), list[Key](), []
-    for part in parts:
-        first, values = part[0][1], [list(effect.chosen.values()) if symbolic else [] for _, effect in part]
-        chosen: Any = first.chosen if symbolic else first.chosen.items()
-        keys.append((type(first), first.joint, tuple(chosen)))
-        settings.append(np.pad(np.array(values), ((0, longest - len(part)), (0, 0)), mode="edge"))
-    members = tuple(tuple(number for number, _ in part) for part in parts)
-    return Bundle(_formulas(arm, remembers, tuple(keys)), members, np.hstack(settings))
+    made = []
+    for parts, symbolic in groups:  # parts: hypotheses that differ in their settings alone, which may be arguments
+        if not parts:
+            continue
+        longest, keys, settings = max(map(len, parts)), list[Key](), []
+        for part in parts:
+            first, values = part[0][1], [list(effect.chosen.values()) if symbolic else [] for _, effect in part]
+            chosen: Any = first.chosen if symbolic else first.chosen.items()
+            keys.append((type(first), first.joint, tuple(chosen)))
+            settings.append(np.pad(np.array(values), ((0, longest - len(part)), (0, 0)), mode="edge"))
+        members = tuple(tuple(number for number, _ in part) for part in parts)
+        made.append(Bundle(_formulas(arm, remembers, tuple(keys)), members, np.hstack(settings)))
+    return tuple(made)
 
 
 @lru_cache(maxsize=8)

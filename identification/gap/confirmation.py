@@ -106,14 +106,6 @@ class Confirmation:
         return entry | {"confirmed": self.confirmed, "refitted": [*self.refitted]}
 
 
-def detects(mean: Mean, size: float) -> bool:
-    """Whether a test at `LEVEL` would detect a true mean of this size with power `POWER`."""
-    if not mean.variance < np.inf:
-        return False
-    quantiles = stdtrit(mean.freedom, 1.0 - LEVEL / 2.0) + stdtrit(mean.freedom, POWER)
-    return bool(size >= quantiles * np.sqrt(mean.variance))
-
-
 def confirm(
     before: Array,
     after: Array,
@@ -146,6 +138,9 @@ def confirm(
         sure = gain.value <= 0.0 and np.sqrt(moved) > -2.0 * sigma * ndtri(level / 2.0)
         shrinks = False if sure or gain._replace(value=-gain.value).p_above() <= level / 2.0 else None
     exceeds = excess.p_above() <= level / 2.0
+    # whether a test at `LEVEL` would detect a true mean of the size predicted with power `POWER`
+    quantiles = stdtrit(excess.freedom, 1.0 - LEVEL / 2.0) + stdtrit(excess.freedom, POWER)
+    detects = excess.variance < np.inf and predicted.value >= quantiles * np.sqrt(excess.variance)
     return Confirmation(
         transfer=transfer,
         by=by,
@@ -159,7 +154,7 @@ def confirm(
         p_shrinks=gain.p_above() if named else None,
         p_exceeds=excess.p_above(),
         shrinks=shrinks,
-        as_predicted=False if exceeds else (True if detects(excess, predicted.value) else None),
+        as_predicted=False if exceeds else (True if detects else None),
         named=named,
     )
 
@@ -229,7 +224,7 @@ def confirmed_on(
     model: Fit | PredictingModel,
     measurements: Measurements,
     kept: NDArray[np.bool_],
-    named: bool = True,
+    named: bool,
 ) -> Confirmation:
     """Test a model on rows held out.
 
@@ -290,32 +285,13 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
         )
 
 
-def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
-    """Raise `InputError` for a hold-out of another arm, or one that contains rows of the data."""
-    from scipy.spatial import KDTree
-
-    if holdout.links != measurements.links:
-        raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
-    if holdout.dimension != measurements.dimension:
-        found, needed = holdout.dimension, measurements.dimension
-        raise InputError(f"holdout: positions of {found} coordinates, allowed: {needed} as in the data")
-    data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
-    distance = KDTree(data).query(rows, p=np.inf)[0]
-    shared, near = int(np.sum(distance == 0.0)), int(np.sum(distance <= 1.0))
-    if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy
-        shared = max(shared, near)
-        raise InputError(
-            f"holdout: {shared} of {len(holdout)} rows are also in the data, allowed: rows not used before"
-        )
-
-
 # -- each part of the rows predicted from the others -------------------------------------------------------------------
 def cross_validation(
     posterior: Posterior,
     measurements: Measurements,
     kept: NDArray[np.bool_],
     generator: np.random.Generator,
-    named: bool = True,
+    named: bool,
 ) -> tuple[Confirmation, ...]:
     """Test whether the average holds for other postures, and for another interval of time of the same session.
 

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 POWER = 0.9  # convention: what is "excluded" would have been found in nine cases of ten
 # derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6
 NEAR = 0.9
-LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test, and is not linear
 
 
 class Size(NamedTuple):
@@ -81,9 +80,9 @@ class Detectability:
     skipped: Mapping[str, str]
     aliases: Mapping[str, str]
 
-    def pairs(self, level: float = NEAR) -> list[tuple[str, str, float]]:
-        """Pairs (effect, effect like it, likeness) with a likeness of at least `level`, strongest first."""
-        return pairs_of(self.names, self.likeness, level)
+    def pairs(self) -> list[tuple[str, str, float]]:
+        """As `pairs_of`."""
+        return pairs_of(self.names, self.likeness)
 
     def to_json(self) -> dict[str, object]:
         """Plain data for `--json`."""
@@ -197,7 +196,8 @@ def assess(library: HypothesisSet, beside: Beside, rows: Rows, sigma: float) -> 
             if count < freedom and least > VISIBLE * lengths.max():
                 needed = detectable_lambda(count, freedom - count, level * member.weight, member.one_sided)
                 moved = needed * sigma / least * float(np.linalg.norm(moving, axis=(0, 1)).max()) / np.sqrt(len(rows))
-                if moved <= LARGEST * library.base.reach:
+                # an effect that moves the tip farther is seen without a test, and is not linear
+                if moved <= 0.1 * library.base.reach:
                     value = needed * sigma / least * parameter.to_file
                     size = Size(float(value), parameter.file_unit, float(moved))
         # of several settings the one that is hardest to see
@@ -264,9 +264,9 @@ def likenesses(gram: Array, parts: Sequence[Index]) -> Array:
     return np.asarray(np.minimum(np.sqrt(squares / np.maximum(widths, 1)[:, None]), 1.0))
 
 
-def pairs_of(names: Sequence[str], likeness: Array, level: float = NEAR) -> list[tuple[str, str, float]]:
-    """Pairs (effect, effect like it, likeness) with a likeness of at least `level`, strongest first."""
-    rows, columns = np.nonzero((likeness >= level) & ~np.eye(len(names), dtype=bool))
+def pairs_of(names: Sequence[str], likeness: Array) -> list[tuple[str, str, float]]:
+    """Pairs (effect, effect like it, likeness) with a likeness of at least `NEAR`, strongest first."""
+    rows, columns = np.nonzero((likeness >= NEAR) & ~np.eye(len(names), dtype=bool))
     pairs = [(names[i], names[j], float(likeness[i, j])) for i, j in zip(rows.tolist(), columns.tolist(), strict=True)]
     return sorted(pairs, key=lambda pair: -round(pair[2], 9))
 

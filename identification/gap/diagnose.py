@@ -20,7 +20,6 @@ from identification.gap.average import PredictingModel, averaged
 from identification.gap.blocks import REST
 from identification.gap.confirmation import (
     Gap,
-    check_holdout,
     check_same_arm,
     confirmed_on,
     cross_validation,
@@ -45,8 +44,6 @@ from identification.sessions import of_these_sessions, with_base, with_sessions,
 from identification.status import Status
 from identification.threads import single_thread
 
-# convention: p-value of what is left, below which the noise cannot be all, by a trusted sigma or by repeats
-IMPOSSIBLE = 1e-3
 KINDS = {
     "time": "smooth in time",
     "workspace": "smooth over the workspace",
@@ -101,11 +98,19 @@ def diagnose(
     result = diagnosis_of(posterior, measurements, holdout, generator, numbers + 1)
     result = replace(result, warnings=(*result.warnings, *copies))
     progress(1.0, 1.0, result.sentence)
-    return result if arm is given else of_first_session(result, given)
+    if arm is given:
+        return result
+    named, predicting, *candidates = (  # of several sessions, with the base of the first one only
+        replace(one, calibration=without_sessions(one.calibration))
+        for one in (result.named, result.predicting, *result.candidates)
+    )
+    arm = with_base(given)
+    return replace(result, arm=arm, candidates=tuple(candidates), named=named, predicting=predicting)
 
 
 def check_input(arm: object, measurements: Measurements, holdout: Measurements | None) -> None:
-    """Raise `InputError` for what is no arm, and data that do not fit the arm or lack what its effects need."""
+    """Raise `InputError` for what is no arm, data that do not fit the arm or lack what its effects need, and a hold-out
+    of another arm or one that contains rows of the data."""
     if not isinstance(arm, Arm):
         chain = "whose chain says where effects act, which no other model does"
         raise InputError(f"arm: {type(arm).__name__}, allowed: an Arm, {chain}")
@@ -114,22 +119,24 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
         if not (touching and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
-    if holdout is not None:
-        if arm.chain.instrument.own_targets and (new := {*holdout.marker_names} - {*measurements.marker_names}):
-            what, names = arm.chain.instrument.target, ", ".join(measurements.marker_names)
-            raise InputError(
-                f"holdout: found {what} {min(new)!r}, allowed: {names}, as in the data; or armcal validate"
-            )
-        check_holdout(measurements, holdout)
+    if holdout is None:
+        return
+    from scipy.spatial import KDTree  # deferred: only a hold-out pays for the import
 
-
-def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
-    """A diagnosis of several sessions with the base of the first session only."""
-    named, predicting, *candidates = (
-        replace(one, calibration=without_sessions(one.calibration))
-        for one in (result.named, result.predicting, *result.candidates)
-    )
-    return replace(result, arm=with_base(arm), candidates=tuple(candidates), named=named, predicting=predicting)
+    if arm.chain.instrument.own_targets and (new := {*holdout.marker_names} - {*measurements.marker_names}):
+        what, names = arm.chain.instrument.target, ", ".join(measurements.marker_names)
+        raise InputError(f"holdout: found {what} {min(new)!r}, allowed: {names}, as in the data; or armcal validate")
+    if holdout.links != measurements.links:
+        raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
+    if holdout.dimension != measurements.dimension:
+        other, needed = holdout.dimension, measurements.dimension
+        raise InputError(f"holdout: positions of {other} coordinates, allowed: {needed} as in the data")
+    data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
+    distance = KDTree(data).query(rows, p=np.inf)[0]
+    shared, near = int(np.sum(distance == 0.0)), int(np.sum(distance <= 1.0))
+    if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy
+        copied = f"{max(shared, near)} of {len(holdout)} rows are also in the data"
+        raise InputError(f"holdout: {copied}, allowed: rows not used before")
 
 
 def diagnosis_of(
@@ -161,7 +168,8 @@ def diagnosis_of(
     # the verdict, and the sets that it speaks of, each fitted once more
     likely = probabilities(posterior)
     trusted = [] if measurements.sigma is None or over_sigma is None else [over_sigma.p_value]
-    if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < IMPOSSIBLE:
+    # convention: p-value of what is left, below which the noise cannot be all, by a trusted sigma or by repeats
+    if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < 1e-3:
         likely = likely.not_none(p)
     unknown, something = likely.verdict == "unknown", likely.verdict != "none"
     sets = [likeliest_with(posterior, names) for names in likely.rivals]

@@ -31,7 +31,6 @@ from identification.model import Model
 UNSEEN = 1e-3  # convention: of the reach; a joint whose lever on the measured point is shorter is not looked at
 EFFECT, ORDER = "transmission_ripple", "k"
 ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn; derived: every wave between has a likeness of 0.97 with one
-CLEAR = 8.0  # convention: log likelihood ratio below which a wave of further order is not added
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 
 
@@ -230,9 +229,12 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
                 skipped[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
-            found = [h for h in _with_settings(cls, spec, scope) if h.effect.label not in own]
-            members += found
-            if not found:
+            scans = [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
+            specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
+            each = [Hypothesis.of(arm, one, cls.prior / max(len(specs), 1)) for one in specs]
+            further = [h for h in each if h.effect.label not in own]
+            members += further
+            if not further:
                 skipped[spec.key] = "already in the arm's model"
     aliases = {name: cls.alias for name, cls in known.items() if cls.alias is not None}
     return HypothesisSet(arm, tuple(members), skipped, aliases)
@@ -249,13 +251,6 @@ def untested_joints(model: Model, rows: Rows) -> frozenset[int]:
     sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
     sliding = np.array([kind == PRISMATIC for kind in model.joint_types])
     return frozenset((np.flatnonzero(sliding | (sizes < UNSEEN * model.reach)) + 1).tolist())
-
-
-def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hypothesis]:
-    """The hypotheses of one effect at one joint: one for each setting."""
-    arm, scans = scope.arm, [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
-    specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
-    return [Hypothesis.of(arm, one, cls.prior / max(len(specs), 1)) for one in specs]
 
 
 def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Sequence[Hypothesis]) -> HypothesisSet:
@@ -288,7 +283,8 @@ def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Seq
         gains = np.concatenate([_gains(rows, basis, y, levers[:, :, j], q, some) for some in np.array_split(ORDERS, 8)])
         best = int(np.argmax(np.round(gains, 12)))
         freedom = len(y) - basis.shape[1]
-        if freedom < 3 or -0.5 * freedom * np.log1p(-min(gains[best], 1.0 - 1e-12)) < CLEAR:
+        # convention: log likelihood ratio below which a wave of further order is not added
+        if freedom < 3 or -0.5 * freedom * np.log1p(-min(gains[best], 1.0 - 1e-12)) < 8.0:
             continue
         for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
             spec = EffectSpec(EFFECT, j + 1, {ORDER: float(order)})

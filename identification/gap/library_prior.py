@@ -29,7 +29,7 @@ from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, library, unknown_effect
 from identification.errors import InputError
 from identification.estimation.prior import Prior
-from identification.gap.hypotheses import EFFECT, ORDER, Hypothesis, HypothesisSet, hypotheses
+from identification.gap.hypotheses import EFFECT, ORDER, Hypothesis, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -97,7 +97,7 @@ def library_prior(
             raise unknown_effect(name)
     every = hypotheses(arm, given)
     left_out = {key: why for key, why in every.skipped.items() if names is None or key.partition(":")[0] in names}
-    curved = _curved(every)
+    with_curve = {spec.joint for spec in arm.effects if spec.curve is not None}
     whole = {h.effect.name for h in every.members if h.effect.joint is None}  # then not at single joints besides
     chosen: list[Hypothesis] = []
     for hypothesis in every.members:
@@ -106,8 +106,12 @@ def library_prior(
             continue
         if effect.prior < 1.0 if names is None else effect.name not in names:
             continue  # the rare ones only by name
-        if reason := _why_not(effect, given) or curved.get(hypothesis.key):
-            left_out[hypothesis.key] = reason
+        if missing := sorted((effect.needs - given) & {"time", "directions", "past", "temperature"}):
+            left_out[hypothesis.key] = f"needs {', '.join(missing)}"
+        elif any(p.typical is None for p in effect.parameters):
+            left_out[hypothesis.key] = "no typical size"
+        elif effect.joint in with_curve and is_function_of(effect, (effect.joint or 0) - 1, every.base):
+            left_out[hypothesis.key] = "its joint has an error curve"
         else:
             chosen.append(hypothesis)
     if not chosen:
@@ -127,7 +131,13 @@ def library_prior(
             faster[(effect.joint or 0) - 1] += deviation(hypothesis, effect.parameters[0].typical or 0.0) ** 2
         else:
             added.append(hypothesis)
-    wide = _extended(arm, added)
+    wide = arm.with_effects(*arm.effects, *(h.spec for h in added))
+    if arm.calibration is not None:  # its values follow the new names of its parameters
+        before, after = ([p.name for effect in Model(one).effects for p in effect.parameters] for one in (arm, wide))
+        renamed = dict(zip(before, after, strict=False))
+        values = {renamed.get(name, name): value for name, value in arm.calibration.values.items()}
+        calibration = replace(arm.calibration, values=values, parameter_names=(), covariance=None)
+        wide = replace(wide, calibration=calibration)
     effects = Model(wide).effects[-len(added) :]
     pairs = [(p, h) for e, h in zip(effects, added, strict=True) for p in e.parameters]
     deviations = {p.name: deviation(h, p.typical or 0.0) for p, h in pairs}
@@ -141,21 +151,6 @@ def given_by(measurements: Measurements) -> frozenset[str]:
     return given | ({"temperature"} if measurements.temperature is not None else set())
 
 
-def _why_not(effect: Effect, given: frozenset[str]) -> str | None:
-    missing = sorted((effect.needs - given) & {"time", "directions", "past", "temperature"})
-    if missing:
-        return f"needs {', '.join(missing)}"
-    return "no typical size" if any(p.typical is None for p in effect.parameters) else None
-
-
-def _curved(every: HypothesisSet) -> dict[str, str]:
-    """Key -> reason for effects that are functions of the angle of a joint with an error curve."""
-    joints = {spec.joint for spec in every.arm.effects if spec.curve is not None}
-    at_curves = {h.key: h.effect for h in every.members if h.effect.joint in joints}
-    functions = (key for key, e in at_curves.items() if is_function_of(e, (e.joint or 0) - 1, every.base))
-    return dict.fromkeys(functions, "its joint has an error curve")
-
-
 def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
     """Whether an effect adds to the angle of a joint (from 0) a function of that angle alone."""
     if effect.joint != joint + 1 or type(effect).joint_angles is Effect.joint_angles:
@@ -164,15 +159,3 @@ def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
     angle = ca.SX(effect.joint_angles(model.expressions.chain(q, c), ca.SX.sym("v", len(effect.parameters))))[joint]
     others = ca.vertcat(*(q[k] for k in range(model.joints) if k != joint), c)
     return bool(ca.depends_on(angle, q[joint])) and not bool(ca.depends_on(angle, others))
-
-
-def _extended(arm: Arm, added: Sequence[Hypothesis]) -> Arm:
-    """The arm with these effects added; its calibrated values follow the new names of its parameters."""
-    wide = arm.with_effects(*arm.effects, *(h.spec for h in added))
-    if arm.calibration is None:
-        return wide
-    own = [p.name for effect in Model(arm).effects for p in effect.parameters]
-    longer = [p.name for effect in Model(wide).effects for p in effect.parameters]
-    names = dict(zip(own, longer, strict=False))
-    values = {names.get(name, name): value for name, value in arm.calibration.values.items()}
-    return replace(wide, calibration=replace(arm.calibration, values=values, parameter_names=(), covariance=None))

@@ -23,8 +23,6 @@ from identification.progress import Tell, say_nothing
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
 PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
-STRIKING = 3.0  # effort: robust standard deviations of a row that may be outlying
-MOST_WRONG = 30  # effort: rows that may be outlying
 
 
 @dataclass(frozen=True)
@@ -135,12 +133,33 @@ class Climbed(NamedTuple):
 def posterior_of(
     library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell = say_nothing
 ) -> Posterior:
-    """The posterior of these rows.
+    """The posterior of these rows, around a likely set, under each noise that is not unlikely.
 
     Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same
     angle); the last pass has all of them, with the set and the noises that are not unlikely in the sample.
     """
-    return _walked(_climbed(library, rows, generator, tell), rows, generator, tell)
+    climbed = _climbed(library, rows, generator, tell)
+    models = []
+    for k in [climbed.noise, *(k for k in climbed.likely if k != climbed.noise)][:NOISES]:
+        noise, under = climbed.every[k], climbed
+        tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
+        if k != climbed.noise:
+            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong)
+            search = search_of(climbed.library, problem)
+            under = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
+        models.append((noise, *_near_walk(under, generator), float(climbed.offset[k])))
+    mixture = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
+    lacking = sum(one.probability for one in mixture.explanations if not all(map(_holds, one.blocks)))
+    if lacking < LEVEL:
+        return mixture
+    # the likely set of what an arm file can have
+    problem = climbed.problem.of([k for k, block in enumerate(climbed.problem.blocks) if _holds(block)])
+    search = search_of(climbed.library, problem, climbed.search.total)
+    top = search.climb(tuple(sorted(problem.numbers[label] for label in climbed.labels if label in problem.numbers)))
+    alone = climbed._replace(problem=problem, search=search, top=top)
+    tell("what an arm file can have")
+    model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
+    return replace(mixture, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
 
 
 def _climbed(library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell) -> Climbed:
@@ -157,8 +176,18 @@ def _climbed(library: HypothesisSet, rows: Rows, generator: np.random.Generator,
         search, chosen = search_of(library, problem), () if climbed is None else climbed.labels
         top = search.products.nothing if climbed is None else _same_set(climbed, problem, search)
         top = top if names else search.climb(top.blocks)
-        climbed = _with_noises(library, at, every, number, wrong, problem, search, top)
-        likely = int(np.argmax(np.where(np.arange(len(every)) == number, climbed.scores + ROUNDING, climbed.scores)))
+        # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
+        # with the outlying rows of the set alone, which noise of another kind may need, too
+        rows_only = search.products.state([(b, size) for b, size in top.key if problem.blocks[b].row])
+        y, jacobian, base = library.as_base(at, every[0].rows)
+        plain, prior, each = jacobian[:, :, base] / at.model.scales[base], np.array([n.prior for n in every]), []
+        for one in {one.key: one for one in (search.products.nothing, top, rows_only)}.values():
+            free = np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2)
+            likelihoods = log_likelihoods(every, y, free)
+            each.append(likelihoods - likelihoods[number] + search.log_odds(one) + prior)
+        scores = np.max(each, axis=0)
+        climbed = Climbed(library, at, every, number, wrong, problem, search, top, scores, each[0])
+        likely = int(np.argmax(np.where(np.arange(len(every)) == number, scores + ROUNDING, scores)))
         settled = climbed.labels == chosen and likely == number
         if turn == PASSES:
             return climbed
@@ -184,67 +213,15 @@ def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> State:
     )
 
 
-def _with_noises(
-    library: HypothesisSet,
-    at: Fit,
-    every: list[NoiseModel],
-    number: int,
-    wrong: list[int],
-    problem: Linearized,
-    search: Search,
-    top: State,
-) -> Climbed:
-    """A set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and with
-    the outlying rows of the set alone, which noise of another kind may need, too."""
-    rows_only = search.products.state([(b, size) for b, size in top.key if problem.blocks[b].row])
-    y, jacobian, base = library.as_base(at, every[0].rows)
-    plain, prior, each = jacobian[:, :, base] / at.model.scales[base], np.array([n.prior for n in every]), []
-    for one in {one.key: one for one in (search.products.nothing, top, rows_only)}.values():
-        free = np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2)
-        likelihoods = log_likelihoods(every, y, free)
-        each.append(likelihoods - likelihoods[number] + search.log_odds(one) + prior)
-    return Climbed(library, at, every, number, wrong, problem, search, top, np.max(each, axis=0), each[0])
-
-
 def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
     """Effects of the library in the set."""
     blocks = (climbed.problem.blocks[b] for b in climbed.top.blocks)
     return tuple(b.member for b in blocks if b.member is not None)
 
 
-def _writable(climbed: Climbed) -> Climbed:
-    """The likely set of what an arm file can have."""
-    problem = climbed.problem
-    alone = problem.of([k for k, block in enumerate(problem.blocks) if _holds(block)])
-    search = search_of(climbed.library, alone, climbed.search.total)
-    top = search.climb(tuple(sorted(alone.numbers[label] for label in climbed.labels if label in alone.numbers)))
-    return climbed._replace(problem=alone, search=search, top=top)
-
-
 def _holds(block: Block) -> bool:
     """Whether an arm file can have a block, or its row be left out."""
     return block.written or block.row or bool(block.parts)
-
-
-def _walked(climbed: Climbed, rows: Rows, generator: np.random.Generator, tell: Tell) -> Posterior:
-    """The posterior around a likely set, under each noise that is not unlikely."""
-    models = []
-    for k in [climbed.noise, *(k for k in climbed.likely if k != climbed.noise)][:NOISES]:
-        noise, under = climbed.every[k], climbed
-        tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
-        if k != climbed.noise:
-            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong)
-            search = search_of(climbed.library, problem)
-            under = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
-        models.append((noise, *_near_walk(under, generator), float(climbed.offset[k])))
-    mixture = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
-    lacking = sum(one.probability for one in mixture.explanations if not all(map(_holds, one.blocks)))
-    if lacking < LEVEL:
-        return mixture
-    alone = _writable(climbed)
-    tell("what an arm file can have")
-    model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
-    return replace(mixture, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
 
 
 def _near_walk(climbed: Climbed, generator: np.random.Generator) -> tuple[Linearized, Walked]:
@@ -295,8 +272,8 @@ def _striking(rows: Rows, at: Fit) -> list[int]:
     """Rows whose residual is large, and that do not come together as whole postures or neighbors do."""
     left = rows.whiten(at.position_residuals(rows, rows.conditions)).reshape(len(rows), -1)
     sizes = np.sqrt(np.mean(np.square(left), axis=1))
-    limit = STRIKING * float(np.median(sizes)) / 0.83
+    limit = 3.0 * float(np.median(sizes)) / 0.83  # robust standard deviations
     order = np.argsort(-sizes, kind="stable")
     far = np.zeros(len(rows), dtype=bool)
-    far[[k for k in order[:MOST_WRONG] if sizes[k] > limit]] = True
+    far[[k for k in order[:30] if sizes[k] > limit]] = True  # 30, as 3 above, to save effort
     return np.flatnonzero(far & ~together(far, rows.postures, rows.posture_numbers)).tolist()

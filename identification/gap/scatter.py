@@ -63,8 +63,17 @@ class NoiseModel:
 def noises(rows: Rows, at: Fit) -> Iterator[NoiseModel]:
     """White noise, and every other that these rows can have, at a fitted model."""
     where = (rows.postures, at.values, rows.conditions)
-    reads = not at.model.arm.chain.instrument.contact  # else nothing says how far away the point is
-    forms = variance_forms(rows, reads * at.model.position(*where), at.model.joint_levers(*where))
+    # name of a finding -> (m, d, d) shape of the additional covariance, with mean trace d
+    d, shapes = rows.dimension, {}
+    for j, lever in enumerate(np.moveaxis(at.model.joint_levers(*where), 2, 0), start=1):
+        shapes[f"joint_noise:{j}"] = lever[:, :, None] * lever[:, None, :]
+    if not at.model.arm.chain.instrument.contact:  # else nothing says how far away the point is
+        position = at.model.position(*where)
+        shapes["reach_noise"] = np.sum(position**2, axis=1)[:, None, None] * np.eye(d)
+    time = rows.conditions.time if rows.conditions.time is not None else np.zeros(len(rows))
+    shapes["time_noise"] = (time - time.min() + 1e-9)[:, None, None] * np.eye(d)
+    traces = {name: float(np.einsum("mii->", shape)) for name, shape in shapes.items()}
+    forms = {name: shape * (d * len(rows) / traces[name]) for name, shape in shapes.items() if traces[name] > 0.0}
     joints = sum(name.startswith("joint") for name in forms)
     yield NoiseModel("", 0.0, rows, 0.0)
     for name, form in forms.items():
@@ -84,21 +93,6 @@ def noises(rows: Rows, at: Fit) -> Iterator[NoiseModel]:
     if len(np.unique(rows.posture_numbers)) < len(rows):
         for ratio in RATIOS:
             yield NoiseModel("repeats", ratio, replace(rows, shared=ratio), float(np.log(0.5 / len(RATIOS))))
-
-
-def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Array]:
-    """Name of a finding -> (m, d, d) shape of the additional covariance, with mean trace d.
-
-    position : (m, d) computed [mm];  levers : (m, d, n) of `Model.joint_levers` [mm/rad]
-    """
-    d, forms = rows.dimension, {}
-    for j, lever in enumerate(np.moveaxis(levers, 2, 0), start=1):
-        forms[f"joint_noise:{j}"] = lever[:, :, None] * lever[:, None, :]
-    forms["reach_noise"] = np.sum(position**2, axis=1)[:, None, None] * np.eye(d)
-    time = rows.conditions.time if rows.conditions.time is not None else np.zeros(len(rows))
-    forms["time_noise"] = (time - time.min() + 1e-9)[:, None, None] * np.eye(d)
-    traces = {name: float(np.einsum("mii->", form)) for name, form in forms.items()}
-    return {name: form * (d * len(form) / traces[name]) for name, form in forms.items() if traces[name] > 0.0}
 
 
 def log_likelihoods(models: Sequence[NoiseModel], left: Array, columns: Array) -> Array:

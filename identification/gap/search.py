@@ -34,7 +34,6 @@ WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows 
 REST_ODDS = 0.1  # prior odds of the rest of the library: many small effects beside what can be named
 NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out, and of a set not listed
 MOVES = 700  # effort: of the walk
-THIN = 64  # effort: columns of a set for each move of the walk that is not counted among the draws
 MOST = 10  # effort: pairs of blocks, candidates, and explanations cross-validated
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
@@ -193,7 +192,7 @@ class Search:
 
     def walk(self, top: State, generator: np.random.Generator) -> Walked:
         """The posterior, from a set to start from."""
-        thin = 1 + len(top.places) // THIN
+        thin = 1 + len(top.places) // 64  # effort: moves for each draw, with the columns of the set
         state, steps, odds = top, dict[Key, Array](), dict[Key, float]()
         visits, moments = Counter[Key](), (Moments(self.products), Moments(self.products))
         for move in range(MOVES):

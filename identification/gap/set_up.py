@@ -27,8 +27,6 @@ from identification.information import RANK_TOLERANCE
 from identification.instruments.registration import placed, registered
 from identification.measurements import POINT, Conditions, Measurements
 
-GAIN = 1.25  # convention: of the sum of squares, a tenth of the RMS error, that one more set of parameters must save
-
 SESSION, OTHER_ROWS = "another session", "other rows"
 
 
@@ -181,7 +179,8 @@ def set_up_of(predicted: Predicted, fresh: tuple[str, ...], elsewhere: bool) -> 
     squares = [float(np.sum(np.square(predicted.residuals(one)))) for one in options]
     if squares[0] <= FALL**2 * squares[-1]:
         return options[0]
-    return next(one for one, left in zip(options, squares, strict=True) if left <= GAIN * squares[-1])
+    # one more set of parameters must save a tenth of the RMS error
+    return next(one for one, left in zip(options, squares, strict=True) if left <= 1.25 * squares[-1])
 
 
 def placed_residuals(

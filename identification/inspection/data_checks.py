@@ -6,7 +6,7 @@ millimetres; another unit or another point is off by far more.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -25,23 +25,15 @@ from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, tip_frames
 
-SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
-LARGE_ANGLE = 7.0  # [rad], more than a turn, above which numbers may be degrees
 ANGLES = {  # factors to radians as read, and what the numbers then were
     "small": {180.0 / np.pi: "radians: name the columns q1_rad.. instead of q1_deg.."},
     "large": {np.pi / 180.0: "degrees: name the columns q1_deg.. instead of q1_rad.."},
 }
 UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
-FITS = 0.02  # relative: so near is a measured factor that of a unit
 OTHER_SIZE = 2.0  # times as large or as small as the drawing, which no drawing is wrong by
-STEPS = 2.0 ** np.arange(-3, 4)  # times what the spreads say, to which a point far from the tip adds
-HUGE = 20000.0  # [mm] farther than any arm reaches
-MOVED = 1e-3  # share of the reach: drawn tips that lie nearer to one another tell no unit
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit is suspected
-CERTAINLY = 10.0  # times better, and no worse than a drawing: there is no doubt
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
-ROUNDS = 5  # of finding rows that are far off, and placing the arm without them
 
 
 def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
@@ -90,7 +82,8 @@ def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
     for how far apart they are.
     """
     units = _units(measurements, arm)
-    if units.misfit > DRAWN or CERTAINLY * units.relative >= units.relative_as_read:
+    # of what is ten times better, and no worse than a drawing, there is no doubt
+    if units.misfit > DRAWN or 10.0 * units.relative >= units.relative_as_read:
         return None
     near = f"read that way, half of the rows agree with the drawing to {100.0 * units.misfit:.2g} % of the reach"
     return f"{'; '.join(units.sentences)} ({near})"
@@ -101,7 +94,7 @@ def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
     where that fits the arm clearly better; and an arm that reaches farther than any does.
 
     Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
-    are those of the other is measured, and a unit is named where that is a unit's factor (`FITS`).
+    are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %.
     """
     return list(_units(measurements, arm).sentences)
 
@@ -120,17 +113,19 @@ class _Units(NamedTuple):
 def _units(measurements: Measurements, arm: Arm) -> _Units:
     arm = _bare(arm, measurements)
     huge = []
-    if arm.reach > HUGE:
+    if arm.reach > 20000.0:  # [mm] farther than any arm reaches
         how = "lengths that were written in millimetres there come out 1000 times too large"
         huge = [f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}"]
     if _few(measurements, arm):
         return _Units(huge)
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
     largest = float(np.abs(measurements.postures[:, turning]).max(initial=0.0))
-    angle = ANGLES["small"] if 0.0 < largest < SMALL_ANGLE else ANGLES["large"] if largest > LARGE_ANGLE else {}
+    # below 7 deg numbers may be radians, above 7 rad, more than a turn, degrees
+    angle = ANGLES["small"] if 0.0 < largest < np.radians(7.0) else ANGLES["large"] if largest > 7.0 else {}
     tips = {t: tip_frames(arm.chain, measurements.postures * np.where(turning, t, 1.0)) for t in (1.0, *angle)}
     drawn = {t: _spread(frames[:, : arm.dimension, 3]) for t, frames in tips.items()}
-    if max(drawn.values()) < MOVED * arm.reach:  # one posture: what its repeats scatter by has no ratio to the drawing
+    # one posture: what its repeats scatter by has no ratio to the drawing
+    if max(drawn.values()) < 1e-3 * arm.reach:
         return _Units(huge)
     spread = 0.0  # contacts read nothing that has a unit
     if not arm.chain.instrument.contact:
@@ -142,11 +137,18 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     for turned, size in drawn.items():
 
         def misfit(factor: float, turned: float = turned, size: float = size) -> float:
-            turns = np.where(turning, turned, 1.0)
-            return _misfit(measurements, arm, turns, factor) / max(size, np.finfo(float).tiny)
+            postures = measurements.postures * np.where(turning, turned, 1.0)
+            read = replace(measurements, postures=postures, positions=measurements.positions * factor)
+            off = float(np.median(_distances(arm, read, np.ones(len(read), dtype=bool))))
+            return off / max(size, np.finfo(float).tiny)
 
         misfits[turned, 1.0] = misfit(1.0)
-        factor = _length_factor(misfit, size / spread) if spread and size else 1.0
+        factor = 1.0  # what positions are to be multiplied by to lie nearest to the drawing
+        if spread and size:  # a point far from the tip adds to the spreads
+            near = min(size / spread * 2.0 ** np.arange(-3, 4), key=misfit)
+            bounds = np.log([near / 2.0, near * 2.0])
+            nearest = minimize_scalar(lambda k, of=misfit: of(float(np.exp(k))), bounds=bounds, options={"xatol": 1e-4})
+            factor = float(np.exp(nearest.x))
         if max(factor, 1.0 / factor) > OTHER_SIZE and CLEARLY * (left := misfit(factor)) < misfits[turned, 1.0]:
             misfits[turned, factor] = left
     best = min(misfits, key=misfits.__getitem__)
@@ -168,15 +170,6 @@ def _spread(points: Array) -> float:
     return float(np.sqrt(square * (3.0 if points.shape[1] == 1 else 1.0)))
 
 
-def _length_factor(misfit: Callable[[float], float], guess: float) -> float:
-    """What positions are to be multiplied by to lie nearest to the drawing."""
-    near = min(guess * STEPS, key=misfit)
-    nearest = minimize_scalar(
-        lambda k: misfit(float(np.exp(k))), bounds=np.log([near / 2.0, near * 2.0]), options={"xatol": 1e-4}
-    )
-    return float(np.exp(nearest.x))
-
-
 def _other_lengths(factor: float, axes: Sequence[str], *, huge: bool) -> str:
     """How many times the lengths of one file are those of the other, and what would make them agree.
 
@@ -187,7 +180,7 @@ def _other_lengths(factor: float, axes: Sequence[str], *, huge: bool) -> str:
     lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
     if huge and factor > 1.0:
         return lengths
-    unit = next((unit for unit in UNITS if abs(times / unit - 1.0) <= FITS), None)
+    unit = next((unit for unit in UNITS if abs(times / unit - 1.0) <= 0.02), None)
     if unit is None:
         return f"{lengths}, which is the factor of no unit: another arm, or a length that is mistyped?"
     if small == "arm file":
@@ -227,16 +220,10 @@ def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> 
     return float(np.median(np.linalg.norm(computed[:, POINT.stop :], axis=1))) / (chain.angle_scale or 1.0)
 
 
-def _misfit(measurements: Measurements, arm: Arm, turned: Array, unit: float) -> float:
-    """Median distance [mm] from the nominal arm, with joints times factors (n,), positions times a `unit`."""
-    read = replace(measurements, postures=measurements.postures * turned, positions=measurements.positions * unit)
-    return float(np.median(_distances(arm, read, np.ones(len(read), dtype=bool))))
-
-
 def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
     """Rows that another marker explains, and rows that nothing does."""
     kept = np.ones(len(measurements), dtype=bool)
-    for _ in range(ROUNDS):
+    for _ in range(5):
         distances = _distances(arm, measurements, kept)
         before, kept = kept, distances <= FAR * np.median(distances)
         if np.array_equal(before, kept):

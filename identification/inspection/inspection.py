@@ -62,19 +62,11 @@ from identification.status import Status
 from identification.validate import drawing_residuals
 from identification.workspace import ColumnLimits
 
-STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
-ROUGH = 0.02  # of the reach: more than a drawing is off by
-MUCH = 0.01  # of the reach: more than the effects of an arm leave where they are not in the model
-ALIKE = 1.05  # times as much is left: no telling which angles are the better ones
-HARDLY_LESS = 0.8  # of what the drawing leaves: a fit that explains nothing
-HALVED = 2.0  # times the squares that are left with a constant length: clearly more than one parameter's share
 NOTHING = 1e-6  # [mm] RMS that is no measurement's: below, nothing is compared
 AWAY = 0.02  # of the reach: a base this far from where the file has it stands elsewhere
 GEOMETRY = {LENGTH_ERROR: "length", JOINT_OFFSET: "zero"}
 SOURCES = {"sigma": "for the sigma_mm given", "repeats": "for what repeats scatter by", "residuals": "by the residuals"}
 G = 9.81  # [m/s^2]
-SAGS = 0.01  # convention: one-sided; it is one question of each data set
-WORTH = 0.97  # of the RMS distance: less than 3 % is not worth another table
 LEVER = 1e-3  # of the largest torque: an upright first axis has none but rounding
 LENGTH_OFFSET = "length_offset"  # the effect
 
@@ -206,11 +198,26 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     sags = None if fit is None or fit.status is Status.implausible else sag(arm, measurements, fit, masses)
     joints = _ranges(arm, measurements.postures)
     problems = _problems(arm, measurements, readings, drawing, fit)
-    notes = [] if other_units else [*_still(joints), *turned_frame(arm, readings.written)]
-    notes += _unseen(arm, measurements, joints) + _of_fit(fit, commanded, problems)
+    # what the data cannot say
+    notes = [] if other_units else turned_frame(arm, readings.written)
+    if (still := [str(joint.joint) for joint in joints if joint.still]) and not other_units:
+        hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
+        notes = [f"{hardly.format(', '.join(still))} own errors cannot be seen", *notes]
+    unseen = [j for j in joints_of_unseen_sign(arm, measurements) if not joints[j - 1].still]
+    why = "the measured point is on its axis, or so near that the drawing's errors hide it"
+    notes += [f"which way joint {j} turns and where its zero is do not show in these data: {why}" for j in unseen]
+    notes += _of_fit(fit, commanded, problems)
     if len(np.unique(measurements.repeat_numbers)) == len(measurements):
         notes.append("no posture is repeated: the arm's repeatability is not known from these data")
     notes += gap_notes(measurements)
+    advised = sags is not None and sags.recommended
+    notes += [sags.sentence] if sags is not None and advised else []
+    untested = {} if "temperature" in measurements.optional_columns else {"temperature": "a column temperature_C"}
+    if arm.gravity is None and not advised:
+        untested["gravity"] = "[gravity] in the arm file"
+    if untested:
+        effects, needed = " and ".join(untested), " and ".join(untested.values())
+        notes.append(f"effects of {effects} are not tested without {needed}")
     return Inspection(
         arm=arm,
         rows=len(measurements),
@@ -228,7 +235,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
         other_units=other_units,
         sag=sags,
         problems=tuple(problems),
-        notes=(*notes, *_of_gravity_and_temperature(arm, measurements, sags)),
+        notes=tuple(notes),
     )
 
 
@@ -255,7 +262,7 @@ def _problems(
         sentences = [*another_frame(arm, measurements), *other_base(arm, measurements)]
         sentences += constant_length(arm, measurements, fit)
     sentences = sentences or zeros
-    if drawing > ROUGH * arm.reach and not sentences:
+    if drawing > DRAWN * arm.reach and not sentences:
         off = f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"
         sentences = out_of_step(arm, measurements) or [off]
     if fit is not None and not sentences:
@@ -264,7 +271,9 @@ def _problems(
         sentences = far_rows(fit.residuals_after, *unexplained)
         # far from the rows of one arm, where noise is not the reason
         noise = 3.0 * (arm.sigma or 0.0) * np.sqrt(arm.dimension)
-        if not sentences and fit.rms_after > max(MUCH * arm.reach, HARDLY_LESS * drawing, noise):
+        # effects that are not in the model leave less than 1 % of the reach, a fit that explains something less than
+        # 80 % of what the drawing leaves
+        if not sentences and fit.rms_after > max(0.01 * arm.reach, 0.8 * drawing, noise):
             left = f"a fit leaves {fit.rms_after:.4g} mm of the {drawing:.4g} mm that the drawing leaves"
             names = "columns, units or markers" if measurements.marker_names else "columns or units"
             mixed = f"look for {names} that changed, or an instrument that moved"
@@ -281,25 +290,21 @@ def _problems(
 
 
 # -- what the data cannot say, in sentences ----------------------------------------------------------------------------
-def _still(joints: Sequence[JointRange]) -> list[str]:
-    """Joints that hardly move."""
-    still = [str(joint.joint) for joint in joints if joint.still]
-    hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
-    return [f"{hardly.format(', '.join(still))} own errors cannot be seen"] if still else []
-
-
-def _unseen(arm: Arm, measurements: Measurements, joints: Sequence[JointRange]) -> list[str]:
-    """Joints that move, but whose sign and zero do not show."""
-    why = "the measured point is on its axis, or so near that the drawing's errors hide it"
-    unseen = [j for j in joints_of_unseen_sign(arm, measurements) if not joints[j - 1].still]
-    return [f"which way joint {j} turns and where its zero is do not show in these data: {why}" for j in unseen]
-
-
 def _of_fit(fit: Identification | None, commanded: float | None, problems: Sequence[str]) -> list[str]:
     """What is left of a fit beside noise, and what it leaves open."""
     if fit is None:
         return []
-    sentences = [] if commanded is None else [_better_angles(rms_distance(fit.residuals_after), commanded)]
+    sentences = []
+    if commanded is not None:  # which angles explain the positions better
+        read = rms_distance(fit.residuals_after)
+        figures = f"a fit to the angles read leaves {read:.3g} mm RMS, to those commanded {commanded:.3g} mm"
+        if max(read, commanded) <= 1.05 * min(read, commanded):  # no telling
+            verdict = "which of them a fit uses makes no difference"
+        elif read < commanded:
+            verdict = "the positions are those of the angles read, which every fit uses"
+        else:
+            verdict = "the positions are those of the angles commanded: give these as q1_deg.. instead"
+        sentences = [f"{figures}: {verdict}"]
     if not problems:  # a fit leaves more than noise, by chi2 or by repeats
         looks = fit.misfit and f"{fit.misfit.partition('. ')[0]}; armcal diagnose looks for what is missing"
         sentences += [looks] if looks else [doubt for doubt in fit.doubts if doubt.startswith(MISFIT)]
@@ -308,36 +313,13 @@ def _of_fit(fit: Identification | None, commanded: float | None, problems: Seque
     return sentences
 
 
-def _better_angles(read: float, commanded: float) -> str:
-    """Which angles explain the positions better, by what a fit leaves of them [mm]."""
-    figures = f"a fit to the angles read leaves {read:.3g} mm RMS, to those commanded {commanded:.3g} mm"
-    if max(read, commanded) <= ALIKE * min(read, commanded):
-        return f"{figures}: which of them a fit uses makes no difference"
-    if read < commanded:
-        return f"{figures}: the positions are those of the angles read, which every fit uses"
-    return f"{figures}: the positions are those of the angles commanded: give these as q1_deg.. instead"
-
-
-def _of_gravity_and_temperature(arm: Arm, measurements: Measurements, sags: Sag | None) -> list[str]:
-    """Whether the arm sags, and effects that need another column or table."""
-    advised, untested = sags is not None and sags.recommended, dict[str, str]()
-    if "temperature" not in measurements.optional_columns:
-        untested["temperature"] = "a column temperature_C"
-    if arm.gravity is None and not advised:
-        untested["gravity"] = "[gravity] in the arm file"
-    sentences = [sags.sentence] if sags is not None and advised else []
-    if untested:
-        effects, needed = " and ".join(untested), " and ".join(untested.values())
-        sentences.append(f"effects of {effects} are not tested without {needed}")
-    return sentences
-
-
 def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
     beyond = beyond_limits(arm, postures).sum(axis=0)
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
     shown, (lower, upper) = in_columns(postures, arm.joint_types), arm.column_limits
     has_limits = np.isfinite(lower) & (limited(arm) | [j in tied for j in range(1, arm.links + 1)])
-    still = np.ptp(postures, axis=0) < np.where(np.array(arm.joint_types) == REVOLUTE, STILL, 0.0)
+    # of a joint that turns by less than 5 deg its own errors are hardly seen
+    still = np.ptp(postures, axis=0) < np.where(np.array(arm.joint_types) == REVOLUTE, np.radians(5.0), 0.0)
     columns = zip(arm.joint_types, shown.T, lower, upper, beyond, has_limits, still, strict=True)
     return tuple(
         JointRange(
@@ -407,7 +389,8 @@ def constant_length(arm: Arm, measurements: Measurements, fit: Identification | 
     wider_fit = estimate(Model(with_sessions(wider, measurements)), measurements)
     before, after = (float(np.sum(one.residuals_after**2)) for one in (fit, wider_fit))
     after = max(after, NOTHING**2 * len(measurements))
-    if before < HALVED * after or fdtrc(1, fit.dof - 1, (before - after) * (fit.dof - 1) / after) > LEVEL:
+    # half of the squares is clearly more than one parameter's share
+    if before < 2.0 * after or fdtrc(1, fit.dof - 1, (before - after) * (fit.dof - 1) / after) > LEVEL:
         return []
     value = float(wider_fit.parameters[wider_fit.names.index(f"{LENGTH_OFFSET}.c")])
     what = f"all distances look {abs(value):.3g} mm too {'long' if value > 0.0 else 'short'}"
@@ -492,7 +475,16 @@ def sufficiency(fit: Identification, measurements: Measurements, floor: NoiseFlo
         elif floor.value:
             sigma = floor.value / float(np.sqrt(fit.residuals_after[:, POINT].shape[1]))
             judged, source = estimate(fit.model, measurements, sigma=sigma), "repeats"
-    weak = _weak(judged or fit)
+    # parameters without a prior, as where base and reflector are, that stay more uncertain than the frames of the arm
+    # by `UNUSUAL` times, though the machining holds these; where nothing is held, such ones are not estimated at all
+    weak: tuple[tuple[str, float, str], ...] = ()
+    judge = judged or fit
+    if judge.prior is not None and judge.model.arm.chain.redundant:
+        machining = judge.model.arm.machining
+        far = {"mm": UNUSUAL * machining.translation, "rad": UNUSUAL * machining.rotation}
+        stds = zip(judge.model.parameters, judge.std.tolist(), strict=True)
+        free = [(p, std) for p, std in stds if p.name not in judge.prior.names]
+        weak = tuple((p.name, std * p.to_file, p.file_unit) for p, std in free if std > far.get(p.unit, np.inf))
     return Sufficiency(
         numbers=fit.residuals_after.size,
         parameters=parameters,
@@ -505,21 +497,6 @@ def sufficiency(fit: Identification, measurements: Measurements, floor: NoiseFlo
         tip_measured=None if judged is None else judged.expected_tip_measured,
         source=source,
     )
-
-
-def _weak(fit: Identification) -> tuple[tuple[str, float, str], ...]:
-    """(name, standard deviation, unit) of parameters without a prior, as where base and reflector are, that stay more
-    uncertain than the frames of the arm by `UNUSUAL` times, though the machining holds these.
-
-    Where nothing is held, such combinations are not estimated at all (`estimation.estimate`).
-    """
-    if fit.prior is None or not fit.model.arm.chain.redundant:
-        return ()
-    machining = fit.model.arm.machining
-    far = {"mm": UNUSUAL * machining.translation, "rad": UNUSUAL * machining.rotation}
-    stds = zip(fit.model.parameters, fit.std.tolist(), strict=True)
-    free = [(p, std) for p, std in stds if p.name not in fit.prior.names]
-    return tuple((p.name, std * p.to_file, p.file_unit) for p, std in free if std > far.get(p.unit, np.inf))
 
 
 def _in_words(fit: Identification, held: Set[str], weak: Set[str]) -> tuple[str, ...]:
@@ -565,7 +542,8 @@ class Sag:
     @property
     def recommended(self) -> bool:
         """Whether the arm sags beyond doubt, and by enough to matter."""
-        return self.p_value <= SAGS and self.rms_after <= WORTH * self.rms_before
+        # one-sided, one question of each data set; less than 3 % of the RMS distance is not worth another table
+        return self.p_value <= 0.01 and self.rms_after <= 0.97 * self.rms_before
 
     @property
     def lines(self) -> tuple[str, ...]:

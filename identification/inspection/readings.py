@@ -28,15 +28,10 @@ from identification.model.placed import frames_of_tip, placed_model, some
 
 ENOUGH = 200  # rows that are used: a wrong sign shows in far fewer
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
-EQUATIONS = 4  # for each fitted number, below which anything may fit
 OTHERS = 2  # readings that are named beside the simplest
-HOPELESS = 2.0  # times what a better reading may leave
 KEPT = 4  # effort: readings from which the next kind of change starts
 ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
-FINE, WHOLE = 1e-3, 0.02  # quarter turns, 0.1 and 2 deg: how well a zero is found; what is a whole quarter turn
 MANY = 6  # joints, up to which all combinations of signs are tried
-UPRIGHT, QUARTER = np.radians(20.0), np.radians(45.0)  # a base is this near to the frame's axes; or to a half turn
-PARALLEL = np.cos(np.radians(1.0))  # of drawings, whose angles may be rounded
 
 
 # -- a reading ---------------------------------------------------------------------------------------------------------
@@ -132,8 +127,9 @@ class Reading:
             if self.turn is None:
                 swapped, turn_tells = "two of x_mm, y_mm, z_mm are swapped", False
             else:
-                turn_tells = abs(np.sin(2.0 * self.turn)) <= np.sin(2.0 * UPRIGHT)
-            upright = self.turn is not None and abs(np.cos(self.turn)) > np.cos(QUARTER)
+                turn_tells = abs(np.sin(2.0 * self.turn)) <= np.sin(2.0 * np.radians(20.0))
+            # nearer to upright, or to a half turn, than to a quarter turn
+            upright = self.turn is not None and abs(np.cos(self.turn)) > np.cos(np.radians(45.0))
             sentences.append((flipped if upright else swapped) if turn_tells else f"{swapped}, or {flipped}")
         return tuple(sentences)
 
@@ -203,7 +199,7 @@ def _read_differently(arm: Arm, rows: Measurements) -> Readings:
     written = _placed(arm, rows)(Reading.as_written(arm.links))
     if _few(arm, rows):
         return Readings(written, None)
-    left = _distance(arm, rows, HOPELESS * max(DRAWN * arm.reach, written.rms / CLEARLY))
+    left = _distance(arm, rows, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
     plain = replace(written, rms=0.0, turn=None)
     tried = {plain: replace(written, turn=None)}
     zero = partial(_moved_zero, left=left)
@@ -242,8 +238,8 @@ def _moved_zero(best: Reading, arm: Arm, left: Callable[[Reading], float]) -> It
 
         near = min(ZEROS, key=left_with)
         bounds = (near - ZEROS[1], near + ZEROS[1])
-        k = float(minimize_scalar(left_with, bounds=bounds, options={"xatol": FINE}).x)
-        yield _with_quarters(best, j, round(k) % 4 if abs(k - round(k)) < WHOLE else k)
+        k = float(minimize_scalar(left_with, bounds=bounds, options={"xatol": 1e-3}).x)  # to 0.1 deg
+        yield _with_quarters(best, j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # within 2 deg it is a whole one
 
 
 def _with_quarters(reading: Reading, joint: int, k: float) -> Reading:
@@ -275,7 +271,7 @@ def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
     runs = list[tuple[int, list[int]]]()
     for j, (before, axis) in enumerate(zip([None, *axes], axes, strict=False)):
         along = 0.0 if axis is None or before is None else float(axis @ before)
-        if abs(along) > PARALLEL:
+        if abs(along) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
             runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
         else:
             runs.append((j, [1]))
@@ -352,7 +348,8 @@ def some_of_one_point(measurements: Measurements) -> Measurements:
 def _few(arm: Arm, rows: Measurements) -> bool:
     """Whether another reading would fit by chance: of a pose, and of a point where it is open."""
     point = 0 if TOOL in anywhere(arm).chain.settled else arm.dimension
-    return rows.positions.size < EQUATIONS * (arm.dimension + len(arm.chain.turning) + point)
+    # below four equations for each fitted number anything may fit
+    return rows.positions.size < 4 * (arm.dimension + len(arm.chain.turning) + point)
 
 
 def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], float]:

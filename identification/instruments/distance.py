@@ -13,8 +13,6 @@ from identification.instruments.search import Placement, Unplaced
 from identification.instruments.surfaces import CenterStarts, placed_by_lengths
 from identification.kinematics.frames import AXES
 
-TINY = 1e-9  # [mm] a point this near to the center has no direction from there
-
 
 @register_instrument
 @dataclass(frozen=True)
@@ -49,4 +47,4 @@ class Distance(Instrument):
 
 def distance_to_center(point: ca.SX) -> ca.SX:
     """[mm] of a point (3,) from the origin."""
-    return ca.sqrt(ca.sumsqr(point) + TINY**2)
+    return ca.sqrt(ca.sumsqr(point) + 1e-9**2)  # a point this near [mm] has no direction from there

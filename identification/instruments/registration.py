@@ -15,9 +15,6 @@ import numpy as np
 from identification.arrays import Array
 from identification.instruments.search import ENOUGH, Placement, starts_of_tool
 
-ROUNDS = 200  # effort: of each start
-STILL = 0.01  # motion of a point 1 mm from the flange's center [mm] (RMS): less is lost in the errors of a drawing
-
 
 def registered(points: Array, measured: Array) -> Array:
     """(4, 4) pose that brings points (m, 3) closest to the measured ones (m, d) in least squares; in the plane, d = 2,
@@ -39,7 +36,7 @@ def placed(frames: Array, measured: Array, reach: float) -> Placement:
     """
     moments, tools = _Moments.of(frames, measured), starts_of_tool(reach)
     before = np.full(len(tools), np.inf)
-    for _ in range(ROUNDS):
+    for _ in range(200):
         rotations = moments.rotations(tools)
         tools = moments.tools(rotations)
         squares = moments.squares(rotations, tools)
@@ -75,7 +72,8 @@ class _Moments(NamedTuple):
         points, turns = y.T @ p / m, np.einsum("mk,mij->kij", y, turn) / m
         along, gram = np.einsum("mji,mj->i", turn, p) / m, np.einsum("mji,mjk->ik", turn, turn) / m
         values, axes = np.linalg.eigh(gram)
-        inverse = (axes * np.divide(1.0, values, out=np.zeros(3), where=values > STILL**2)) @ axes.T
+        # what moves a point 1 mm from the flange's center by less than 0.01 mm (RMS) is lost in a drawing's errors
+        inverse = (axes * np.divide(1.0, values, out=np.zeros(3), where=values > 0.01**2)) @ axes.T
         return cls(points, turns, along, gram, inverse, float(np.sum(p**2 + y**2)) / m)
 
     def rotations(self, tools: Array) -> Array:

@@ -15,10 +15,6 @@ from identification.arrays import Array
 from identification.kinematics.frames import pose
 
 ENOUGH = 1e-6  # relative fall of the sum of squares in a round, below which a least-squares fit goes on from here
-DRAWN, FOLLOWED, LAST = 3000, 100, 5  # effort: random starts, those that are followed, and those with all rows
-ROWS = 30  # effort: rows that tell good starts, three times the nine unknowns and more
-ROUNDS, EARLY = 60, 15  # effort: steps of each start, and those after which one that is hopeless ends
-FARTHEST = 3.0  # of the reach: how far away bases are looked for
 DAMPED, LEAST, MOST = 1e-3, 1e-12, 1e12  # of a normal matrix's diagonal that is added to it: first, smallest, largest
 
 
@@ -88,26 +84,28 @@ def starts_of_tool(reach: float) -> Array:
 def searched(instrument: Reads, rows: Unplaced) -> Placement:
     """Base and measured point that explain readings best."""
     frames, readings, reach, base, tool, hopeless = rows
-    generator, count = np.random.default_rng(0), DRAWN if base is None else len(starts_of_tool(reach))
+    generator, count = np.random.default_rng(0), 3000 if base is None else len(starts_of_tool(reach))
     if base is None:
         vectors = generator.standard_normal((count, 4))
         angle = 2.0 * np.arctan2(np.linalg.norm(vectors[:, 1:], axis=1), vectors[:, 0])  # of a quaternion of any length
         axes = vectors[:, 1:] / np.linalg.norm(vectors[:, 1:], axis=1, keepdims=True)
         turns = _rotations(angle[:, None] * axes)
-        shifts = FARTHEST * reach * generator.uniform(-1.0, 1.0, (count, 3))
+        shifts = 3.0 * reach * generator.uniform(-1.0, 1.0, (count, 3))
     else:
         turns, shifts = np.tile(base[:3, :3], (count, 1, 1)), np.tile(base[:3, 3], (count, 1))
     tools = np.resize(starts_of_tool(reach), (count, 3)) if tool is None else np.tile(tool, (count, 1))
     starts = _Starts(turns, shifts, tools, np.tile(instrument.neutral, (count, 1)))
     k = starts.parts[3].shape[1]
     scales = np.r_[np.full(3, reach), np.ones(3), np.full(3, 0.1 * reach), np.ones(k)]
+    # effort: rows that tell good starts, three times the nine unknowns and more; 100 of the starts are followed, the
+    # best 5 with all rows
     free = np.r_[np.full(6, base is None), np.full(3, tool is None), np.ones(k, dtype=bool)]
-    few = np.unique(np.linspace(0, len(frames) - 1, ROWS).astype(int))
+    few = np.unique(np.linspace(0, len(frames) - 1, 30).astype(int))
     squares = _linear(instrument, starts, frames[few], readings[few])[0]
-    starts = starts.best(squares, FOLLOWED)
+    starts = starts.best(squares, 100)
     wanted = len(few) * hopeless**2
     starts, squares = _followed(instrument, starts, frames[few], readings[few], scales, free, wanted)
-    starts = starts.best(squares, LAST)
+    starts = starts.best(squares, 5)
     starts, squares = _followed(instrument, starts, frames, readings, scales, free, len(frames) * hopeless**2)
     best = int(np.argmin(squares))
     rotation, shift, place, _ = (part[best] for part in starts.parts)
@@ -121,7 +119,7 @@ def _followed(
     """Where damped Gauss-Newton steps of starts end, and their sums of squares (s,)."""
     squares, gradient, matrix = _linear(instrument, starts, frames, readings, scales, free)
     damping = np.full(len(squares), DAMPED)
-    for done in range(ROUNDS):
+    for done in range(60):
         diagonal = np.einsum("sii->si", matrix)
         floor = 1e-12 * np.max(diagonal, axis=1, keepdims=True) + np.finfo(float).tiny
         added = np.eye(matrix.shape[-1]) * (damping[:, None] * np.maximum(diagonal, floor))[:, None]
@@ -133,7 +131,8 @@ def _followed(
         gradient, matrix = np.where(better[:, None], new[1], gradient), np.where(better[:, None, None], new[2], matrix)
         squares = np.where(better, new[0], squares)
         damping = np.clip(np.where(better, damping / 5.0, damping * 4.0), LEAST, MOST)
-        if (not gained and np.all(damping > 1.0)) or (done >= EARLY and np.min(squares) > wanted):
+        # nothing is gained, or it is hopeless
+        if (not gained and np.all(damping > 1.0)) or (done >= 15 and np.min(squares) > wanted):
             break
     return starts, squares
 

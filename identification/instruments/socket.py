@@ -32,7 +32,6 @@ from identification.kinematics.frames import AXES
 from identification.kinematics.parameters import Parameter
 
 STEPS = 4  # effort: of Newton's method for coordinates that follow from distances
-ROUNDS = 100  # effort: of bringing cups to distances that are known
 TOUCHES = 1e-6  # [mm] by which these are kept
 DISTINCT = 1e-6  # share of the largest derivative below which a distance says nothing new
 
@@ -180,7 +179,7 @@ class Socket(Instrument):
     def _starts(self) -> Array:
         """(3 C,) coordinates of all cups, nearest to `cups` with the distances that are known."""
         places = np.array([place for _, place in self.cups], dtype=float).ravel()
-        for _ in range(ROUNDS):
+        for _ in range(100):
             gaps, slopes = self._gaps(places)
             if np.abs(gaps).max(initial=0.0) < TOUCHES:
                 return places

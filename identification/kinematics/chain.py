@@ -45,7 +45,6 @@ DIMENSION = 3  # of space
 IN_SPACE, IN_PLANE = "xyz", "xy"
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 ALIGNED = 1.0 - 1e-12  # cosine from which an axis is one of the frame's own
-FARTHEST = 3.0  # times reach and tool: no measured point is farther from where it is drawn or found first
 Values = Mapping[str, ca.SX | float]  # parameter name -> value
 
 
@@ -246,7 +245,8 @@ class KinematicChain(ByValue):
             return ParameterSet.of((*chain_parameters(self.lengths), *self.instrument.parameters))
         parameters = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
         for name, place in self.tools.items():
-            far = FARTHEST * (self.reach + float(np.linalg.norm(place)))
+            # no measured point is farther from where it is drawn or found first
+            far = 3.0 * (self.reach + float(np.linalg.norm(place)))
             of_tool = _six(f"tool[{name}].", f"tool[{name}].r", "", self.angle_scale or 1.0, (TOOL, TOOL), None, far)
             parameters += of_tool[: DIMENSION if self.angle_scale is None else 2 * DIMENSION]
         kinds = TRANSLATION_ERROR, ROTATION_ERROR

@@ -254,10 +254,6 @@ class CorrectedGeometry:
         return self.values.get(f"{JOINT_OFFSET}:{j}", 0.0)
 
 
-PARALLEL = 1e-6  # sine of the angle of axes that a drawing has parallel
-Y = np.eye(3)[1]
-
-
 @dataclass(frozen=True)
 class Link:
     """From the axis of a joint to the next: theta, alpha, beta [rad], d, a [mm]; beta None: axes are not parallel."""
@@ -271,7 +267,10 @@ class Link:
     @property
     def matrix(self) -> Array:
         """(4, 4) Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta)."""
-        turn, tilt = rotation_about(Z, self.theta), rotation_about(X, self.alpha) @ rotation_about(Y, self.beta or 0.0)
+        turn, tilt = (
+            rotation_about(Z, self.theta),
+            rotation_about(X, self.alpha) @ rotation_about([0.0, 1.0, 0.0], self.beta or 0.0),
+        )
         return np.asarray(pose(rotation=turn) @ pose((self.a, 0.0, self.d), tilt))
 
 
@@ -295,8 +294,8 @@ def drawn_links(rows: Sequence[DHRow], convention: str = STANDARD) -> tuple[Link
     if any(row.type != REVOLUTE for row in rows):
         raise InputError("dh: found prismatic joints, allowed: a table of revolute joints")
     behind = rows[:-1] if convention == STANDARD else rows[1:]  # whose a and alpha lead to the next axis
-    links = tuple(
-        Link(row.offset, row.d, after.a, after.alpha, 0.0 if abs(np.sin(after.alpha)) < PARALLEL else None)
+    links = tuple(  # beta where the drawing has axes parallel
+        Link(row.offset, row.d, after.a, after.alpha, 0.0 if abs(np.sin(after.alpha)) < 1e-6 else None)
         for row, after in zip(rows, behind, strict=False)
     )
     if any(link.beta is not None and link.a == 0.0 for link in links):

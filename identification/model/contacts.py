@@ -8,10 +8,6 @@ from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.model.arm_model import Model
 
-STEPS = 30  # effort: Newton's method doubles the digits once it is near
-LONGEST = 0.5  # [rad] of a step; of a prismatic joint that share of its range / (2 pi)
-FLAT = 1e-12  # share of the largest slope below which a step goes nowhere
-
 
 def led_to_contact(
     model: Model, postures: Array, goals: Array | float, units: Array, target: Array | None = None
@@ -22,14 +18,17 @@ def led_to_contact(
         that have one; None: the nearest
     """
     q = np.array(postures)
-    for _ in range(STEPS):
+    # effort: Newton's method doubles the digits once it is near
+    for _ in range(30):
         conditions = model.condition_table(q, Conditions(marker=target))
         reading, slopes = model.expressions.posture_jacobian(q, conditions, model.values[None])
         slopes = slopes * units
         across = slopes @ np.swapaxes(slopes, 1, 2)
         sizes = np.einsum("mdd->m", across)[:, None, None]
-        across = across + (FLAT * sizes + 1e-300) * np.eye(across.shape[-1])
+        # slopes below this share of the largest go nowhere
+        across = across + (1e-12 * sizes + 1e-300) * np.eye(across.shape[-1])
         gaps = goals - reading[..., 0]
         steps = (np.swapaxes(slopes, 1, 2) @ np.linalg.solve(across, gaps[..., None]))[..., 0]
-        q = q + steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / LONGEST, 1.0) * units
+        # at most 0.5 rad at a time, of a prismatic joint that share of its range / (2 pi)
+        q = q + steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / 0.5, 1.0) * units
     return q

@@ -25,11 +25,9 @@ from identification.measurements import Conditions, Measurements
 from identification.model.arm_model import Model
 from identification.model.placed import placed_model
 
-FIRST = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
 POSTURES = 100  # at random: three equations each for some forty parameters
 DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
 PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
-SEED = 0
 
 
 def minimal(
@@ -47,7 +45,8 @@ def minimal(
     if chain.planar:
         raise InputError("minimal: a planar arm, allowed: a spatial one; the parameters of a planar arm are minimal")
     parameters = model.parameters
-    order = [k for kind in FIRST for k in parameters.indices(kind)]
+    first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
+    order = [k for kind in first for k in parameters.indices(kind)]
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
     kept = set(independent(_jacobian(model, postures, conditions)[:, order] * sizes, least))
     fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
@@ -118,7 +117,7 @@ def independent(columns: Array, least: float = DISTINCT) -> list[int]:
 
 def _jacobian(model: Model, postures: Array | None, conditions: Conditions | None) -> Array:
     """(N, p) at postures, None: random ones inside the limits, of every measured point."""
-    arm, generator = model.arm, np.random.default_rng(SEED)
+    arm, generator = model.arm, np.random.default_rng(0)
     if postures is None:
         postures = generator.uniform(arm.lower, arm.upper, (POSTURES, arm.links))
     if conditions is not None:

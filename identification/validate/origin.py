@@ -17,7 +17,6 @@ from identification.model import Model
 
 HELD_FROM = "held_from"  # key of a calibration's provenance
 READ = np.radians(1e-6)  # what the digits of a file take from an angle
-ROOM = 0.02  # of a joint's range at either end, left for the corrections of a posture
 
 
 def identified(arm: Arm) -> Mapping[str, Any]:
@@ -91,12 +90,13 @@ def identified_range(arm: Arm) -> Array | None:
 
 
 def familiar_range(arm: Arm) -> tuple[Array, Array]:
-    """(n,) least and largest angles of the identification but for `ROOM`, moved by whole turns into the limits; the
+    """(n,) least and largest angles of the identification but for some room, moved by whole turns into the limits; the
     limits themselves where these are not known."""
     if (ends := identified_range(arm)) is None:
         return arm.lower, arm.upper
     middle = ends.mean(axis=0)
-    ends = middle + (1.0 - 2.0 * ROOM) * (ends - middle)
+    # 2 % of a joint's range at either end are left for the corrections of a posture
+    ends = middle + (1.0 - 2.0 * 0.02) * (ends - middle)
     moved = ends + turned_into(middle[None], arm.lower, arm.upper, arm.joint_types)[0] - middle
     lower, upper = np.clip(moved, arm.lower, arm.upper)
     return lower, upper

@@ -417,18 +417,6 @@ def as_calibrated(arm: Arm) -> Arm:
     return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
 
 
-def check_names(chain: KinematicChain, measurements: Measurements) -> None:
-    """Raise `InputError` for measured points that a chain does not have, where they are not to be estimated."""
-    if chain.instrument.own_targets or len(chain.tools) == 1 == len(measurements.marker_names):
-        return  # one point is the one that is measured, whatever the data call it
-    fault = "no column marker, and the arm has several measured points" if not measurements.marker_names else ""
-    fresh = [repr(name) for name in measurements.marker_names if name not in chain.tools]
-    fault = f"unknown name {', '.join(fresh)}" if fresh else fault if len(chain.tools) > 1 else ""
-    if fault:
-        allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
-        raise InputError(f"measurements.marker: {fault}, {allowed}")
-
-
 def fresh_points(chain: KinematicChain, measurements: Measurements) -> list[str]:
     """What is said of measured points that the calibration does not have: they are fitted to these measurements."""
     names = () if chain.instrument.own_targets else measurements.marker_names
@@ -471,7 +459,15 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
     """
     arm = as_calibrated(arm)
     if refit == "none":
-        check_names(arm.chain, measurements)
+        chain, names = arm.chain, measurements.marker_names
+        # of one point it is that which is measured, whatever the data call it
+        if not chain.instrument.own_targets and not len(chain.tools) == 1 == len(names):
+            fault = "no column marker, and the arm has several measured points" if not names else ""
+            fresh = [repr(name) for name in names if name not in chain.tools]
+            fault = f"unknown name {', '.join(fresh)}" if fresh else fault if len(chain.tools) > 1 else ""
+            if fault:
+                allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
+                raise InputError(f"measurements.marker: {fault}, {allowed}")
         model = Model(replace(arm, chain=with_markers(arm.chain, measurements)))
         return replace(model, held=model.best_known)
     chain = replace(one_unnamed(arm.chain, measurements), settled=frozenset())

@@ -52,8 +52,7 @@ OF_ARM = (*LIBRARY_WHOLE, *RARE_WHOLE, *PHYSICS_WHOLE, "step_drift")
 NOT_INSIDE = {*OUTSIDE, *SPACE_OUTSIDE, *PHYSICS} - set(SINCE_INSIDE)
 COUNTS = {"small": (14, 22), "several": (6, 9)}  # of many effects at once, the least and the most
 SEEN = 0.02  # of an effect's length that must be left beside the geometry
-EXPLAINED = 0.5  # of the square of an effect outside the library, at most, by any one effect of it
-DRAWS = 20  # until that is so
+EXPLAINED = 0.5  # of the square of an effect outside the library, at most, by any one of it; in 20 draws or never
 
 
 def directions(truth: TrueArm, name: str, joint: int | None, rng: np.random.Generator) -> Values:
@@ -277,7 +276,7 @@ def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rn
     base, blocks = base_jacobian(truth, run), library_blocks(truth, run)
     ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
     blocks = [np.linalg.qr(block)[0] for block in np.split(off(base, np.hstack(blocks)), ends, axis=1)]
-    while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < DRAWS):
+    while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < 20):
         effect = random_effect((name,), truth, run, lam, rng, base)
         left = off(base, column(truth, run, effect))
         drawn.append((max(float(np.sum((left @ block) ** 2)) for block in blocks) / float(left @ left), effect))
@@ -325,15 +324,6 @@ def settings_of(effect: Drawn) -> dict[str, float]:
     """The settings of an effect of the library, as an arm file has them."""
     settings = {name: float(v) for name, v in effect[2].items() if name in ("k", "at", "tau", "width_deg")}
     return settings | ({"side": 1.0} if effect[0] == "base_step" else {})
-
-
-def parameters_of(effect: Drawn) -> dict[str, float]:
-    """The parameters of an effect of the library by the library's names, without settings."""
-    named: dict[str, float] = {}
-    for name, value in effect[2].items():
-        ends = [""] if np.ndim(value) == 0 else "xyz" if name in "vw" else range(1, len(value) + 1)
-        named |= {f"{name}{end}": float(one) for end, one in zip(ends, np.atleast_1d(value), strict=False)}
-    return {f"{key(effect)}.{name}": value for name, value in named.items() if name not in SHAPES}
 
 
 def place_of(effect: Drawn) -> str | None:

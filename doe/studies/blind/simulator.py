@@ -22,7 +22,6 @@ from identification import Array, Measurements
 
 G = 9.81
 UPRIGHT = np.array([0.0, 0.0, 1.0])
-MODEL_ERROR = 2.0  # [sigma] of a coordinate, of each posture, with noise `posture`
 OUTLIERS, OFF = 3, 15.0  # rows of a set that are wrong, and by how much [sigma]
 Values = dict[str, Any]
 Drawn = tuple[str, int | None, Values]  # an effect: its name, its joint from 1 and its values
@@ -439,7 +438,7 @@ def noise(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: st
         e = np.round((p + e) / sigma) * sigma - p
     elif kind == "posture":
         number = np.append(0, np.cumsum(np.any(np.diff(run.q, axis=0) != 0.0, axis=1)))
-        e += sigma * MODEL_ERROR * rng.standard_normal((m, d))[number]
+        e += 2.0 * sigma * rng.standard_normal((m, d))[number]  # one error of the model for each posture
     return e
 
 

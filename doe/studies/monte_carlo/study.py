@@ -209,11 +209,7 @@ def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
 
 
 # -- replications ------------------------------------------------------------------------------------------------------
-Z_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
-CHUNK = 20_000  # rows of random plans at a time: their arrays stay in the processor's cache
-SPACE = 3  # coordinates of a point
 MOST_ROWS = 4_000_000  # of one plan at a time: 64 MB of positions
-POSTURES = 100  # where two geometries are compared: three equations each for some forty parameters
 
 
 def in_file_units(postures: Array, joint_types: tuple[str, ...]) -> Array:
@@ -259,7 +255,8 @@ def true_values(model: Model, truth: Model) -> Array:
     values = model.parameters.mapping(model.parameters.vector(truth.best_known))
     if not model.arm.chain.planar:
         drawn, real = (Model(replace(each.arm, effects=())) for each in (model, truth))
-        postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (POSTURES, model.joints))
+        # three equations of each for some forty parameters
+        postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (100, model.joints))
         plan = plan_of(real, postures)
         same = estimate_batch(drawn, plan, real.position(plan.postures, conditions=plan.conditions)[None])
         values |= drawn.parameters.mapping(same.parameters[0])
@@ -316,7 +313,7 @@ def fits_of(cell: Cell, generator: np.random.Generator, total: int) -> tuple[Arr
         parameters, rss = map(np.concatenate, zip(*parts, strict=True))
         return parameters, rss, expected
     problem = DesignProblem.of(model)
-    for count in _sizes(total, CHUNK // rows):
+    for count in _sizes(total, 20_000 // rows):  # rows whose arrays stay in the processor's cache
         postures = random_postures(problem, count * cell.runs, generator).reshape(count, cell.runs, -1)
         noise = cell.sigma * generator.standard_normal((count, rows, model.dimension))
         every, conditions = rows_of(truth, postures, model.remembers)
@@ -351,7 +348,7 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
     turns = [*model.parameters.indices(JOINT_OFFSET).tolist(), *range(unknowns, len(transform))]
     errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
     stds = stds if len(stds) == 1 else stds[good]
-    distances = model.dimension <= SPACE  # the residuals of orientations are none
+    distances = model.dimension <= 3  # the residuals of orientations are none
     rms = float(np.sqrt(np.mean(rss[good]) / rows)) if len(errors) and distances else None
     fits = {"fits": len(errors), "failed": int(np.sum(~good)), "rms_mm": rms}
     reported = [(p.name, p.file_unit, p.to_file) for p in model.parameters]
@@ -371,6 +368,6 @@ def _figures(error: Array, std: Array) -> Row:
     return {
         "mean_error": mean,
         "squares": float(np.sum((error - mean) ** 2)),
-        "covered": int(np.sum(np.abs(error) <= Z_95 * std)),
+        "covered": int(np.sum(np.abs(error) <= 1.959963984540054 * std)),  # two-sided 95 % of the normal distribution
         "expected_std": float(std[0]) if std.size == 1 else float(np.sqrt(np.mean(std**2))),
     }

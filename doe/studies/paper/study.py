@@ -35,7 +35,6 @@ from identification import Array, InputError, JobError, Model, Progress, estimat
 from identification.files.io import check_writable, write_together
 from identification.simulate import simulate
 
-WRONG = 0.01  # relative; rounding in the paper explains less
 L = np.array(LENGTHS)
 LENGTHENED = L + LENGTH_ERRORS  # [mm]
 TURNED = np.cumsum(np.radians(JOINT_OFFSETS_DEG))  # orientation offsets [rad]
@@ -51,7 +50,8 @@ class Shown(NamedTuple):
     @property
     def confirmed(self) -> bool:
         """True if the numbers show both that the statement is wrong and that the correction is right."""
-        return bool(self.printed_error > WRONG and self.correct_error <= self.tolerance)
+        # rounding in the paper explains less than one per cent
+        return bool(self.printed_error > 0.01 and self.correct_error <= self.tolerance)
 
 
 Check = Callable[[np.random.Generator, int], Shown]  # by random plans, or so many simulated calibrations

@@ -36,7 +36,6 @@ LINKS = (2, 3, 4)
 LIMITED = "4 links within joint limits"
 ARM_NAMES = ("2 links", "3 links", "4 links", LIMITED)  # names of the arms of `table_3`
 RUNS = tuple(range(4, 21))  # the axis of Figure 2
-LAST_DIGIT = 0.001  # Table III and the text print three decimals
 ALERT = 4.5  # standard errors between simulation and theory; 100 rows from one fixed seed: 1 in 1,500 by chance
 
 
@@ -76,7 +75,7 @@ def agreement(printed: float | None, theory: float) -> str:
     """Whether a printed figure is ours to one unit of its last digit: 0.0276 is printed as 0.027 or as 0.028."""
     if printed is None:
         return "added"
-    return "agrees" if abs(printed - theory) < LAST_DIGIT else "erratum"
+    return "agrees" if abs(printed - theory) < 0.001 else "erratum"  # three decimals are printed
 
 
 # -- tables ------------------------------------------------------------------------------------------------------------

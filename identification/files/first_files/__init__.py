@@ -136,7 +136,12 @@ def _files(
     values = {**usual, "kind": kind, "columns": columns, "joints": n, "spatial": spatial, **values}
     loader = PackageLoader("identification.files", "first_files")
     environment = Environment(loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)
-    environment.filters |= {"toml": _toml, "printable": printable}
+
+    def toml(value: str | list[float]) -> str:
+        """As TOML, which accepts the numbers and escapes of JSON and has one more; read back to the last digit."""
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+    environment.filters |= {"toml": toml, "printable": printable}
     arm = f"arm_{'spatial' if spatial else 'planar'}.toml.j2"
     schema = json_schema("spatial" if spatial else "planar")
     return {
@@ -145,8 +150,3 @@ def _files(
         SCHEMA: json.dumps(schema, indent=1) + "\n",
         STEPS: environment.get_template("steps.j2").render(values),
     }
-
-
-def _toml(value: str | list[float]) -> str:
-    """As TOML, which accepts the numbers and escapes of JSON and has one more; read back to the last digit."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

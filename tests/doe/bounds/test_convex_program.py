@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds.weights import SETTINGS, smallest_eigenvalue_weights, solve_program
+from doe.bounds.column_generation import optimal_weights
+from doe.bounds.weights import SETTINGS, solve_program
 from doe.criteria import A, Criterion, D, E
 from doe.problem.problem import PriorInformation
 from identification.errors import JobError
@@ -35,7 +36,7 @@ def test_quadratic_regression(solver: str, criterion: Criterion, ends: float, mi
 
 def test_dual_of_the_smallest_eigenvalue_is_a_bound() -> None:
     """G >= 0 with unit trace, and max tr(G F_i) is not below the optimum 1/5 (Pukelsheim)."""
-    _, gradient = smallest_eigenvalue_weights(QUADRATIC, PriorInformation())
+    _, gradient = optimal_weights(QUADRATIC, E(), PriorInformation())
     assert np.linalg.eigvalsh(gradient)[0] >= -1e-12
     assert np.trace(gradient) == pytest.approx(1.0, abs=1e-12)
     largest = max(float(row @ gradient @ row) for row in QUADRATIC[:, 0])
@@ -52,7 +53,7 @@ def test_few_postures_of_many_parameters() -> None:
     the equal eigenvalues w_i s_i^2 = 1 / sum_i s_i^-2 of the mean."""
     sizes = np.array([1.0, 2.0, 0.5, 3.0])
     jacobians = np.kron(np.diag(sizes), np.eye(2)).reshape(4, 2, 8)
-    weights, _ = smallest_eigenvalue_weights(jacobians, PriorInformation())
+    weights, _ = optimal_weights(jacobians, E(), PriorInformation())
     np.testing.assert_allclose(weights, sizes**-2.0 / np.sum(sizes**-2.0), atol=1e-5)
     information = np.einsum("k,kda,kdb->ab", weights, jacobians, jacobians)
     assert np.linalg.eigvalsh(information)[0] == pytest.approx(1.0 / np.sum(sizes**-2.0), rel=1e-5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds.branch_and_bound import trigonometric_jacobian
+from doe.bounds.branch_and_bound import TrigonometricJacobian
 from identification.arm import Calibration, EffectSpec, Gravity
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 from tests.doe.regression import regression
@@ -37,7 +37,7 @@ def test_equals_the_jacobians(case) -> None:  # type: ignore[no-untyped-def]
     gradient = root @ root.T
     jacobians = case.scaled_jacobians(q)
     expected = 0.7 * np.einsum("kda,ab,kdb->k", jacobians, gradient, jacobians) + 3.0
-    found = trigonometric_jacobian(case)
+    found = TrigonometricJacobian.of(case)
     assert found is not None
     polynomial = found.sensitivity(gradient, 0.7, 3.0)
     assert polynomial.value(q) == pytest.approx(expected, rel=1e-11)
@@ -49,7 +49,7 @@ def test_base_model_has_a_wave_per_pair_of_links() -> None:
 
     doe/README.md, "Information matrix".
     """
-    found = trigonometric_jacobian(problem(FOUR))
+    found = TrigonometricJacobian.of(problem(FOUR))
     assert found is not None
     frequencies = {tuple(f) for f in found.sensitivity(np.diag(np.arange(1.0, 9.0)) + 1.0).frequencies}
     pairs = {tuple(int(j < c <= k) for c in range(4)) for j in range(4) for k in range(j + 1, 4)}
@@ -68,4 +68,4 @@ def test_base_model_has_a_wave_per_pair_of_links() -> None:
     ids=["gear ratio", "sign", "coupling", "regression"],
 )
 def test_others_are_not(case) -> None:  # type: ignore[no-untyped-def]
-    assert trigonometric_jacobian(case) is None
+    assert TrigonometricJacobian.of(case) is None

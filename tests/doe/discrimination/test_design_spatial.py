@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doe.discrimination.design import CLOUD, discrimination_design, off_the_limits, pool_of, turning
-from doe.discrimination.misidentification import effect_library
+from doe.discrimination.misidentification import EffectLibrary
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
@@ -52,7 +52,7 @@ def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
     choices = np.random.default_rng(points).uniform(arm.lower, arm.upper, (10, 3))
     problem = DesignProblem.of(Model(arm), choices=choices)
     found = discrimination_design(problem, arm, RUNS, loss=LOSS)
-    library = effect_library(arm)
+    library = EffectLibrary.of(arm)
     inner = library.shown_by_postures.model  # type: ignore[attr-defined]
     cloud = stacked(columns(inner, pool_of(problem, CLOUD, np.random.default_rng(0)), points))
     of_choices = columns(inner, choices, points)

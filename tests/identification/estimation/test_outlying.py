@@ -27,7 +27,7 @@ def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
     rng = np.random.default_rng(9)
     residual, columns = 7.0 * rng.normal(size=(4000, d)), rng.normal(size=(4000 * d, 5))
     blocks = column_space(columns, np.ones(5)).reshape(4000, d, -1)
-    squares = studentised(residual, blocks, np.ones(4000, dtype=bool))
+    squares = studentised(residual, blocks, np.ones(4000, dtype=bool), np.zeros((0, 5)), np.zeros(5))
     assert np.median(squares) == pytest.approx(chi2.median(d), rel=1e-9)
     assert np.mean(squares < chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
 
