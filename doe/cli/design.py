@@ -17,9 +17,7 @@ from identification.document import Answer
 from identification.workflow import Picture, Written
 
 if TYPE_CHECKING:
-    from doe.design import Design
-    from doe.problem.problem import DesignProblem
-    from identification import Arm
+    pass
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,8 @@ def command(
     from doe.plan.plan import plan_text
     from doe.problem.model import offers
     from doe.problem.uncertain import with_choices
-    from doe.report.design import design_document, missing_lines
+    from doe.report.design import design_document, discriminating_parts, missing_lines
+    from doe.solvers import solve
     from identification import load_arm
 
     for option, needed in (("loss", search.discriminating), ("draws", postures.uncertain)):
@@ -89,8 +88,15 @@ def command(
     problem = design_problem(loaded, criterion, postures, seed)
     if criterion.robust and search.solver in (None, "fedorov"):
         problem = with_choices(problem)
-    design, data, extra = _searched(problem, loaded, search, seed, progress)
-    extra += missing_lines(design) if not search.discriminating else []
+    effort = search.effort | {"seed": seed}
+    if search.discriminating:
+        from doe.discrimination.design import discrimination_design
+
+        chosen = discrimination_design(problem, loaded, search.runs, loss=search.loss, progress=progress, **effort)
+        design, data, extra = chosen.design, chosen.to_json(), discriminating_parts(chosen)
+    else:
+        design, data = solve(problem, search.runs, progress=progress, **effort), dict[str, Any]()
+        extra = [*missing_lines(design)]
     expected = tip_beside_random(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
@@ -108,19 +114,3 @@ def command(
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
     return with_collisions(Answer(design.to_json() | data, [design_document(design).plus(*extra)]), loaded)
-
-
-def _searched(
-    problem: DesignProblem, arm: Arm, search: SearchOptions, seed: int, progress: Progress
-) -> tuple[Design, dict[str, Any], list[Any]]:
-    """The design, with the JSON keys and tables that a discriminating design adds."""
-    from doe.solvers import solve
-
-    effort = search.effort | {"seed": seed}
-    if not search.discriminating:
-        return solve(problem, search.runs, progress=progress, **effort), {}, []
-    from doe.discrimination.design import discrimination_design
-    from doe.report.design import discriminating_parts
-
-    discriminating = discrimination_design(problem, arm, search.runs, loss=search.loss, progress=progress, **effort)
-    return discriminating.design, discriminating.to_json(), discriminating_parts(discriminating)

@@ -15,9 +15,7 @@ from identification.document import Answer
 from identification.workflow import Picture
 
 if TYPE_CHECKING:
-    from doe.design import Design
-    from doe.plan.plan import Plan
-    from identification import Arm, Detectability
+    from identification import Detectability
 
 
 ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
@@ -46,17 +44,35 @@ def command(
     picture : Draw the postures (.png, .svg, .pdf).
     force : Overwrite an existing file.
     """
+    from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
     from doe.plan.plan import load_plan
     from doe.problem.problem import DesignProblem
-    from doe.problem.uncertain import average_error
+    from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
-    from identification import Model, load_arm
+    from identification import Model, detectability, load_arm, without_prior
 
     loaded, criterion = load_arm(arm), CriterionOptions(robust=robust, missing=missing)
     loaded_plan = load_plan(plan, loaded.joint_types)
-    design = _scored(loaded, loaded_plan, plan, criterion, seconds)
-    sees, tables = _preflight(loaded, loaded_plan, plan, aliases)
+    bounded = design_problem(loaded, criterion)
+    if criterion.robust or bounded.choices is not None:
+        bounded = with_choices(bounded, loaded_plan.postures)
+    if len(loaded_plan) < bounded.fewest_runs:
+        need = f"allowed: at least {bounded.fewest_runs} for {bounded.parameters} parameters"
+        raise InputError(f"{plan}: {len(loaded_plan)} runs, {need}")
+    design = score_plan(bounded, loaded_plan, seconds=seconds)
+    if outside := design.outside:
+        counted = f"{len(outside)} of {len(loaded_plan)} runs are outside joint limits or constraints"
+        sentence = f"{plan}: {counted}, the first is run {outside[0]}: the bound does not apply"
+        warnings.warn(sentence, UserWarning, stacklevel=2)
+    sees: Detectability | None = None
+    try:
+        sees = detectability(without_prior(loaded), loaded_plan.postures)
+        tables: list[Any] = [*sees.document().parts]
+    except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
+        if aliases is not None:
+            raise InputError(f"--aliases: {plan}: {reason}") from reason
+        tables = [f"missing effects: {reason}"]
     pictures: dict[Path | None, Content] = {picture: lambda: plan_drawing(loaded, loaded_plan.postures)}
     problem = DesignProblem.of(Model(loaded))
     indices, values = observability(problem, loaded_plan.postures), criterion_values(problem, loaded_plan.postures)
@@ -73,34 +89,3 @@ def command(
     written(pictures if sees is None else pictures | {aliases: sees.figure}, force)
     document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
     return with_collisions(Answer(data, [document]), loaded)
-
-
-def _scored(arm: Arm, plan: Plan, path: Path, criterion: CriterionOptions, seconds: float) -> Design:
-    """The plan as a `Design`. Raises `InputError` for too few runs; warns of runs that the arm cannot reach."""
-    from doe.design import score_plan
-    from doe.problem.uncertain import with_choices
-
-    problem = design_problem(arm, criterion)
-    if criterion.robust or problem.choices is not None:
-        problem = with_choices(problem, plan.postures)
-    if len(plan) < problem.fewest_runs:
-        need = f"allowed: at least {problem.fewest_runs} for {problem.parameters} parameters"
-        raise InputError(f"{path}: {len(plan)} runs, {need}")
-    design = score_plan(problem, plan, seconds=seconds)
-    if design.outside:
-        outside = f"{len(design.outside)} of {len(plan)} runs are outside joint limits or constraints, the first is run"
-        warnings.warn(f"{path}: {outside} {design.outside[0]}: the bound does not apply", UserWarning, stacklevel=2)
-    return design
-
-
-def _preflight(arm: Arm, plan: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
-    """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
-    from identification import detectability, without_prior
-
-    try:
-        sees = detectability(without_prior(arm), plan.postures)
-    except InputError as error:  # too few runs to test for effects: a property of the plan, not bad input
-        if aliases is not None:
-            raise InputError(f"--aliases: {path}: {error}") from error
-        return None, [f"missing effects: {error}"]
-    return sees, [*sees.document().parts]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from doe.plan.plan import Plan
-from doe.report.design import design_verdict, plan_actions, plan_section
+from doe.report.design import design_verdict, plan_section
 from identification import Arm, Campaign, read_plan
 from identification.document import Action, Section
 
@@ -49,4 +49,11 @@ class PlannedCampaign(Campaign):
         """From a plan to a calibration."""
         fits = [plan.fit for plan, _ in self.plans.values()]
         fits += [design.get("fit") or "" for design in self.results["design"].values()]
-        return plan_actions(arm, next(iter(self.plans), "plan.csv"), next(iter(fits), ""))
+        plan, fit = next(iter(self.plans), "plan.csv"), next(iter(fits), "")
+        why = ", as the plan is meant: what it promises is of this fit" if fit else ""
+        identify = f"armcal identify {arm} data.csv{fit and f' --{fit}'} --out calibrated.toml"
+        return [
+            Action(f"Measure the postures of {plan}, and write the positions beside the angles (armcal help formats)."),
+            Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
+            Action(f"Identify the arm{why}:", identify),
+        ]

@@ -37,8 +37,17 @@ def demo_document(demo: Demo) -> Document:
         ),
         Action("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
+    within = " and the tracker's view" if demo.arm.constraints else ""
+    chosen = f"Chosen within the joint limits{within}. {design_verdict(demo.design.to_json())}"
+    certificate = (
+        "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
+        "the largest d found at each angle of a joint; dots are the plan's postures."
+    )
+    postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain.planar else (128, 25)
+    picture = Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])
+    sections += [plan_section(demo.arm, demo.design.plan, lead=chosen), Section("The certificate", [picture])]
     verdict = [*diagnosed.verdict, demo_summary(demo)]
-    return Document(f"armcal demo: {demo.scenario.title}", verdict, [*sections, *plan_sections(demo)], actions)
+    return Document(f"armcal demo: {demo.scenario.title}", verdict, sections, actions)
 
 
 def last_model(demo: Demo) -> str:
@@ -104,22 +113,6 @@ def truth_tables(demo: Demo) -> list[Sheet]:
     return [
         Sheet(("parameter", "value", "low 95 %", "high 95 %", "truth", "unit"), rows),
         Sheet(("checked against the hidden arm, without noise", "RMS [mm]"), misses),
-    ]
-
-
-def plan_sections(demo: Demo) -> list[Section]:
-    """Where to measure, and how good that is."""
-    within = " and the tracker's view" if demo.arm.constraints else ""
-    lead = f"Chosen within the joint limits{within}. {design_verdict(demo.design.to_json())}"
-    certificate = (
-        "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
-        "the largest d found at each angle of a joint; dots are the plan's postures."
-    )
-    postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain.planar else (128, 25)
-    picture = Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])
-    return [
-        plan_section(demo.arm, demo.design.plan, lead=lead),
-        Section("The certificate", [picture]),
     ]
 
 

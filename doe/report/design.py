@@ -16,7 +16,7 @@ from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
 from identification import EFFECT, Array, Model
-from identification.document import Action, Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
+from identification.document import Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -197,16 +197,6 @@ def criteria_lines(data: Data) -> list[str]:
     indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
     every = f"every criterion, the larger the better: {figures} (I: {tip}; Ds: what is in mm)"
     return [every, f"observability indices: {indices}"]
-
-
-def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv", fit: str = "") -> list[Action]:
-    """From a plan to a calibration;  fit : of the plan"""
-    why = ", as the plan is meant: what it promises is of this fit" if fit else ""
-    return [
-        Action(f"Measure the postures of {plan}, and write the positions beside the angles (armcal help formats)."),
-        Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
-        Action(f"Identify the arm{why}:", f"armcal identify {arm} data.csv{fit and f' --{fit}'} --out calibrated.toml"),
-    ]
 
 
 # -- a plan to step through --------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document
 from identification.documents.identification import DRAWN
-from identification.documents.use import FITTED, HARDLY, validation_sections, validation_verdict
+from identification.documents.use import BY_CHANCE, FITTED, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.expected_tip import left_out_residuals
@@ -162,7 +162,7 @@ class Validation:
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
-        notes = [note for note in self.notes if HARDLY not in note]
+        notes = [note for note in self.notes if BY_CHANCE not in note]
         parts = validation_sections(data, "" if self.arm.chain.planar else ", measured points")
         return Document("Validation", [validation_verdict(data), *notes], parts)
 
@@ -270,7 +270,7 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
     if gained.value > 0.0 and gained.p_above() > LEVEL / 2.0:
         share = 100.0 * validation.model.rms / validation.nominal.rms
         of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
-        yield f"the model leaves {of_drawing}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"
+        yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell (p = {gained.p_above():.2g})"
     if angles := validation.rms_angles:
         yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
     out = outside(arm, measurements.postures)

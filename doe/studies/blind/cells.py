@@ -254,7 +254,10 @@ def values_of(truth: TrueArm) -> dict[str, float]:
         for j, (length, offset) in enumerate(errors, start=1):
             values |= {f"length_error:{j}": float(length), f"joint_offset:{j}": float(offset)}
     for effect in truth.effects:
-        values |= drawn.parameters_of(effect)
+        for name, value in ((name, value) for name, value in effect[2].items() if name not in simulator.SHAPES):
+            ends = [""] if np.ndim(value) == 0 else "xyz" if name in "vw" else range(1, len(value) + 1)
+            parts = zip(ends, np.atleast_1d(value), strict=False)
+            values |= {f"{drawn.key(effect)}.{name}{end}": float(part) for end, part in parts}
     return values
 
 

@@ -326,15 +326,6 @@ def settings_of(effect: Drawn) -> dict[str, float]:
     return settings | ({"side": 1.0} if effect[0] == "base_step" else {})
 
 
-def parameters_of(effect: Drawn) -> dict[str, float]:
-    """The parameters of an effect of the library by the library's names, without settings."""
-    named: dict[str, float] = {}
-    for name, value in effect[2].items():
-        ends = [""] if np.ndim(value) == 0 else "xyz" if name in "vw" else range(1, len(value) + 1)
-        named |= {f"{name}{end}": float(one) for end, one in zip(ends, np.atleast_1d(value), strict=False)}
-    return {f"{key(effect)}.{name}": value for name, value in named.items() if name not in SHAPES}
-
-
 def place_of(effect: Drawn) -> str | None:
     """Where an effect outside the library may be said to be, alternatives between ` or `; None: nowhere is right."""
     name, joint, v = effect

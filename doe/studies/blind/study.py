@@ -175,6 +175,14 @@ def said_of(data: DataSet, diagnosis: Diagnosis) -> Row:
     """What a diagnosis of a data set says, by its public results, and how well the model that it writes does."""
     arm, verdict, chances = diagnosis.extended_arm(), diagnosis.verdict, diagnosis.probabilities
     of_nothing = verdict in ("none", "unknown")
+    named, calibration = diagnosis.named, diagnosis.named.calibration
+    assert calibration.covariance is not None  # a diagnosis has one
+    half = quantile_95(named.freedom) * np.sqrt(np.diag(calibration.covariance))
+    values = [calibration.values[name] for name in calibration.parameter_names]
+    limits = {n: (v - h, v + h) for n, v, h in zip(calibration.parameter_names, values, half, strict=True)}
+    units = {p.name: p.to_file for p in Model(diagnosis.extended_arm(named)).parameters}
+    limits |= {p.name: (p.low_95 / units[p.name], p.high_95 / units[p.name]) for p in named.parameters}
+    low, high = zip(*limits.values(), strict=True)
     return {
         "verdict": verdict,
         "named": sorted(diagnosis.named.keys),
@@ -184,7 +192,9 @@ def said_of(data: DataSet, diagnosis: Diagnosis) -> Row:
         "where": diagnosis.where,
         "outlier_rows": list(diagnosis.outlier_rows),
         "scatter": [finding.name for finding in diagnosis.scatter],
-        **_intervals(diagnosis),
+        "interval_of": list(limits),  # of base and effects [API units]
+        "low_95": list(low),
+        "high_95": list(high),
         "gap_before_mm": diagnosis.gap.held_out_before,
         "gap_named_mm": diagnosis.gap.held_out_after,
         "gap_promised_mm": diagnosis.gap.predicted,
@@ -193,23 +203,6 @@ def said_of(data: DataSet, diagnosis: Diagnosis) -> Row:
         "confirmed": diagnosis.confirmed,
         "contradictions": contradictions(diagnosis.to_json()),
     }
-
-
-def _intervals(diagnosis: Diagnosis) -> Row:
-    """95 % limits of base and effects [API units]."""
-    named = diagnosis.named
-    covariance = named.calibration.covariance
-    assert covariance is not None  # a diagnosis has one
-    half = quantile_95(named.freedom) * np.sqrt(np.diag(covariance))
-    values = named.calibration.values
-    limits = {
-        name: (values[name] - h, values[name] + h)
-        for name, h in zip(named.calibration.parameter_names, half, strict=True)
-    }
-    units = {p.name: p.to_file for p in Model(diagnosis.extended_arm(named)).parameters}
-    limits |= {p.name: (p.low_95 / units[p.name], p.high_95 / units[p.name]) for p in named.parameters}
-    low, high = zip(*limits.values(), strict=True)
-    return {"interval_of": list(limits), "low_95": list(low), "high_95": list(high)}
 
 
 def _measured_further(data: DataSet, diagnosis: Diagnosis, number: int) -> Row:
