@@ -67,9 +67,9 @@ class Advice:
         reached = (d for d in self.designs if (std := self.accuracy(d)) is not None and std <= self.target)
         return min(reached, key=lambda d: len(d.plan), default=None)
 
-    def efficient_runs(self, efficiency: float = 0.999) -> tuple[int, ...]:
-        """Numbers of runs whose plan is at the bound: efficiency at least `efficiency`."""
-        return tuple(len(d.plan) for d in self.designs if d.efficiency is not None and d.efficiency >= efficiency)
+    def efficient_runs(self) -> tuple[int, ...]:
+        """Numbers of runs whose plan is at the bound: efficiency at least 0.999."""
+        return tuple(len(d.plan) for d in self.designs if d.efficiency is not None and d.efficiency >= 0.999)
 
     def to_json(self) -> dict[str, Any]:
         """One row per number of runs, and the smallest number for the target."""

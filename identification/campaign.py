@@ -117,7 +117,8 @@ class Campaign:
         instrument = arm.chain.instrument
         read = ((c.name, c.quantity) for c in (*TRACKER.coordinates[:1], *instrument.coordinates[:1]))
         columns = [f"{axis}_{unit}" for axis, quantity in read for unit in UNITS[quantity]]
-        if instrument.contact or any(column in table for column in columns):  # plans of contacts no command writes
+        touched = instrument.contact and "run" not in table  # a plan: postures and no reading, too
+        if touched or any(column in table for column in columns):
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
         return self.read_other(path, arm)

@@ -133,6 +133,13 @@ class Spectrum:
         """(p, rank) whose product with its transpose is the covariance; J @ root has orthonormal columns."""
         return self.estimable / self.values[: self.rank] / self.lengths[:, None]
 
+    def determined(self, jacobian: Array) -> float:
+        """How many of p parameters the data determine, a prior the rest: tr J (J^T J + R^T R)^-1 J^T.
+
+        jacobian : (N, p) rows J of the data alone; the prior's R are in this decomposition, too
+        """
+        return float(np.sum(np.square(jacobian @ self.root)))
+
 
 def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, prior: Array | None = None) -> Spectrum:
     """Decomposes a Jacobian (m, d, p) or (rows, p), whose rows may carry weights.
@@ -157,14 +164,6 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, 
         least = np.min(strengths, initial=np.inf, where=significant(strengths, rounding_share(p)))
         tolerance = float(np.clip(0.1 * least / values[0], rounding_share(p), tolerance))
     return Spectrum(lengths, values, turned.T, p).truncated(tolerance)
-
-
-def effective_count(jacobian: Array, prior: Array, scales: Array) -> float:
-    """How many of p parameters the data determine, the prior the rest: tr J (J^T J + R^T R)^-1 J^T.
-
-    jacobian : (N, p) of the data alone;  prior : (r, p) its rows R, in the same units;  scales : (p,)
-    """
-    return float(np.sum(np.square(jacobian @ spectrum(jacobian, scales, prior=prior).root)))
 
 
 def covariance(jacobian: Array, scales: Array, sigma: float = 1.0) -> Array:

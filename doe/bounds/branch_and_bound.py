@@ -34,8 +34,6 @@ from numpy.typing import NDArray
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array
 
-BATCH = 2048  # boxes examined together
-
 
 @dataclass(frozen=True)
 class Maximum:
@@ -189,7 +187,7 @@ def maximum(
     boxes, discarded_bound = 0, -np.inf
     while len(center) and boxes < most_boxes and not stop():
         order = np.argsort(-promise)
-        now, later = order[:BATCH], order[BATCH:]
+        now, later = order[:2048], order[2048:]  # examined together
         boxes += len(now)
         shrunk = polynomial.shrink(center[now], half[now])
         point, bound = polynomial.bound(*shrunk)

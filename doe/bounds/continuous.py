@@ -20,7 +20,6 @@ from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDe
 from identification import Array
 from identification.newton_ascent import newton_ascent
 
-LANDMARKS = 2187  # 3^7: limits and middle of seven joints
 CLIMBERS = 64
 # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
 # the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
@@ -65,10 +64,11 @@ class ContinuousSet:
         """(k, n) limits and middles of the joints that matter, and random postures, those that are feasible."""
         problem, generator = self.problem, np.random.default_rng(0)
         active, middle = list(problem.active_joints), 0.5 * (problem.lower + problem.upper)
-        if 3 ** len(active) <= LANDMARKS:
+        most = 3**7  # limits and middle of seven joints
+        if 3 ** len(active) <= most:
             places = np.array(list(product(range(3), repeat=len(active))), dtype=int)
         else:
-            places = generator.integers(0, 3, (LANDMARKS, len(active)))
+            places = generator.integers(0, 3, (most, len(active)))
         landmarks = np.tile(middle, (len(places), 1))
         landmarks[:, active] = np.stack([problem.lower, problem.upper, middle])[places, active]
         also = [] if self.also is None else [np.atleast_2d(self.also)]

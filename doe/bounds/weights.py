@@ -39,7 +39,6 @@ from identification import Array, InputError, JobError
 from identification.information import CLEAR, PRODUCT_TOLERANCE, significant
 from identification.vectorize import PART
 
-FRACTION = 0.99  # of the way to the boundary w = 0, s = 0
 POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
 
 
@@ -80,7 +79,7 @@ def interior_point_weights(
         dnu = float(right[:, 0].sum() / right[:, 1].sum())
         dw = right[:, 0] - dnu * right[:, 1]
         ds = curvature @ dw + dnu - residual
-        step = min(1.0, FRACTION * _to_boundary(w, dw), FRACTION * _to_boundary(s, ds))
+        step = min(1.0, 0.99 * min(_to_boundary(w, dw), _to_boundary(s, ds)))
         w, s, nu = w + step * dw, s + step * ds, nu + step * dnu
         w = w / w.sum()
         gradient, g = judged(w)

@@ -127,9 +127,7 @@ class RivalPredictions:
         return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians, right)
 
     @classmethod
-    def of_problems(
-        cls, rivals: Sequence[tuple[DesignProblem, Array, float]], postures: Array, right: float = 1.0
-    ) -> RivalPredictions:
+    def of_problems(cls, rivals: Sequence[tuple[DesignProblem, Array, float]], postures: Array) -> RivalPredictions:
         """Of any models at postures (N, n), each in a problem, with the covariance (p, p) of its values, fitted to the
         data at hand, and its -2 log odds, as the BIC is; sigma is that of the first."""
         sigma = rivals[0][0].model.sigma
@@ -142,7 +140,7 @@ class RivalPredictions:
             jacobians.append(jacobian @ _root(covariance, problem.model.parameters.scales) / sigma)
         delta = np.array([odds for _, _, odds in rivals])
         weights = np.exp(-0.5 * (delta - delta.min()))
-        return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians, right)
+        return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians)
 
     def noncentrality(self, chosen: list[int]) -> tuple[Array, Array]:
         """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""

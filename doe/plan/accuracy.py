@@ -191,10 +191,6 @@ def criterion_values(problem: DesignProblem, postures: Array) -> dict[str, float
 
 
 # -- error of the tip --------------------------------------------------------------------------------------------------
-PLANS = 50  # random plans that a plan is compared with
-POOL = 2000  # postures that they are drawn from
-
-
 @dataclass(frozen=True)
 class TipError:
     """Root mean square distances [mm].
@@ -305,7 +301,7 @@ class TipErrors:
 class ExpectedTip:
     """What a plan promises beside random ones, where the arm may have what its model lacks: RMS distances [mm].
 
-    plan : if fitted as the plan says;  random : (`PLANS`,) of random plans of as many runs, fitted in the same way
+    plan : if fitted as the plan says;  random : (50,) of random plans of as many runs, fitted in the same way
     fit : `library-prior`, or empty: least squares
     """
 
@@ -328,9 +324,8 @@ class ExpectedTip:
         """One sentence, or two."""
         fit = f"fitted by armcal identify --{self.fit}" if self.fit else "fitted without them"
         where = f"Expected error of the tip if the arm has effects and error curves that its file does not name ({fit})"
-        figures = (
-            f"{self.plan:.3g} mm by this plan, {np.median(self.random):.3g} mm by the median of {PLANS} random ones"
-        )
+        others = f"{np.median(self.random):.3g} mm by the median of {len(self.random)} random ones"
+        figures = f"{self.plan:.3g} mm by this plan, {others}"
         share = f"better than {100.0 * self.better_than:.0f} % of them"
         if self.better_than > 0.5:  # else it is not worth its search
             return f"{where}: {figures}; {share}."
@@ -340,11 +335,12 @@ class ExpectedTip:
 
 def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) -> ExpectedTip | None:
     """What a plan (m, n) promises beside random ones; None where no sizes are known or none are counted, and for more
-    runs than `POOL`, of which random plans are all alike.
+    runs than 2000, of which random plans are all alike.
 
     problem : that the plan was chosen for, robust or not
     """
-    if len(postures) > POOL:
+    plans, most = 50, 2000  # random plans that it is compared with, and postures that they are drawn from
+    if len(postures) > most:
         return None
     if problem.missing:
         at, everywhere = problem.criterion, replace(problem, choices=None) if problem.sampled else problem
@@ -360,6 +356,6 @@ def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) ->
     if problem.choices is not None and not problem.sampled:
         pool = listed_candidates(problem, problem.choices).postures
     else:
-        pool = random_postures(problem, min(PLANS * m, POOL), generator)
-    plans = [pool[generator.choice(len(pool), m, replace=len(pool) < m)] for _ in range(PLANS)]
-    return ExpectedTip(judge(postures), np.array([judge(plan) for plan in plans]), problem.fit)
+        pool = random_postures(problem, min(plans * m, most), generator)
+    rows = [generator.choice(len(pool), m, replace=len(pool) < m) for _ in range(plans)]
+    return ExpectedTip(judge(postures), np.array([judge(pool[chosen]) for chosen in rows]), problem.fit)

@@ -21,7 +21,6 @@ from identification import Array, information_matrix
 
 ROUNDING = 1.0 + 1e-9
 CHUNK = 10_000_000  # pairs of rows to compare one by one
-REACH = 3  # multiples of the minimum distance that a posture may be moved by, in each of a few joints
 
 
 def free_values(problem: DesignProblem) -> Array:
@@ -135,8 +134,8 @@ def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
 
 
 def around(problem: DesignProblem, posture: Array) -> Array:
-    """(k, n) postures within the limits that differ by multiples of the minimum distance in up to two joints."""
-    sizes = problem.minimum_distance * ROUNDING * np.array([s for s in range(-REACH, REACH + 1) if s])
+    """(k, n) postures within the limits that differ by up to 3 times the minimum distance in up to two joints."""
+    sizes = problem.minimum_distance * ROUNDING * np.array([-3, -2, -1, 1, 2, 3])
     units = (problem.joint_units * np.eye(problem.joints))[list(problem.searched_joints)]
     moves = [size * unit for unit in units for size in sizes]
     pairs = [a + b for a, b in product(moves, moves) if np.count_nonzero(a + b) == 2]
@@ -181,17 +180,14 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.ra
 
 
 # -- additions ---------------------------------------------------------------------------------------------------------
-PLACES = 2000  # random postures, of which half have each joint at a limit with probability one half
-
-
 def with_additions(problem: DesignProblem, plan: Array, count: int, generator: np.random.Generator) -> Array | None:
     """(m + count, n) the plan (m, n) and, one by one, the postures that add most; None where none more is allowed."""
     longer = np.array(plan)
     if problem.choices is not None:
         places = listed_candidates(problem, problem.choices).postures
-    else:  # random allowed postures, many of them at limits
-        anywhere = random_postures(problem, PLACES, generator)
-        half = anywhere[: PLACES // 2]
+    else:  # random allowed postures, and half of them once more with each joint at a limit with probability one half
+        anywhere = random_postures(problem, 2000, generator)
+        half = anywhere[:1000]
         nearer = np.where(half < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
         places = np.concatenate([anywhere, np.where(generator.random(half.shape) < 0.5, nearer, half)])
     for _ in range(count):

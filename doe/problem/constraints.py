@@ -28,7 +28,6 @@ COLLISIONS = (
     "Collisions were not looked at, neither of the arm with itself nor with what is around it: try each posture "
     "slowly, or let armcal design --candidates FILE choose from postures that you allow."
 )
-ANYWHERE = 1e6  # [mm] a side that the arm file leaves out
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
 POINTER = 100.0  # [mm] from the reflector to the point that tells where it looks
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
@@ -52,7 +51,7 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
         if limit.kind == "joint_limits":
             made.append(WithinColumn(limit, model.reach if model.joint_types[limit.joint - 1] == REVOLUTE else 1.0))
         elif limit.kind == "workspace_box":
-            sides = [limit.x, limit.y, limit.z or (-ANYWHERE, ANYWHERE)][:space]
+            sides = [limit.x, limit.y, limit.z or (-1e6, 1e6)][:space]  # [mm] for a side that the arm file leaves out
             made.append(InsideBox(model, tuple(side[0] for side in sides), tuple(side[1] for side in sides)))
         elif limit.kind == "keep_out_cylinder":
             made.append(OutsideCylinder(model, limit))

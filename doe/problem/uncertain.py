@@ -135,13 +135,11 @@ def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) 
     return missing(names, 24.0)
 
 
-def robust_problem(
-    problem: DesignProblem, missing: Any = None, criterion: Criterion | None = None, poses: Array | None = None
-) -> DesignProblem:
-    """The same design space for an arm that may have these effects too.
+def robust_problem(problem: DesignProblem, missing: Any = None, poses: Array | None = None) -> DesignProblem:
+    """The same design space for an arm that may have these effects too, with criterion I: the mean squared error of the
+    tip over `poses`, with the estimated effects in the model.
 
     missing : None: all that postures can show, `missing_effects`
-    criterion : None: I, the mean squared error of the tip over `poses`, with the estimated effects in the model
     poses : (k, n) where the tip is needed, None: the `workspace`
     """
     added = missing_effects(problem) if missing is None else missing
@@ -150,7 +148,7 @@ def robust_problem(
     wide = replace(problem, model=model, deviations={**problem.deviations, **deviations}, fit="library-prior")
     poses = workspace(wide) if poses is None else poses
     wide = replace(wide, beyond=beyond(poses))
-    return replace(wide, criterion=average_error(wide, poses) if criterion is None else criterion)
+    return replace(wide, criterion=average_error(wide, poses))
 
 
 def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignProblem:

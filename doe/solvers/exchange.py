@@ -256,8 +256,6 @@ class ListBatch(Batch):
 
 
 # -- with a climb ------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class ExchangeIpopt:
     """Exchange in batches; the best plans of each batch are polished by IPOPT. Every second batch varies the best.

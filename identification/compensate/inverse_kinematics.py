@@ -29,11 +29,9 @@ MAX_ITERATIONS = 60
 SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
 QUICK = 20  # iterations at first: 99 of 100 seeds that reach a target have reached it, the others creep along limits,
 # and for a target out of reach damped least squares often end 1 % too far
-GLANCED, PROMISING = 256, 6  # random postures of a redundant arm, and how many of them are tried at first
 MISSED = 1e3  # a rank from which a target is not reached, or constraints are missed
 CHUNK = 1_000  # targets at a time, times SEEDS starts
 BEND = 1e-7  # [rad] of a joint, for second derivatives
-INSIDE = 0.01  # [mm] how far inside its constraints such a posture is aimed at
 WITNESSES = 6  # postures at a target that must agree before it counts as barred, and seeds that are tried for them
 SAME = 0.01  # of what is missed: margins that differ by less are those of the target, whatever the posture
 
@@ -119,7 +117,7 @@ def best_of_seeds(
     for others: a search of few takes nearly as long as one of many.
     """
     arm, generator = model.arm, np.random.default_rng(0)  # the same postures for the same question
-    seeds = generator.uniform(arm.lower, arm.upper, (GLANCED, arm.links))
+    seeds = generator.uniform(arm.lower, arm.upper, (256, arm.links))
     redundant = conditions.orientation is None and arm.links > goals.shape[1]
     promising = _promising(model, seeds) if redundant else None
     search = _Search(model, goals, near, conditions, constraints, seeds[:SEEDS], redundant)
@@ -223,7 +221,7 @@ def _ends(values: Array, counted: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 
 def _promising(model: Model, seeds: Array) -> Callable[[Array, Array], Array]:
-    """Of goals (k, d) and postures (k, n), the (k, `PROMISING`, n) of random postures (s, n) of a redundant arm whose
+    """Of goals (k, d) and postures (k, n), the (k, 6, n) of random postures (s, n) of a redundant arm whose
     linear steps to the goals end nearest to the postures."""
     scale = metric(model) / model.reach
     positions, jacobians = linearization(model, Conditions())(seeds, np.arange(len(seeds)))
@@ -233,7 +231,7 @@ def _promising(model: Model, seeds: Array) -> Callable[[Array, Array], Array]:
         steps = np.einsum("snd,ksd->ksn", shortest, goals[:, None] - positions)
         ends = np.clip(seeds + steps, model.arm.lower, model.arm.upper)
         distances = np.linalg.norm((ends - near[:, None]) * scale, axis=2)
-        return np.asarray(seeds[np.argsort(distances, axis=1, kind="stable")[:, :PROMISING]])
+        return np.asarray(seeds[np.argsort(distances, axis=1, kind="stable")[:, :6]])
 
     return promising
 
@@ -263,10 +261,10 @@ def _turned_away(
 
 
 def _missed(constraint: PostureCondition, postures: Array, bends: Array) -> tuple[Array, Array]:
-    """(k, c) by how much postures (k, n) are not `INSIDE` the margins of a constraint, and (k, c, n) derivatives of the
-    margins that they miss, by differences of `bends` (n,)."""
+    """(k, c) by how much postures (k, n) are not 0.01 mm inside the margins of a constraint, and (k, c, n) derivatives
+    of the margins that they miss, by differences of `bends` (n,)."""
     margins = constraint.margin(postures)
-    missed = np.maximum(INSIDE - margins, 0.0)
+    missed = np.maximum(0.01 - margins, 0.0)
     slopes, n = np.zeros((*margins.shape, len(bends))), len(bends)
     rows = np.flatnonzero(missed.any(axis=1))
     bent = constraint.margin((postures[rows, None] + np.diag(bends)).reshape(-1, n))

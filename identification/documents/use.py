@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]  # what a command says with --json
 
 FITTED = "these are the measurements that the model was identified from: this says nothing about others"
-HARDLY = "hardly better"  # said of a gain within what the rows scatter by
+BY_CHANCE = "may be chance"  # said of a gain within what the rows scatter by
 
 
 # -- armcal validate ---------------------------------------------------------------------------------------------------
@@ -47,14 +47,14 @@ def validation_verdict(data: Mapping[str, Any], model: str = "the model", rows: 
     figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
     most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
     gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
-    worth = f"{'no better' if gain <= 0.0 else HARDLY} than the drawing"
-    worth = f"{100.0 * gain:.0f} % of the error is removed" if is_better(data) else worth
+    worth = "no better than the drawing" if gain <= 0.0 else f"{100.0 * gain:.0f} % of the error is removed"
+    worth += f", which {BY_CHANCE}" if gain > 0.0 and not is_better(data) else ""
     return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
 
 
 def is_better(data: Mapping[str, Any]) -> bool:
     """Whether the model is better than the drawing, by more than the rows scatter."""
-    return data["rms_mm"] < data["rms_nominal_mm"] and not any(HARDLY in note for note in data["notes"])
+    return data["rms_mm"] < data["rms_nominal_mm"] and not any(BY_CHANCE in note for note in data["notes"])
 
 
 def validation_sections(data: Mapping[str, Any], points: str = "") -> list[Section]:

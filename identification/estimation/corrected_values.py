@@ -223,7 +223,9 @@ def _spatial(arm: Arm, chain: KinematicChain, values: Values, names: Collection[
 
 
 def _own_values(arm: Arm, values: Values) -> Iterator[_Quantity]:
-    """Of the instrument."""
+    """Of the instrument, where they were estimated: what the arm file says of them is where fits start."""
+    if not all(p.name in values for p in arm.chain.instrument.parameters):
+        return
     for name, parameter, value, slopes, unit, convention in arm.chain.instrument.own_values(values):
         yield _Quantity(name, parameter, None, value, slopes, unit, convention)
 

@@ -125,7 +125,7 @@ def estimate_with_prior(
         Problem.of(model, measurements, sigma, weights, prior), zeros
     )
     decomposed = spectrum(jacobian, model.scales, problem.tolerance, problem.prior_rows)
-    determined = float(np.sum(np.square(jacobian @ decomposed.root)))  # tr J (J^T J + R^T R)^-1 J^T
+    determined = decomposed.determined(jacobian)
     fit = identification(problem, measurements, "gauss_newton", solution, decomposed, determined)
     far = (*fit.doubts, *far_from_drawing(model.arm.machining, *widths))
     fit = replace(fit, prior=problem.prior, machining_factor=widths[0] if model.prior else None, doubts=far)

@@ -128,7 +128,8 @@ def hardly_determined(fit: Identification) -> list[str]:
         return [f"{FEW}: {doubt}{was}. Measure more postures{size_left_open(fit.model.arm)}"]
     if far_off:
         doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
-        return [f"away from the postures measured {doubt}. Keep near these postures, or measure others"]
+        remedy = f"Keep near these postures, or measure others{size_left_open(fit.model.arm)}"
+        return [f"away from the postures measured {doubt}. {remedy}"]
     return []
 
 

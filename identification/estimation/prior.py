@@ -25,7 +25,7 @@ from scipy.special import chdtrc, fdtrc
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
-from identification.information import PRODUCT_TOLERANCE, effective_count, product_inverse, significant
+from identification.information import PRODUCT_TOLERANCE, product_inverse, significant, spectrum
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
 ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
-AS_STATED = (1.0, 1.0)
 LEAST = 1e-12  # [mm] of noise: data without any
 LEVEL = 0.01  # of a contradiction that is said
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
@@ -215,7 +214,7 @@ def likeliest(linearized: LinearProblem) -> tuple[float, tuple[float, float]]:
     scatter = float(np.linalg.norm(target)) / np.sqrt(max(spare, 1))  # without all that has a prior
     unit = 1.0 if has_sigma else max(scatter, 1e-12)
     if spare == 0:
-        return unit, AS_STATED
+        return unit, (1.0, 1.0)
     least, largest = unit if has_sigma else unit / LARGEST, unit if sigma_holds else LARGEST * unit
 
     def fitted(widths: tuple[float, float], share: float) -> tuple[float, float]:
@@ -269,7 +268,8 @@ def _noise_without_earlier(about: LinearProblem) -> tuple[float, float]:
     has_sigma, holds = problem.sigma is not None, problem.reliance == "given"
     noise, spare = 1.0 if has_sigma or holds else problem.noise, 0.0
     for _ in range(0 if holds else 3):  # rounds of noise and of what the machining's prior is worth beside it
-        spare = problem.equations - effective_count(about.jacobian, alone.rows(model.parameters, noise), model.scales)
+        decomposed = spectrum(about.jacobian, model.scales, prior=alone.rows(model.parameters, noise))
+        spare = problem.equations - decomposed.determined(about.jacobian)
         if spare < 1.0:
             break
         noise = max(float(np.sqrt(about.squares(alone, noise) * noise**2 / spare)), 1.0 if has_sigma else LEAST)

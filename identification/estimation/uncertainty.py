@@ -34,7 +34,6 @@ from identification.measurements import Measurements
 # reasons: identification/README.md, "Covariance and intervals"
 BELIEVED = (0.1, 0.99)  # p-values of chi2 between which intervals rely on the sigma that is given
 LEVEL = 0.01  # of misfit that is said, of lack of fit and of serial correlation
-NORMAL_99 = 2.3263478740408408  # one-sided, of `LEVEL`
 FEWEST = 2.0  # degrees of freedom: with no more, Student's t has no variance
 FREEDOM = "interval_dof"  # key of a calibration's provenance
 
@@ -220,7 +219,7 @@ def correlated(rows: WhiteRows, root: Array) -> int:
     scores = np.einsum("mdr,md->mr", rows.jacobian @ root, rows.residual)[rows.sequence]
     products = np.sum(scores[1:] * scores[:-1], axis=1)
     error = float(np.sqrt(np.sum(products**2)))
-    if error == 0.0 or products.sum() <= NORMAL_99 * error:
+    if error == 0.0 or products.sum() <= 2.3263478740408408 * error:  # one-sided normal quantile of `LEVEL`
         return 1
     rho, m = min(float(products.sum() / np.sum(scores**2)), 0.99), len(scores)
     carlstein = m ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0)

@@ -34,7 +34,7 @@ from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.frames import pose_table, tool_tables
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC
-from identification.workspace import ColumnLimits, WorkspaceConstraint
+from identification.workspace import ColumnLimits
 
 if TYPE_CHECKING:
     from identification.effects import Effect
@@ -65,9 +65,25 @@ def dump_arm(arm: Arm) -> str:
         tables["machining"] = _table(MachiningTable, arm.machining)
     if arm.gravity is not None:
         tables["gravity"] = _table(GravityTable, arm.gravity)
-    if constraints := [each for each in arm.constraints if not isinstance(each, ColumnLimits)]:
-        tables["constraints"] = [_constraint_table(constraint) for constraint in constraints]
-    calibration = _with_places(arm.chain, arm.calibration)
+    for constraint in (each for each in arm.constraints if not isinstance(each, ColumnLimits)):
+        kind = constraint.kind if len(getattr(constraint, "center", ())) < 3 else "keep_out_sphere"
+        [table] = [each for each in get_args(ConstraintTable) if kind in get_args(each.model_fields["kind"].annotation)]
+        entries = {"kind": kind} | _table(table, constraint)
+        if "facing" not in entries:
+            entries.pop("acceptance_deg", None)
+        tables.setdefault("constraints", []).append(entries)
+    # where base and measured points are if they are somewhere without being known
+    chain, calibration = arm.chain, arm.calibration
+    somewhere = BASE not in chain.settled and not np.array_equal(chain.base, np.eye(4))
+    named = TOOL not in chain.settled and (
+        list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
+    )
+    if somewhere or named:
+        calibration = calibration or Calibration({})
+        stands = standing_in(chain, calibration.values)
+        calibration = replace(calibration, base=stands.base) if somewhere else calibration
+        if named:
+            calibration = replace(calibration, tools=stands.tools, tool_axes=stands.tool_axes)
     text = with_effects(tomlkit.dumps(tables), arm.effects)
     return text if calibration is None else with_calibration(text, calibration)
 
@@ -142,16 +158,6 @@ def _table(table: type[BaseModel], value: Any) -> Plain:
     return entries
 
 
-def _constraint_table(constraint: WorkspaceConstraint) -> Plain:
-    """`[[constraints]]`, of the plane or of space."""
-    kind = constraint.kind if len(getattr(constraint, "center", ())) < 3 else "keep_out_sphere"
-    [table] = [each for each in get_args(ConstraintTable) if kind in get_args(each.model_fields["kind"].annotation)]
-    entries = {"kind": kind} | _table(table, constraint)
-    if "facing" not in entries:
-        entries.pop("acceptance_deg", None)
-    return entries
-
-
 def _chain_tables(arm: Arm, chain: KinematicChain) -> Plain:
     """What an arm file says of the geometry, how it is measured, and what is known of base and measured points; the
     drawing of an arm in space as the text of a URDF file."""
@@ -176,21 +182,6 @@ def _chain_tables(arm: Arm, chain: KinematicChain) -> Plain:
     if chain.instrument.kind:
         tables["instrument"] = chain.instrument.table()
     return tables
-
-
-def _with_places(chain: KinematicChain, calibration: Calibration | None) -> Calibration | None:
-    """The calibration, with where base and measured points are if they are somewhere without being known."""
-    somewhere = BASE not in chain.settled and not np.array_equal(chain.base, np.eye(4))
-    named = TOOL not in chain.settled and (
-        list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
-    )
-    if not somewhere and not named:
-        return calibration
-    placed = calibration or Calibration({})
-    stands = standing_in(chain, placed.values)
-    if somewhere:
-        placed = replace(placed, base=stands.base)
-    return replace(placed, tools=stands.tools, tool_axes=stands.tool_axes) if named else placed
 
 
 def _effect_table(spec: EffectSpec, effect: Effect, names: Mapping[str, FileName]) -> Plain:

@@ -35,7 +35,6 @@ from identification.measurements import Measurements
 if TYPE_CHECKING:
     from identification.instruments import Instrument
 
-SUM_TOLERANCE = 1e-6
 DECIMAL = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
 
 
@@ -98,8 +97,8 @@ def read_plan(
         warn_unknown(table, ["run", *joint_columns(table, joints), *further])
         if "weight" in table:
             weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
-            if abs((total := float(np.sum(weights))) - 1.0) > SUM_TOLERANCE:
-                wrong = f"found a sum of {total:.9g}, allowed: 1 (within {SUM_TOLERANCE:g})"
+            if abs((total := float(np.sum(weights))) - 1.0) > 1e-6:
+                wrong = f"found a sum of {total:.9g}, allowed: 1 (within 1e-06)"
                 raise InputError(f"{table.path}: column weight: {wrong}")
     cells = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
     if table.decimal_commas:

@@ -32,7 +32,6 @@ LENGTH, ANGLE, PIXEL = "length", "angle", "pixel"
 UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}, PIXEL: {"px": 1.0}}
 MOST = {LENGTH: LARGEST_LENGTH, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST_LENGTH}
 QUATERNION = ("qw", "qx", "qy", "qz")
-NEARLY_ONE = 0.01  # by which a quaternion's length may be off: files have few digits
 _WHOLE = 2.0**53  # above it a float cannot count
 _JOINT = re.compile(r"q([1-9]\d*)_(deg|rad|mm|m)")
 _DIRECTION = re.compile(r"direction([1-9]\d*)")
@@ -227,9 +226,9 @@ def read_orientations(table: Table) -> Array | None:
     table.require(QUATERNION)
     quaternions = np.column_stack([table.floats(name) for name in QUATERNION])
     lengths = np.linalg.norm(quaternions, axis=1)
-    if (bad := np.abs(lengths - 1.0) > NEARLY_ONE).any():
+    if (bad := np.abs(lengths - 1.0) > 0.01).any():  # files have few digits
         row = int(np.argmax(bad))
-        state = f"found a quaternion of length {lengths[row]:.4g}, allowed: length 1 to {NEARLY_ONE:g}"
+        state = f"found a quaternion of length {lengths[row]:.4g}, allowed: length 1 to 0.01"
         raise InputError(f"{table.place(row, 'qw..qz')}: {state}")
     return from_quaternions(quaternions)
 

@@ -25,7 +25,6 @@ from identification.gap.hypotheses import Block, HypothesisSet, untested_joints
 from identification.information import VISIBLE, column_space_of, significant
 from identification.kinematics.parameters import REVOLUTE
 
-ALIKE = 0.3  # convention: relative scatter of one family's parameters over the joints, which are of one make
 # numerical: expected square of a combination of columns at the block's largest size, below which it is left out
 FAINT = 0.03
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect of the whole arm
@@ -310,7 +309,7 @@ def _root(gram: Array, before: float, block: Block) -> Array:
     gram : (p, p) products of its columns, projected off the base model;  before : their squares before projection
 
     An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
-    of `ALIKE`; what is outside the library has its own columns scaled alone.
+    of 0.3, as the joints are of one make; what is outside the library has its own columns scaled alone.
     """
     if not np.trace(gram) > VISIBLE * before:
         return np.zeros((len(gram), 0))
@@ -318,7 +317,7 @@ def _root(gram: Array, before: float, block: Block) -> Array:
         values, vectors = np.linalg.eigh(gram / np.trace(gram))
         return np.asarray(vectors[:, values * SIZES[-1] ** 2 > FAINT] / np.sqrt(np.trace(gram)))
     if block.member.family:
-        alike = 1.0 + ALIKE**2 * np.eye(len(gram))
+        alike = 1.0 + 0.3**2 * np.eye(len(gram))
         return np.asarray(np.linalg.cholesky(alike / np.sum(gram * alike)))
     lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))

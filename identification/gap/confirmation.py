@@ -106,14 +106,6 @@ class Confirmation:
         return entry | {"confirmed": self.confirmed, "refitted": [*self.refitted]}
 
 
-def detects(mean: Mean, size: float) -> bool:
-    """Whether a test at `LEVEL` would detect a true mean of this size with power `POWER`."""
-    if not mean.variance < np.inf:
-        return False
-    quantiles = stdtrit(mean.freedom, 1.0 - LEVEL / 2.0) + stdtrit(mean.freedom, POWER)
-    return bool(size >= quantiles * np.sqrt(mean.variance))
-
-
 def confirm(
     before: Array,
     after: Array,
@@ -146,6 +138,9 @@ def confirm(
         sure = gain.value <= 0.0 and np.sqrt(moved) > -2.0 * sigma * ndtri(level / 2.0)
         shrinks = False if sure or gain._replace(value=-gain.value).p_above() <= level / 2.0 else None
     exceeds = excess.p_above() <= level / 2.0
+    # whether a test at `LEVEL` would detect a true mean of the size predicted with power `POWER`
+    quantiles = stdtrit(excess.freedom, 1.0 - LEVEL / 2.0) + stdtrit(excess.freedom, POWER)
+    detects = excess.variance < np.inf and predicted.value >= quantiles * np.sqrt(excess.variance)
     return Confirmation(
         transfer=transfer,
         by=by,
@@ -159,7 +154,7 @@ def confirm(
         p_shrinks=gain.p_above() if named else None,
         p_exceeds=excess.p_above(),
         shrinks=shrinks,
-        as_predicted=False if exceeds else (True if detects(excess, predicted.value) else None),
+        as_predicted=False if exceeds else (True if detects else None),
         named=named,
     )
 

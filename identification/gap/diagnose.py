@@ -44,8 +44,6 @@ from identification.sessions import of_these_sessions, with_base, with_sessions,
 from identification.status import Status
 from identification.threads import single_thread
 
-# convention: p-value of what is left, below which the noise cannot be all, by a trusted sigma or by repeats
-IMPOSSIBLE = 1e-3
 KINDS = {
     "time": "smooth in time",
     "workspace": "smooth over the workspace",
@@ -170,7 +168,8 @@ def diagnosis_of(
     # the verdict, and the sets that it speaks of, each fitted once more
     likely = probabilities(posterior)
     trusted = [] if measurements.sigma is None or over_sigma is None else [over_sigma.p_value]
-    if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < IMPOSSIBLE:
+    # convention: p-value of what is left, below which the noise cannot be all, by a trusted sigma or by repeats
+    if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < 1e-3:
         likely = likely.not_none(p)
     unknown, something = likely.verdict == "unknown", likely.verdict != "none"
     sets = [likeliest_with(posterior, names) for names in likely.rivals]

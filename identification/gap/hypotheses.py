@@ -28,10 +28,8 @@ from identification.information import column_space
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 
-UNSEEN = 1e-3  # convention: of the reach; a joint whose lever on the measured point is shorter is not looked at
 EFFECT, ORDER = "transmission_ripple", "k"
 ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn; derived: every wave between has a likeness of 0.97 with one
-CLEAR = 8.0  # convention: log likelihood ratio below which a wave of further order is not added
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 
 
@@ -245,13 +243,13 @@ def untested_joints(model: Model, rows: Rows) -> frozenset[int]:
     """Joints (from 1) at which no joint effect is tested.
 
     These are prismatic joints, since joint effects describe rotary encoders and gears, and joints with an RMS lever
-    below `UNSEEN` times the reach: a reflector on the last axis does not move with that joint, and a fraction of a
+    below a thousandth of the reach: a reflector on the last axis does not move with that joint, and a fraction of a
     micrometre would correspond to degrees.
     """
     levers = model.joint_levers(rows.postures, None, rows.conditions)
     sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
     sliding = np.array([kind == PRISMATIC for kind in model.joint_types])
-    return frozenset((np.flatnonzero(sliding | (sizes < UNSEEN * model.reach)) + 1).tolist())
+    return frozenset((np.flatnonzero(sliding | (sizes < 1e-3 * model.reach)) + 1).tolist())
 
 
 def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Sequence[Hypothesis]) -> HypothesisSet:
@@ -284,7 +282,8 @@ def with_further_orders(library: HypothesisSet, rows: Rows, at: Fit, chosen: Seq
         gains = np.concatenate([_gains(rows, basis, y, levers[:, :, j], q, some) for some in np.array_split(ORDERS, 8)])
         best = int(np.argmax(np.round(gains, 12)))
         freedom = len(y) - basis.shape[1]
-        if freedom < 3 or -0.5 * freedom * np.log1p(-min(gains[best], 1.0 - 1e-12)) < CLEAR:
+        # convention: log likelihood ratio below which a wave of further order is not added
+        if freedom < 3 or -0.5 * freedom * np.log1p(-min(gains[best], 1.0 - 1e-12)) < 8.0:
             continue
         for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
             spec = EffectSpec(EFFECT, j + 1, {ORDER: float(order)})

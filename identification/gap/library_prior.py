@@ -33,10 +33,6 @@ from identification.gap.hypotheses import EFFECT, ORDER, Hypothesis, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 
-CURVE = 1e-3  # [rad] of an error curve's wave once per turn, as `a` and as `b`: a typical compliance under 100 N m
-# of the reach: of a posture's own error, in one coordinate; calibrated robots keep 1e-4 of it in three coordinates
-OWN = 6e-5
-
 
 @dataclass(frozen=True)
 class LibraryPrior:
@@ -121,7 +117,8 @@ def library_prior(
     def deviation(hypothesis: Hypothesis, typical: float) -> float:
         curve = 0.0
         if names is None and hypothesis.effect.name == EFFECT:
-            curve = CURVE / hypothesis.effect.chosen[ORDER]
+            # [rad] of an error curve's wave once per turn, as `a` and `b`: a typical compliance under 100 N m
+            curve = 1e-3 / hypothesis.effect.chosen[ORDER]
         return float(np.hypot(typical * np.sqrt(hypothesis.effect.prior / settings[hypothesis.key]), curve))
 
     added, faster = [], np.zeros(arm.links)
@@ -141,7 +138,8 @@ def library_prior(
     effects = Model(wide).effects[-len(added) :]
     pairs = [(p, h) for e, h in zip(effects, added, strict=True) for p in e.parameters]
     deviations = {p.name: deviation(h, p.typical or 0.0) for p, h in pairs}
-    prior = Prior(deviations, own_error=OWN * arm.reach if names is None else 0.0)
+    # a posture's own error, in one coordinate; calibrated robots keep 1e-4 of the reach in three coordinates
+    prior = Prior(deviations, own_error=6e-5 * arm.reach if names is None else 0.0)
     return LibraryPrior(wide, tuple(h.spec for h in added), prior, MappingProxyType(left_out), faster)
 
 

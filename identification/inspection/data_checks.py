@@ -30,7 +30,6 @@ ANGLES = {  # factors to radians as read, and what the numbers then were
     "large": {np.pi / 180.0: "degrees: name the columns q1_deg.. instead of q1_rad.."},
 }
 UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
-OTHER_SIZE = 2.0  # times as large or as small as the drawing, which no drawing is wrong by
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit is suspected
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
@@ -130,7 +129,8 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     spread = 0.0  # contacts read nothing that has a unit
     if not arm.chain.instrument.contact:
         spread = _spread(measurements.positions[:, POINT])
-    alike = drawn[1.0] < OTHER_SIZE * spread < OTHER_SIZE**2 * drawn[1.0]
+    # no drawing is wrong by half or twice the size
+    alike = drawn[1.0] < 2.0 * spread < 4.0 * drawn[1.0]
     if not angle and (alike or not spread):
         return _Units(huge)
     misfits = {}  # (factor of the angles, of the lengths) -> median distance, as a share of the drawn positions' spread
@@ -149,7 +149,7 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
             bounds = np.log([near / 2.0, near * 2.0])
             nearest = minimize_scalar(lambda k, of=misfit: of(float(np.exp(k))), bounds=bounds, options={"xatol": 1e-4})
             factor = float(np.exp(nearest.x))
-        if max(factor, 1.0 / factor) > OTHER_SIZE and CLEARLY * (left := misfit(factor)) < misfits[turned, 1.0]:
+        if max(factor, 1.0 / factor) > 2.0 and CLEARLY * (left := misfit(factor)) < misfits[turned, 1.0]:
             misfits[turned, factor] = left
     best = min(misfits, key=misfits.__getitem__)
     if CLEARLY * misfits[best] >= misfits[1.0, 1.0]:

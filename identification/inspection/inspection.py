@@ -63,7 +63,6 @@ from identification.validate import drawing_residuals
 from identification.workspace import ColumnLimits
 
 NOTHING = 1e-6  # [mm] RMS that is no measurement's: below, nothing is compared
-AWAY = 0.02  # of the reach: a base this far from where the file has it stands elsewhere
 GEOMETRY = {LENGTH_ERROR: "length", JOINT_OFFSET: "zero"}
 SOURCES = {"sigma": "for the sigma_mm given", "repeats": "for what repeats scatter by", "residuals": "by the residuals"}
 G = 9.81  # [m/s^2]
@@ -364,12 +363,13 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     relative = chain.base[:3, :3].T @ base[:3, :3]
     turn = float(np.arccos(np.clip((np.trace(relative) - 1.0) / 2.0, -1.0, 1.0)))
     shift = float(np.linalg.norm(base[:3, 3] - chain.base[:3, 3]))
-    if turn < FAR_ZERO and shift < AWAY * arm.reach:
+    near = shift < 0.02 * arm.reach  # else it stands elsewhere
+    if turn < FAR_ZERO and near:
         return []
     stands = ", ".join(f"{name} = {round(x, 1) + 0.0:g}" for name, x in pose_table(base).items())
     axis = chain.joints[0].origin[:3, :3] @ chain.joints[0].axis
     about = float(axis @ relative @ axis) > np.cos(FAR_ZERO)
-    zero = ", or the zero of joint 1 is off by that" if about and shift < AWAY * arm.reach else ""
+    zero = ", or the zero of joint 1 is off by that" if about and near else ""
     how = f"turned by {np.degrees(turn):.1f} deg and {shift:.4g} mm away from there{zero}"
     return [
         f"the positions are in another frame than [base] says: {how}. From the drawing {stands}; write that there, or "

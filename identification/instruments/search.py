@@ -15,7 +15,6 @@ from identification.arrays import Array
 from identification.kinematics.frames import pose
 
 ENOUGH = 1e-6  # relative fall of the sum of squares in a round, below which a least-squares fit goes on from here
-DAMPED, LEAST, MOST = 1e-3, 1e-12, 1e12  # of a normal matrix's diagonal that is added to it: first, smallest, largest
 
 
 class Placement(NamedTuple):
@@ -118,7 +117,7 @@ def _followed(
 ) -> tuple[_Starts, Array]:
     """Where damped Gauss-Newton steps of starts end, and their sums of squares (s,)."""
     squares, gradient, matrix = _linear(instrument, starts, frames, readings, scales, free)
-    damping = np.full(len(squares), DAMPED)
+    damping = np.full(len(squares), 1e-3)  # what is added to a normal matrix, of its diagonal
     for done in range(60):
         diagonal = np.einsum("sii->si", matrix)
         floor = 1e-12 * np.max(diagonal, axis=1, keepdims=True) + np.finfo(float).tiny
@@ -130,7 +129,7 @@ def _followed(
         starts = starts.choose(moved, better)
         gradient, matrix = np.where(better[:, None], new[1], gradient), np.where(better[:, None, None], new[2], matrix)
         squares = np.where(better, new[0], squares)
-        damping = np.clip(np.where(better, damping / 5.0, damping * 4.0), LEAST, MOST)
+        damping = np.clip(np.where(better, damping / 5.0, damping * 4.0), 1e-12, 1e12)
         # nothing is gained, or it is hopeless
         if (not gained and np.all(damping > 1.0)) or (done >= 15 and np.min(squares) > wanted):
             break

@@ -116,7 +116,8 @@ class Socket(Instrument):
 
     @property
     def size_is_open(self) -> tuple[str, str]:
-        return ("", "") if self.distances else ("cups without a distance that is known", "give distances_mm")
+        known = self._pairs[0] if self.cups else self.distances  # between these cups, of all that are given
+        return ("", "") if known else ("cups without a distance that is known", "give distances_mm between them")
 
     def stands(self, base: Array) -> bool:
         return bool(self.cups)

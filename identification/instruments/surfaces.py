@@ -17,7 +17,6 @@ from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE
 from identification.instruments.search import ENOUGH, Placement, Unplaced, starts_of_tool
 from identification.kinematics.frames import pose
 
-ROUNDS, SOME = 50, 10  # effort: Gauss-Newton steps of each start, and where a radius is taken that is not right
 FIRST = 3  # steps, after which the best start of 99 of 100 wrong readings leaves at most 1.5 times what its end leaves
 RADII = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
 
@@ -36,7 +35,7 @@ def placed_by_lengths(surface: type[CenterStarts], rows: Unplaced) -> Placement:
     return Placement(state.base(best) if base is None else base, state.tools[best], rms)
 
 
-def _settled(state: CenterStarts, base: bool, tool: bool, hopeless: float, rounds: int = ROUNDS) -> int:
+def _settled(state: CenterStarts, base: bool, tool: bool, hopeless: float, rounds: int = 50) -> int:
     """Number of the start that ends with the least squares after Gauss-Newton steps of base and tool, or of one."""
     least, kept = np.full(len(state.tools), np.inf), (state.surface, state.tools)
     for done in range(rounds):
@@ -142,7 +141,7 @@ class FreeSphereStarts(CenterStarts):
         )  # the algebraic fits are those of any radius
         held.lengths = radii
         held.surface, held.tools = (np.tile(each, (len(RADII), 1)) for each in (held.surface, held.tools))
-        _settled(held, base is None, tool, hopeless, SOME)
+        _settled(held, base is None, tool, hopeless, rounds=10)  # effort: the radius is not right
         of_radius = np.arange(len(radii)).reshape(len(RADII), -1)
         best = of_radius[np.arange(len(RADII)), np.argmin(held.squares()[of_radius], axis=1)]
         sphere = cls(frames, np.zeros(len(frames)), reach, held.tools[best], base)

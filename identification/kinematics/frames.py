@@ -22,7 +22,6 @@ from numpy.typing import ArrayLike
 from identification.arrays import Array
 
 AXES = "xyz"
-LOCK = 1e-12  # cosine of the pitch below which roll and yaw turn about one axis
 
 
 def pose(translation: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
@@ -64,16 +63,17 @@ def roll_pitch_yaw(rotation: Array, near: ArrayLike | None = None) -> Array:
     near : (3,) angles [rad]: of the equal ones the nearest to these; None: pitch within 90 deg, and a yaw of zero where
         only the sum or difference of roll and yaw counts (gimbal lock)
     """
+    lock = 1e-12  # cosine of the pitch below which roll and yaw turn about one axis
     level = np.hypot(rotation[0, 0], rotation[1, 0])
     pitch = float(np.arctan2(-rotation[2, 0], level))
-    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0])) if level >= LOCK else 0.0
+    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0])) if level >= lock else 0.0
     sine, cosine = np.sin(yaw), np.cos(yaw)  # roll is what this yaw leaves: near the lock each of the two is uncertain
     across = sine * rotation[0, 2] - cosine * rotation[1, 2], cosine * rotation[1, 1] - sine * rotation[0, 1]
     rpy = np.array([np.arctan2(*across), pitch, yaw], dtype=float)
     if near is None:
         return rpy
     near, turn = np.asarray(near, dtype=float), 2.0 * np.pi
-    if level < LOCK:  # any roll and yaw with this roll - side * yaw: both go half of the way
+    if level < lock:  # any roll and yaw with this roll - side * yaw: both go half of the way
         side = float(np.sign(pitch))
         way = rpy[0] - (near[0] - side * near[2])
         way -= turn * round(way / turn)
@@ -195,8 +195,6 @@ def _turn(axis: int, angle: ca.SX | float) -> ca.SX:
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-SERIES = 1e-3  # squared tangent of half an angle below which five terms of the arc tangent's series are exact: 1e-3^5
-
 
 def from_angles(angles: Array) -> Array:
     """(m, 3, 3) rotation matrices of angles (m, 3) [rad] about own axes, x, then y, then z."""
@@ -232,9 +230,10 @@ def rotation_vector(rotation: ca.SX) -> ca.SX:
     )
     half = across / ca.fmax(1.0 + ca.trace(rotation), 1e-30)  # the axis times the tangent of half the angle
     squared = ca.dot(half, half)
-    root = ca.sqrt(ca.fmax(squared, SERIES))
+    small = 1e-3  # below which five terms of the arc tangent's series are exact: 1e-3^5
+    root = ca.sqrt(ca.fmax(squared, small))
     series = 1.0 - squared * (1.0 / 3.0 - squared * (1.0 / 5.0 - squared * (1.0 / 7.0 - squared / 9.0)))
-    return 2.0 * half * ca.if_else(squared < SERIES, series, ca.atan(root) / root)
+    return 2.0 * half * ca.if_else(squared < small, series, ca.atan(root) / root)
 
 
 def _scipy() -> type[Rotation]:

@@ -19,7 +19,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document
 from identification.documents.identification import DRAWN
-from identification.documents.use import FITTED, HARDLY, validation_sections, validation_verdict
+from identification.documents.use import BY_CHANCE, FITTED, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.expected_tip import left_out_residuals
@@ -162,7 +162,7 @@ class Validation:
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
-        notes = [note for note in self.notes if HARDLY not in note]
+        notes = [note for note in self.notes if BY_CHANCE not in note]
         parts = validation_sections(data, "" if self.arm.chain.planar else ", measured points")
         return Document("Validation", [validation_verdict(data), *notes], parts)
 
@@ -270,7 +270,7 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
     if gained.value > 0.0 and gained.p_above() > LEVEL / 2.0:
         share = 100.0 * validation.model.rms / validation.nominal.rms
         of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
-        yield f"the model leaves {of_drawing}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"
+        yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell (p = {gained.p_above():.2g})"
     if angles := validation.rms_angles:
         yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
     out = outside(arm, measurements.postures)
@@ -282,8 +282,16 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
         )
         seen = f"{100.0 * np.mean(~beyond):.2g} % of these rows lie at joint angles that the calibration has seen"
         yield f"{seen}: RMS there {familiar}, elsewhere {elsewhere}"
-    if not arm.chain.planar and refit != "none":
-        yield from fresh_points(arm.chain, measurements)
+    tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
+    fresh = [name for name in names if name not in tools]
+    if not arm.chain.planar and refit != "none":  # measured points that the calibration does not have are fitted
+        if not names and len(tools) > 1:
+            several = "where they are of several, name them in the column marker"
+            alone = "the rows are taken as of one reflector, whose position was fitted to them"
+            yield f"no column marker: {alone}; {several}"
+        elif fresh and not len(tools) == 1 == len(names):
+            its = "its position was" if len(fresh) == 1 else "their positions were"
+            yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
     if comes_from(identified(arm), measurements):
         yield FITTED
     if far := extrapolation(arm, measurements.postures):
@@ -415,20 +423,6 @@ def as_calibrated(arm: Arm) -> Arm:
             spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
         effects.append(spec)
     return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
-
-
-def fresh_points(chain: KinematicChain, measurements: Measurements) -> list[str]:
-    """What is said of measured points that the calibration does not have: they are fitted to these measurements."""
-    names = () if chain.instrument.own_targets else measurements.marker_names
-    if not names and len(chain.tools) > 1:
-        several = "where they are of several, name them in the column marker"
-        return [
-            f"no column marker: the rows are taken as of one reflector, whose position was fitted to them; {several}"
-        ]
-    if len(chain.tools) == 1 == len(names) or not (fresh := [name for name in names if name not in chain.tools]):
-        return []
-    its = "its position was" if len(fresh) == 1 else "their positions were"
-    return [f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"]
 
 
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:

@@ -14,11 +14,11 @@ from identification.information import (
     covariance,
     covariances,
     describe,
-    effective_count,
     full_rank,
     identifiability,
     information_matrix,
     sparse_basis,
+    spectrum,
 )
 from identification.model import Model
 
@@ -195,8 +195,8 @@ def test_many_at_once_are_as_each_alone() -> None:
     assert np.isnan(covariances(aliased, scales)).all()
 
 
-def test_effective_count_without_data_of_a_parameter() -> None:
+def test_count_of_what_is_determined_without_data_of_a_parameter() -> None:
     """One parameter known by the prior only, one by both equally, one by the data only: 0 + 1/2 + 1."""
     jacobian = np.diag([0.0, 2.0, 3.0])
     rows = np.array([[5.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-    assert effective_count(jacobian, rows, np.ones(3)) == pytest.approx(1.5)
+    assert spectrum(jacobian, np.ones(3), prior=rows).determined(jacobian) == pytest.approx(1.5)

@@ -253,6 +253,9 @@ def test_the_loop_of_a_socket(folder: Folder) -> None:
     assert fit.code == 0, fit.err
     assert not [entry for entry in fit.data["parameters"] if entry["name"].startswith("base")]
     assert fit.data["expected_tip_mm"] < 1.0  # no tens of millimetres of a turn that nothing shows
+    folder.write("misspelt.toml", SIX + 'kind = "socket"\ndistances_mm = [["A", "b", 360.5]]\n')
+    sized = folder.armcal("identify", "misspelt.toml", "seatsd.csv", "--json")
+    assert "cups without a distance that is known fit an arm of any size" in " ".join(sized.data["warnings"])
     found = folder.armcal(
         "diagnose", "blank.toml", "seatsd.csv", "--holdout", "freshd.csv", "--out", "extended.toml", "--json"
     )

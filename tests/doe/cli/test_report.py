@@ -45,6 +45,16 @@ def test_a_page_of_everything(campaign: Folder) -> None:
     assert f">{row['corrected']:.4f}</td>" in text
 
 
+def test_a_plan_of_seatings_is_no_measurement(folder: Folder) -> None:
+    """Both have postures and cups and no reading."""
+    assert folder.armcal("init", "--dh", "3", "--instrument", "socket", "--force").code == 0
+    folder.write("plan.csv", "run,q1_deg,q2_deg,q3_deg,cup\n1,10,20,30,A\n2,40,50,60,B\n")
+    folder.write("data.csv", "q1_deg,q2_deg,q3_deg,cup\n10,20,30,A\n40,50,60,B\n")
+    done = folder.armcal("report", "arm.toml", "plan.csv", "data.csv", "--out", "page.html", "--json")
+    assert done.code == 0, done.err
+    assert [entry["kind"] for entry in done.data["files"]] == ["arm", "plan", "measurements"]
+
+
 def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> None:
     words = "diagnose", "arm.toml", "data.csv", "--out", "extended.toml"
     done = campaign.armcal(*words, "--report", "gap.html", "--json")

@@ -19,7 +19,7 @@ from identification.documents.identification import (
 )
 from identification.documents.pictures import validation_figure
 from identification.documents.use import (
-    HARDLY,
+    BY_CHANCE,
     compensation_document,
     is_better,
     validation_actions,
@@ -119,9 +119,10 @@ def test_tables_and_picture() -> None:
     assert "mm (drawing, after fitting where the arm stands) to " in " ".join(text.split())
     assert said in " ".join(text.split())
     swapped = replace(found, residuals=found.nominal_residuals, nominal_residuals=found.residuals)
-    doubtful = replace(found, notes=(f"{HARDLY} ...",))
-    for worse, word in ((swapped, "no better"), (doubtful, HARDLY)):
-        assert f" mm: {word} than the drawing; " in " ".join(str(worse).split())
+    doubtful = replace(found, notes=(f"{BY_CHANCE} ...",))
+    removed = f"{100.0 * (1.0 - kept):.0f} % of the error is removed, which {BY_CHANCE}"
+    for worse, words in ((swapped, "no better than the drawing"), (doubtful, removed)):
+        assert f" mm: {words}; " in " ".join(str(worse).split())
         assert not is_better(worse.to_json())
     assert is_better(found.to_json())
     figure = validation_figure(found)

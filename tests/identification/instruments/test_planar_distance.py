@@ -92,6 +92,7 @@ def test_an_effect_is_named_and_holds_elsewhere() -> None:
     rows = simulate(truth, generator.uniform(-2.5, 2.5, (80, 3)), generator)
     found = diagnose(BLANK, rows)
     assert found.named.effects == ("encoder_eccentricity:2",)
+    assert "center 1" not in str(found)  # which is averaged over, and of which the arm says where fits start
     moved = replace(chain, instrument=PlanarDistance((("1", (-300.0, 500.0)),)))
     fresh = simulate(replace(truth, chain=moved), generator.uniform(-2.5, 2.5, (40, 3)), generator)
     again = validate(found.extended_arm(), fresh)

@@ -171,6 +171,13 @@ def test_cups_of_two_days_are_others() -> None:
     assert len(socket.parameters) == 6
 
 
+def test_a_distance_between_cups_that_no_row_names_tells_no_size() -> None:
+    """Of a cup whose name is misspelt, say."""
+    cups, distances = (("A", (0.0, 0.0, 0.0)), ("B", (300.0, 0.0, 0.0))), (("A", "b", 300.0),)
+    assert Socket(cups, distances).size_is_open[0]
+    assert Socket(distances=distances).size_is_open == ("", "") == Socket(cups, (("A", "B", 300.0),)).size_is_open
+
+
 def test_distances_that_no_cups_have() -> None:
     cups = tuple((name, (100.0 * k, 0.0, 0.0)) for k, name in enumerate("ABC"))
     socket = Socket(cups, (("A", "B", 10.0), ("B", "C", 10.0), ("A", "C", 300.0)))

@@ -81,12 +81,13 @@ def test_a_right_model_predicts_another_set_up(effects: tuple[EffectSpec, ...]) 
 def test_a_gain_within_what_the_rows_scatter_by_is_said() -> None:
     """Noise far above the errors hides what the model gains; a tenth of them does not."""
     q = postures(40, 0)
-    for sigma, hardly in ((8.0, True), (0.02, False)):
+    for sigma, by_chance in ((8.0, True), (0.02, False)):
         measured = tip(q, 0.0, 0.0) + np.random.default_rng(3).normal(0.0, sigma, (40, 2))
         found = validate(calibrated(), Measurements(q, measured))
         after, before = (float(np.sum(r**2)) for r in (found.residuals, found.nominal_residuals))
-        said = [note for note in found.notes if "hardly better" in note]
-        assert bool(said) == hardly
+        said = [note for note in found.notes if "may be chance" in note]
+        assert bool(said) == by_chance
+        assert ("% of the error is removed, which may be chance" in str(found)) == by_chance
         assert all(f"{100.0 * (after / before) ** 0.5:.0f} % of the RMS error of the drawing" in note for note in said)
         assert after < before
 
