@@ -15,8 +15,7 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "measurements": "Conditions Measurements rms_distance",
     "kinematics.parameters": "EFFECT GEOMETRY JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
     "kinematics.counting": "turned_into",
-    "kinematics.chain": "planar_chain",
-    "kinematics.denavit_hartenberg": "DHRow chain_of",
+    "kinematics.chain": "DHRow chain_of planar_chain",
     "files.arm": "arm_from_tables load_arm",
     "files.arm_text": "dump_arm with_effects",
     "files.measurement": "load_measurements plan_file_text read_plan",
@@ -71,9 +70,8 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.gap.result import Diagnosis
     from identification.information import identifiability, information_matrix, spectrum
     from identification.installed import additions
-    from identification.kinematics.chain import planar_chain
+    from identification.kinematics.chain import DHRow, chain_of, planar_chain
     from identification.kinematics.counting import turned_into
-    from identification.kinematics.denavit_hartenberg import DHRow, chain_of
     from identification.kinematics.parameters import (
         EFFECT,
         GEOMETRY,

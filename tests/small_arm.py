@@ -16,7 +16,7 @@ import polars as pl
 from doe.studies.blind.simulator import Drawn, TrueArm, position, session, shift, turn
 from identification.arm import Arm, Gravity
 from identification.files.urdf import urdf_text
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 
 HALF = np.pi / 2.0

@@ -19,7 +19,6 @@ ROOT = Path(__file__).parents[1]
 # layer of every module or package; a deeper name overrides its package
 LAYERS = {
     "identification.arrays": 0,
-    "identification.spelling": 0,
     "identification.errors": 0,
     "identification.installed": 0,
     "identification.status": 0,

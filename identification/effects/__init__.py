@@ -13,15 +13,13 @@ from types import MappingProxyType
 
 from identification.arm import EffectSpec
 from identification.effects import joint, link, mounting, noise, rare  # noqa: F401  (they register themselves)
-from identification.effects.base import _LIBRARY, Effect, register
+from identification.effects.base import _LIBRARY, Effect, Scope, Setting, register
 from identification.effects.chain import Chain
 from identification.effects.places import measured_position
-from identification.effects.settings import Scope, Setting
-from identification.errors import InputError, nearest, suggestion
+from identification.errors import InputError, close_names, nearest, suggestion
 from identification.installed import additions
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
-from identification.spelling import close_names
 
 __all__ = [
     "Chain",

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from identification.effects import Effect, library, unknown_effect
-from identification.effects.base import OWN
-from identification.effects.settings import Setting
+from identification.effects.base import OWN, Setting
 from identification.kinematics.chain import IN_SPACE, planar_chain
 from identification.kinematics.parameters import Parameter
 

@@ -7,9 +7,8 @@ from typing import ClassVar
 
 import casadi as ca
 
-from identification.effects.base import Effect, JointAngle, register
+from identification.effects.base import Effect, JointAngle, Scope, Setting, register
 from identification.effects.chain import Chain
-from identification.effects.settings import Scope, Setting
 from identification.kinematics.parameters import Parameter
 
 

@@ -11,9 +11,8 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from identification.effects.base import Effect, JointAngle, register
+from identification.effects.base import Effect, JointAngle, Scope, Setting, clock, register, step_times
 from identification.effects.chain import Chain
-from identification.effects.settings import Scope, Setting, clock, step_times
 from identification.kinematics.parameters import Parameter
 
 RARE = 0.2  # prior beside a common effect

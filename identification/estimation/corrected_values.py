@@ -16,9 +16,8 @@ import numpy as np
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.estimation.uncertainty import freedom_of, quantile_95
-from identification.kinematics.chain import KinematicChain
+from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
 from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
-from identification.kinematics.denavit_hartenberg import STANDARD, DHRow
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter
 from identification.model import Model

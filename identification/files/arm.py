@@ -34,10 +34,9 @@ from identification.files.schema import (
 )
 from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
 from identification.instruments import kinds
-from identification.kinematics.chain import BASE, TOOL, KinematicChain, planar_chain
+from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
 from identification.kinematics.corrected import before_errors
 from identification.kinematics.counting import Counting, check_kinds
-from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_to_z
 from identification.kinematics.parameters import (
     FILE_UNITS,

@@ -17,9 +17,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from identification.arrays import Array
-from identification.errors import InputError, suggestion
+from identification.errors import InputError, close_names, suggestion
 from identification.files.io import PathLike, decode, read_bytes
-from identification.spelling import close_names
 
 FINITE = "a finite number"
 PARQUET = b"PAR1"  # first bytes of every such file

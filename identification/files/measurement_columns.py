@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array
 from identification.conditions import gaps_of
-from identification.errors import InputError, suggestion
+from identification.errors import InputError, close_names, suggestion
 from identification.files.csv import KNOWN, Table, Test
 from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in, in_columns, in_joints
 from identification.kinematics.parameters import PRISMATIC
-from identification.spelling import close_names
 
 if TYPE_CHECKING:
     from identification.instruments import Instrument

@@ -33,10 +33,9 @@ from identification.arm import (
     SIGMA_RANGE,
 )
 from identification.arrays import Array
-from identification.errors import InputError, nearest
+from identification.errors import InputError, close_names, nearest
 from identification.instruments import IN_PLANE, KINDS
 from identification.kinematics.counting import KEYS
-from identification.spelling import close_names
 
 DIMENSIONS = {"planar": 2, "spatial": 3}
 NUMBERS = {2: "two numbers", 3: "three numbers"}

@@ -23,9 +23,8 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.chain import ALIGNED, BASE, TOOL, KinematicChain
+from identification.kinematics.chain import ALIGNED, BASE, STANDARD, TOOL, DHRow, KinematicChain, X, Z
 from identification.kinematics.counting import Counting
-from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, X, Z
 from identification.kinematics.frames import (
     AXES,
     from_own_axes,

@@ -22,7 +22,7 @@ from doe.solvers import solve
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch
 from identification.gap.diagnose import diagnose
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.doe.arms import ECCENTRICITY, FOUR, problem

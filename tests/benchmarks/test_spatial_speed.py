@@ -18,7 +18,7 @@ from doe.problem.postures import PostureList, random_postures
 from doe.solvers import solve
 from identification.arrays import Array
 from identification.estimation import estimate, estimate_batch
-from identification.kinematics.denavit_hartenberg import DHRow
+from identification.kinematics.chain import DHRow
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import minimal

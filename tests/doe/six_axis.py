@@ -10,7 +10,7 @@ import numpy as np
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.model import Model
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 

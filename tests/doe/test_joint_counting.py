@@ -21,8 +21,8 @@ from identification.files.arm_text import dump_arm
 from identification.files.csv import read_table
 from identification.files.measurement import commands_text, load_measurements, load_targets, measurement_text, read_plan
 from identification.files.measurement_columns import read_postures
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import Counting, JointKinds
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.simulate import simulate

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from identification.arrays import Array
-from identification.kinematics.chain import KinematicChain
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 
 HALF = np.pi / 2.0
 TABLE = (  # a [mm], alpha [rad], d [mm] of the drawing

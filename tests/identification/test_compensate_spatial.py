@@ -15,8 +15,7 @@ from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.documents.use import compensation_document
 from identification.errors import InputError
 from identification.files.measurement import commands_text, load_targets
-from identification.kinematics.chain import KinematicChain
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
 
 QUARTER = np.pi / 2.0

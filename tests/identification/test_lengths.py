@@ -20,8 +20,8 @@ from identification.estimation import Identification, estimate
 from identification.gap.diagnose import diagnose
 from identification.information import spectrum
 from identification.instruments import KINDS, Distance, Instrument, Plane, Sphere
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.corrected import CorrectedGeometry
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose
 from identification.measurements import Measurements
 from identification.model import Model

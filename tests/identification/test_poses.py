@@ -15,7 +15,7 @@ from identification.files.arm import load_arm
 from identification.files.arm_text import with_calibration
 from identification.files.measurement import load_measurements, measurement_text
 from identification.inspection.data_checks import data_warnings
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import minimal

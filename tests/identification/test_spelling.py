@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from identification.effects import OTHER_NAMES, library
-from identification.errors import nearest, suggestion
-from identification.spelling import close_names
+from identification.errors import close_names, nearest, suggestion
 
 KEYS = ("name", "kind", "links_mm", "joint_limits_deg", "measurement", "gravity", "effects", "calibration", "sigma_mm")
 

@@ -13,7 +13,7 @@ from doe.discrimination.misidentification import EffectLibrary
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Conditions
 from identification.model import Model
 from tests.doe.discrimination.test_misidentification import brute_force

@@ -9,7 +9,7 @@ import numpy as np
 from doe.discrimination.t_optimal import discriminate
 from identification.arm import Arm
 from identification.gap.diagnose import diagnose
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model

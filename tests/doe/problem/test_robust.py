@@ -22,7 +22,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Conditions
 from identification.model import Model
 

@@ -17,7 +17,7 @@ from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification.arrays import Array
 from identification.instruments import Distance
-from identification.kinematics.denavit_hartenberg import DHRow
+from identification.kinematics.chain import DHRow
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE

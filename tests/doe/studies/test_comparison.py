@@ -24,7 +24,7 @@ from doe.solvers import Offer, Random
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.model import Model
 
 LIMITS = np.radians([180.0, 120.0, 100.0])

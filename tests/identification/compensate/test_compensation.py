@@ -21,8 +21,8 @@ from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.errors import InputError
 from identification.estimation import estimate
 from identification.files.measurement import commands_text
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import joint_range
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Conditions, Measurements, directions_from_order
 from identification.model import Model
 from tests.identification.kinematics.test_spatial import tip_by_exponentials

@@ -7,7 +7,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.effects import Scope, Setting
-from identification.effects.settings import clock, step_times
+from identification.effects.base import clock, step_times
 from identification.measurements import Conditions
 
 SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array([-0.5, 0.1234567, 0.5])))

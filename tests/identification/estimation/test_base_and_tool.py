@@ -12,8 +12,7 @@ from identification.arm import Arm
 from identification.estimation import Identification, estimate
 from identification.estimation.expected_tip import TOGETHER, flange_turns
 from identification.inspection.inspection import inspect
-from identification.kinematics.chain import KinematicChain
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_own_axes, pose
 from identification.measurements import Measurements
 from identification.model import Model

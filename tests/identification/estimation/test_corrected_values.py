@@ -28,8 +28,8 @@ from identification.estimation.corrected_values import (
 from identification.estimation.prior import Prior
 from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan

@@ -9,7 +9,7 @@ import numpy as np
 from identification.arm import Arm, EffectSpec
 from identification.estimation import estimate
 from identification.estimation.doubts import FAR, another_frame, copied_rows, outside_limits
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status

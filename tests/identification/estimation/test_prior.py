@@ -27,7 +27,7 @@ from identification.estimation.prior import (
 )
 from identification.estimation.problem import LinearProblem, Problem
 from identification.gap.library_prior import library_prior
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status

@@ -13,8 +13,7 @@ import pytest
 from identification.arm import Arm, EffectSpec, Machining
 from identification.errors import InputError
 from identification.estimation import estimate
-from identification.kinematics.chain import KinematicChain
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.measurements import Measurements
 from identification.model import Model

@@ -28,7 +28,7 @@ from identification.estimation.uncertainty import (
     uncertainty,
 )
 from identification.information import spectrum
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan

@@ -17,8 +17,7 @@ from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm
 from identification.files.arm_text import with_calibration
 from identification.files.urdf import read_urdf
-from identification.kinematics.chain import BASE, TOOL
-from identification.kinematics.denavit_hartenberg import DHRow
+from identification.kinematics.chain import BASE, TOOL, DHRow
 from identification.kinematics.frames import pose
 from identification.measurements import Measurements
 from identification.model import Model

@@ -12,8 +12,7 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.errors import InputError
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
-from identification.kinematics.chain import BASE, TOOL, Joint
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import BASE, TOOL, DHRow, Joint, chain_of
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.measurements import Conditions

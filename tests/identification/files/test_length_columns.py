@@ -14,7 +14,7 @@ from identification.files.arm import load_arm
 from identification.files.arm_text import dump_arm
 from identification.files.measurement import load_measurements, measurement_text
 from identification.instruments import Distance, PlanarDistance, Plane, Sphere
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 
 CHAIN = chain_of([DHRow(300.0, 0.0, 10.0), DHRow(200.0, 1.0, 0.0)])
 BAR, BALL, FACE = (Arm(replace(CHAIN, instrument=one)) for one in (Distance(), Sphere(12.5), Plane()))

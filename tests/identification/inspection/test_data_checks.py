@@ -12,7 +12,7 @@ from identification.errors import InputError
 from identification.inspection.data_checks import certainly_wrong_units, data_warnings
 from identification.inspection.inspection import inspect
 from identification.instruments import Instrument, Plane, Sphere
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
 from identification.measurements import Measurements
 from identification.model import Model

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from identification.arm import Arm, EffectSpec
 from identification.estimation import estimate
 from identification.inspection.inspection import inspect
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.validate import validate

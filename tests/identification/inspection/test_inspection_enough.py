@@ -11,7 +11,7 @@ from identification.arm import Arm
 from identification.estimation import estimate
 from identification.gap.noise import NoiseFloor
 from identification.inspection.inspection import sufficiency
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 

@@ -14,8 +14,8 @@ from hypothesis import assume, given
 from identification import load_arm, load_measurements
 from identification.arm import Arm
 from identification.inspection.readings import Reading, parallel_joints, read_differently
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import Counting
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from tests.identification.exponentials import drawing
 from tests.identification.kinematics.test_counting import countings

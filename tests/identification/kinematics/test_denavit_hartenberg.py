@@ -8,7 +8,7 @@ import pytest
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.denavit_hartenberg import MODIFIED, STANDARD, DHRow, chain_of
+from identification.kinematics.chain import MODIFIED, STANDARD, DHRow, chain_of
 
 ROWS = (
     DHRow(10.0, 1.2, 127.3, 0.4),

@@ -13,7 +13,7 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
 from identification.effects.places import position_and_state, widths
 from identification.error_curve import ErrorCurve
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, turned
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model

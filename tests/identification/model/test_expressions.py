@@ -13,8 +13,7 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
 from identification.effects import Chain, base
 from identification.effects.joint import GearRatio
-from identification.kinematics.chain import Joint, KinematicChain
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model

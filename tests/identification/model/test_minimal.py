@@ -9,8 +9,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate
-from identification.kinematics.chain import KinematicChain
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Conditions, Measurements
 from identification.model import Model

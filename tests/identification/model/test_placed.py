@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm
-from identification.kinematics.chain import KinematicChain
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.measurements import Measurements
 from identification.model import Model

@@ -12,7 +12,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.prior import Prior
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status

@@ -12,8 +12,7 @@ from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.inspection.data_checks import certainly_wrong_units
-from identification.kinematics.chain import KinematicChain
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements
 from identification.model import Model

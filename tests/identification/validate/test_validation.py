@@ -22,8 +22,8 @@ from identification.files.measurement import load_measurements
 from identification.gap.diagnose import diagnose
 from identification.gap.library_prior import given_by, library_prior
 from identification.gap.result import Diagnosis
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import joint_range
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements, distances

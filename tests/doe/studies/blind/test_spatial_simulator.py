@@ -14,7 +14,7 @@ from doe.studies.blind.simulator import RowConditions, TrueArm, session
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
 from identification.gap.fit import Rows, fit
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
 from identification.measurements import Measurements
 from identification.model import Model

@@ -16,7 +16,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
 from identification.files.arm_text import dump_arm
 from identification.for_design import without_prior
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Conditions
 from identification.model import Model
 
