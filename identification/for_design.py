@@ -368,7 +368,7 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
 def refuse_contacts(chain: KinematicChain) -> None:
     """Raises `InputError` for a chain whose probe touches a surface, where postures have to be free."""
     if chain.instrument.contact:
-        reason = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
+        reason = f"kind {chain.instrument.kind}: where it is touched follows from the arm"
         raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 
 

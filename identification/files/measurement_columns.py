@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, MAX_LINKS, SIGMA_RANGE, Arm
+from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array
 from identification.conditions import gaps_of
 from identification.errors import InputError, close_names, suggestion
@@ -89,6 +89,9 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     elif instrument.reads_positions and in_space and not poses and orientation_columns_of(table):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
     warn_unknown(table, used, hint)
+    if instrument.contact and "run" in table and "order" not in table:
+        planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
+        warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
     return fields
 
 
@@ -162,7 +165,7 @@ def _readings(table: Table, instrument: Instrument) -> Array:
     """(m, d) what an instrument read; of contacts what they stand for."""
     if instrument.contact:
         return np.full((len(table), instrument.dimension), instrument.touched)
-    bounds = {True: (np.nextafter(0.0, 1.0), LARGEST_LENGTH), False: None}
+    bounds = {True: LENGTH_RANGE, False: None}
     return np.column_stack(
         [read_column(table, name, kind, bounds[positive]) for name, kind, positive in instrument.coordinates]
     )

@@ -185,7 +185,9 @@ class Socket(Instrument):
                 return places
             places = places - np.linalg.pinv(slopes, rcond=DISTINCT) @ gaps
         pairs = ", ".join(f"{self.cups[a][0]} to {self.cups[b][0]}" for a, b in self._pairs[0])
-        raise InputError(f"instrument.distances_mm: no cups are as far apart as {pairs}, allowed: what was measured")
+        raise InputError(
+            f"instrument.distances_mm: no cups are as far apart as {pairs}, allowed: distances that can all be true"
+        )
 
     @cached_property
     def _following(self) -> dict[int, Array]:

@@ -37,6 +37,13 @@ def test_distances(tmp_path: Path) -> None:
     assert metres.positions[0, 0] == pytest.approx(412.5)
 
 
+def test_a_plan_of_contacts_is_not_taken_for_contacts_without_a_word(tmp_path: Path) -> None:
+    """A plan has the joints that it asks for: as contacts they fit what it was made with, to rounding."""
+    with pytest.warns(UserWarning, match="has the column run and no order, as a plan does"):
+        load_measurements(saved(tmp_path, "run,q1_deg,q2_deg\n1,30,50\n2,-90,7\n"), BALL)
+    load_measurements(saved(tmp_path, "run,order,q1_deg,q2_deg\n1,1,30,50\n2,2,-90,7\n"), BALL)  # warnings are errors
+
+
 @pytest.mark.parametrize(("arm", "length"), [(BALL, 12.5), (FACE, 0.0)], ids=["sphere", "plane"])
 def test_contacts(tmp_path: Path, arm: Arm, length: float) -> None:
     """Joints alone; every surface is a session of its own."""
