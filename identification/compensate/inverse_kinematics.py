@@ -117,6 +117,7 @@ def best_of_seeds(
     for others: a search of few takes nearly as long as one of many.
     """
     arm, generator = model.arm, np.random.default_rng(0)  # the same postures for the same question
+    # effort: random postures of a redundant arm, of which the nearest six are tried at first
     seeds = generator.uniform(arm.lower, arm.upper, (256, arm.links))
     redundant = conditions.orientation is None and arm.links > goals.shape[1]
     promising = _promising(model, seeds) if redundant else None

@@ -179,7 +179,7 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> KinematicChain:
             return replace(chain, angle_scale=None)
         if sigma.sigma_mm is None:
             unused = "orientations are not used; what a degree weighs against a millimetre is not known"
-            warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=1)
+            warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=2)
             return replace(chain, angle_scale=None)
         # residuals of orientations weigh as much as those of positions
         return replace(chain, angle_scale=sigma.sigma_mm / float(np.radians(sigma.sigma_deg)))

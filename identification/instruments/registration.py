@@ -36,7 +36,7 @@ def placed(frames: Array, measured: Array, reach: float) -> Placement:
     """
     moments, tools = _Moments.of(frames, measured), starts_of_tool(reach)
     before = np.full(len(tools), np.inf)
-    for _ in range(200):
+    for _ in range(200):  # effort: steps of each start
         rotations = moments.rotations(tools)
         tools = moments.tools(rotations)
         squares = moments.squares(rotations, tools)

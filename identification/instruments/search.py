@@ -83,12 +83,14 @@ def starts_of_tool(reach: float) -> Array:
 def searched(instrument: Reads, rows: Unplaced) -> Placement:
     """Base and measured point that explain readings best."""
     frames, readings, reach, base, tool, hopeless = rows
+    # effort: 3,000 random starts
     generator, count = np.random.default_rng(0), 3000 if base is None else len(starts_of_tool(reach))
     if base is None:
         vectors = generator.standard_normal((count, 4))
         angle = 2.0 * np.arctan2(np.linalg.norm(vectors[:, 1:], axis=1), vectors[:, 0])  # of a quaternion of any length
         axes = vectors[:, 1:] / np.linalg.norm(vectors[:, 1:], axis=1, keepdims=True)
         turns = _rotations(angle[:, None] * axes)
+        # bases are looked for within three times the reach
         shifts = 3.0 * reach * generator.uniform(-1.0, 1.0, (count, 3))
     else:
         turns, shifts = np.tile(base[:3, :3], (count, 1, 1)), np.tile(base[:3, 3], (count, 1))
@@ -118,7 +120,7 @@ def _followed(
     """Where damped Gauss-Newton steps of starts end, and their sums of squares (s,)."""
     squares, gradient, matrix = _linear(instrument, starts, frames, readings, scales, free)
     damping = np.full(len(squares), 1e-3)  # what is added to a normal matrix, of its diagonal
-    for done in range(60):
+    for done in range(60):  # effort: steps of each start
         diagonal = np.einsum("sii->si", matrix)
         floor = 1e-12 * np.max(diagonal, axis=1, keepdims=True) + np.finfo(float).tiny
         added = np.eye(matrix.shape[-1]) * (damping[:, None] * np.maximum(diagonal, floor))[:, None]
@@ -129,8 +131,9 @@ def _followed(
         starts = starts.choose(moved, better)
         gradient, matrix = np.where(better[:, None], new[1], gradient), np.where(better[:, None, None], new[2], matrix)
         squares = np.where(better, new[0], squares)
+        # so far that a step stands still, and is that of Gauss and Newton
         damping = np.clip(np.where(better, damping / 5.0, damping * 4.0), 1e-12, 1e12)
-        # nothing is gained, or it is hopeless
+        # nothing is gained, or 15 steps have shown that it is hopeless
         if (not gained and np.all(damping > 1.0)) or (done >= 15 and np.min(squares) > wanted):
             break
     return starts, squares

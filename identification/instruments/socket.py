@@ -179,7 +179,7 @@ class Socket(Instrument):
     def _starts(self) -> Array:
         """(3 C,) coordinates of all cups, nearest to `cups` with the distances that are known."""
         places = np.array([place for _, place in self.cups], dtype=float).ravel()
-        for _ in range(100):
+        for _ in range(100):  # effort: distances that can be true are reached in a few steps
             gaps, slopes = self._gaps(places)
             if np.abs(gaps).max(initial=0.0) < TOUCHES:
                 return places
