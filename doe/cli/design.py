@@ -69,8 +69,7 @@ def command(
     force : Overwrite an existing file.
     """
     from doe.plan.accuracy import tip_beside_random
-    from doe.plan.order import check_order, ordered
-    from doe.plan.plan import plan_text
+    from doe.plan.plan import check_order, ordered, plan_text, travel
     from doe.problem.model import offers
     from doe.problem.uncertain import with_choices
     from doe.report.design import design_document, discriminating_parts, missing_lines
@@ -101,11 +100,12 @@ def command(
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
     if search.order is not None:
-        sequence = ordered(design.plan, search.order, seed=seed)
-        design = replace(design, plan=sequence.plan)
-        data["travel_deg"] = sequence.to_json()
-        before, after = (math.degrees(travel) for travel in (sequence.before, sequence.after))
-        extra.append(f"order {search.order}: joint travel {before:.0f} -> {after:.0f} deg ({sequence.saved:.0%} saved)")
+        before = math.degrees(travel(design.plan.postures))
+        design = replace(design, plan=ordered(design.plan, search.order, seed=seed))
+        after = math.degrees(travel(design.plan.postures))
+        saved = 1.0 - after / before if before > 0.0 else 0.0
+        data["travel_deg"] = {"order": search.order, "before": before, "after": after, "saved": saved}
+        extra.append(f"order {search.order}: joint travel {before:.0f} -> {after:.0f} deg ({saved:.0%} saved)")
     model: Any = design.problem.model
     columns = model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
     text = plan_text(design.plan, loaded.joint_types, columns)

@@ -28,7 +28,7 @@ class RelaxationOptions:
 
     grid : Levels per joint; left out: about 10,000 in all.
     candidates : CSV of allowed postures instead of a grid.
-    solver : clarabel, scs, multiplicative or column_generation; left out: the latter, with --robust multiplicative.
+    solver : column_generation (the default), or clarabel, which is independent of it.
     check : Cross-check by independent methods.
     runs : Number of measurements m, for --robust and spatial arms.
     seconds : Time budget [s]; left out: 40.
@@ -46,7 +46,7 @@ class RelaxationOptions:
         from doe.bounds.column_generation import LARGEST
 
         if self.seconds is not None and solver in LARGEST:
-            reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
+            reason, allowed = f"found with --solver {solver}", "column_generation"
             raise InputError(f"--seconds: {reason}, which cannot be stopped, allowed: with {allowed}")
         # of 40 s, a million candidates take a third of the first half
         began, seconds = perf_counter(), 40.0 if self.seconds is None else self.seconds
@@ -90,7 +90,7 @@ def command(
     )
     problem = with_choices(problem) if criterion.robust and chosen.grid is None else problem
     progress(0, 2, "weights")
-    solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
+    solver = chosen.solver or "column_generation"
     new = chosen.runs or (problem.parameters if problem.deviations else None)
     stop, end = chosen.limits(solver)
     relaxation = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
@@ -100,7 +100,7 @@ def command(
         runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
         checked = with_choices(problem) if criterion.robust else problem
         compared = cross_check(checked, relaxation, runs, seed=seed, seconds=end - perf_counter())
-        data["cross_check"] = compared.rows()
+        data["cross_check"] = compared
         shown.append(cross_check_table(compared))
     text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
     return with_collisions(Answer(data, [*shown, *written({out: text}, force, "plan with weights")]), loaded)

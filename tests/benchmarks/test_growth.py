@@ -17,7 +17,6 @@ import pytest
 
 from doe.bounds.column_generation import column_generation, relax
 from doe.jobs.running import call
-from doe.problem.postures import PostureList
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch
@@ -83,7 +82,7 @@ def grid(levels: int) -> float:
 def list_in_space(candidates: int) -> float:
     arm = six_axis()
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (candidates, 6))
-    return 1.0 - column_generation(arm, PostureList(postures), runs=30).gap
+    return 1.0 - column_generation(arm, postures, runs=30).gap
 
 
 def fit_in_space(rows: int) -> float:

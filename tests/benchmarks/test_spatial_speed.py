@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from doe.bounds.column_generation import column_generation, continuous_design
-from doe.problem.postures import PostureList, random_postures
+from doe.problem.postures import random_postures
 from doe.solvers import solve
 from identification.arrays import Array
 from identification.estimation import estimate, estimate_batch
@@ -89,7 +89,7 @@ def test_exact_plan_in_view_of_a_tracker() -> None:
     problem = six_axis(replace(SIX_AXIS, constraints=(BOX, SIGHT)))
     design, seconds = timed(lambda: solve(problem, 30))
     postures = np.concatenate([random_postures(problem, 1000, np.random.default_rng(k)) for k in range(20)])
-    listed = column_generation(problem, PostureList(postures), runs=30).bound
+    listed = column_generation(problem, postures, runs=30).bound
     assert listed is not None
     assert not design.outside
     share = problem.criterion.efficiency(design.value, listed.value, problem.parameters)
@@ -102,7 +102,7 @@ def test_a_million_candidates_and_all_postures() -> None:
     """Bars: gap 1e-4 in 15 s; 1e-3 in 20 s."""
     problem = six_axis()
     postures = seeded().uniform(problem.lower, problem.upper, (MANY, 6))
-    found, seconds = timed(lambda: column_generation(problem, PostureList(postures), runs=30))
+    found, seconds = timed(lambda: column_generation(problem, postures, runs=30))
     bound, continuous = timed(lambda: continuous_design(problem, runs=30, tolerance=1e-3, proof=1e-3).bound)
     print(f"\n{MANY} candidates: gap {found.gap:.1e} in {seconds:.1f} s; all postures to 1e-3 in {continuous:.1f} s")
     assert found.bound is not None
