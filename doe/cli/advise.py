@@ -42,8 +42,8 @@ def command(
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
     from identification import Model, load_arm, with_scatter
-    from identification.validate.reuse import only as only_these
-    from identification.validate.reuse import words_of
+    from identification.reuse import only as only_these
+    from identification.reuse import words_of
 
     (loaded, given_sigma), words = with_scatter(load_arm(arm)), words_of(only)
     problem = DesignProblem.of(only_these(loaded, words) if words else Model(loaded))

@@ -15,8 +15,7 @@ import pytest
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
-from identification.compensate import compensate, inverse_kinematics
-from identification.compensate.compensation import Compensation
+from identification.compensate import Compensation, compensate, inverse_kinematics
 from identification.model import Model
 from identification.threads import single_thread
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox

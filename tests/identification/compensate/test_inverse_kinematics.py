@@ -16,8 +16,7 @@ import pytest
 
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Calibration
-from identification.compensate import compensate, inverse_kinematics
-from identification.compensate.inverse_kinematics import TOLERANCE
+from identification.compensate import TOLERANCE, compensate, inverse_kinematics
 from identification.model import Model
 from identification.workspace import KeepOutCircle, WorkspaceBox
 from tests.doe.six_axis import CHAIN
