@@ -11,7 +11,6 @@ from scipy.optimize import least_squares
 from identification.estimation.levenberg_marquardt import (
     BLOCK,
     GRADIENT_TOLERANCE,
-    MANY,
     LeastSquares,
     Linearize,
     compressed,
@@ -143,17 +142,17 @@ def test_damped_step_of_many_parameters() -> None:
     """By the triangle of the columns that are free; beyond the tolerance by singular values, of which the smallest is
     left out. The oracle is the pseudo-inverse of the rows with the damping below them."""
     generator = np.random.default_rng(11)
-    left, right = (np.linalg.qr(generator.standard_normal((rows, MANY)))[0] for rows in (MANY + 30, MANY))
-    values, residual = np.geomspace(1.0, 1e-6, MANY), generator.standard_normal(MANY + 30)
-    held = np.zeros((1, MANY), dtype=bool)
+    left, right = (np.linalg.qr(generator.standard_normal((rows, 120)))[0] for rows in (120 + 30, 120))
+    values, residual = np.geomspace(1.0, 1e-6, 120), generator.standard_normal(120 + 30)
+    held = np.zeros((1, 120), dtype=bool)
     for smallest, damping, out in ((1e-6, 0.0, ()), (1e-6, 0.2, ()), (1e-6, 0.2, (3, 7)), (1e-12, 0.0, ())):
         held[:], values[-1] = False, smallest
         held[0, list(out)] = True
         columns = left * values @ right.T
         free = columns * ~held[0]
-        tall = np.vstack([free, np.sqrt(damping) * np.eye(MANY)])
+        tall = np.vstack([free, np.sqrt(damping) * np.eye(120)])
         inverse = np.linalg.pinv(tall, rcond=1e-9)
-        expected = inverse @ np.r_[residual, np.zeros(MANY)]
+        expected = inverse @ np.r_[residual, np.zeros(120)]
         steps, gradient, stiffness = damped_steps(columns[None], residual[None], held, np.array([damping]), 1e-9)
         np.testing.assert_allclose(steps[0], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
         np.testing.assert_allclose(gradient[0], free.T @ residual, rtol=0, atol=1e-9)
