@@ -25,19 +25,15 @@ from identification.estimation.levenberg_marquardt import (
     ITERATIONS,
     Index,
     Solution,
-    levenberg_marquardt,
     outcomes,
 )
 from identification.estimation.problem import (
     METHODS,
-    LinearProblem,
     Prior,
     Problem,
     check_measurements,
     contradicted,
-    damped_gauss_newton,
     likeliest,
-    linear,
     starts,
 )
 from identification.estimation.result import Identification
@@ -198,28 +194,28 @@ def _with_likeliest_noise(
     zeros : parameters to start from elsewhere than at the best known values
     """
     model, holds = problem.model, problem.reliance == "given"
-    made: dict[bytes, LinearProblem] = {}
+    made: dict[bytes, tuple[Array, Array]] = {}
 
-    def about(x: Array) -> LinearProblem:
+    def about(x: Array) -> tuple[Array, Array]:
         """Each made once: fits of other noise pass through the same points."""
         if (key := x.tobytes()) not in made:
             made[key] = problem.linearized(x)
         return made[key]
 
     def solved(at: Array, most: int) -> tuple[Problem, Solution, tuple[float, float]]:
-        noise, (width, zero_width) = likeliest(about(at))
+        noise, (width, zero_width) = likeliest(problem, at, *about(at))
         offsets = {p.name for p in model.parameters if p.kind == JOINT_OFFSET}
         factors = {name: width * (zero_width if name in offsets else 1.0) for name in model.prior}
-        prior = None if problem.prior is None else problem.prior.widened(factors)
-        posed = replace(problem, noise=noise, prior=prior)
+        assert problem.prior is not None
+        wide = {name: deviation * factors.get(name, 1.0) for name, deviation in problem.prior.deviations.items()}
+        posed = replace(problem, noise=noise, prior=replace(problem.prior, deviations=wide))
         rows = posed.prior_rows
 
         def linearize(x: Array, _: Index) -> tuple[Array, Array]:
-            data, left = about(x[0]), rows @ (posed.prior_center - x[0])
-            return np.concatenate([data.residual, left])[None], np.concatenate([data.jacobian, rows])[None]
+            (residual, jacobian), left = about(x[0]), rows @ (posed.prior_center - x[0])
+            return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
 
-        least = replace(posed.least_squares, linearize=linearize, iterations=most)
-        return posed, levenberg_marquardt(least, at[None]), (width, zero_width)
+        return posed, posed.minimized(at[None], linearize, most), (width, zero_width)
 
     elsewhere = [p.name in zeros for p in model.parameters]
     start = np.where(elsewhere, model.parameters.vector(zeros, default=0.0), starts(problem)[0])
@@ -234,7 +230,7 @@ def _with_likeliest_noise(
         if most == 0 or abs(posed.noise - before) <= 1e-4 * before:  # far below its own uncertainty
             break
         most = 0 if solution.status[0] is Status.iteration_limit else ITERATIONS  # the noise there, no further steps
-    return posed, solution, widths, about(solution.parameters[0]).jacobian
+    return posed, solution, widths, about(solution.parameters[0])[1]
 
 
 def far_from_drawing(machining: Machining, width: float, zeros: float) -> list[str]:
@@ -467,7 +463,7 @@ def _iterated(problem: Problem) -> BatchFit:
     rest = np.flatnonzero(~stationary)
     for part in _chunks(len(rest), m):
         sets = rest[part]
-        solution = levenberg_marquardt(problem.rows(sets).least_squares, parameters[sets])
+        solution = problem.rows(sets).minimized(parameters[sets])
         parameters[sets], rss[sets], status[sets] = solution.parameters, solution.squares, solution.status
     return BatchFit(parameters, rss - np.sum((parameters @ problem.prior_rows.T) ** 2, axis=1), status)
 
@@ -478,7 +474,7 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
 
     jacobians : (k, N, p) of each data set with the rows of the prior; (1, N, p): one for all
     """
-    lower, upper = problem.bounds
+    lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
     held, table = (
         problem.prior_rows.T @ problem.prior_rows,
         problem.model.condition_table(problem.postures, problem.conditions),
@@ -541,7 +537,7 @@ def estimate_each(
         jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
         estimable = np.flatnonzero(full_rank(jacobians, model.scales))
         if estimable.size:
-            solve, sets = linear if problem.exact_form else damped_gauss_newton, estimable + part.start
+            solve, sets = METHODS["linear" if problem.exact_form else "gauss_newton"], estimable + part.start
             solution = solve(problem.rows(estimable))
             parameters[sets], rss[sets], status[sets] = solution.parameters, solution.squares, solution.status
     return BatchFit(np.where((status == Status.converged)[:, None], parameters, np.nan), rss, status)

@@ -135,8 +135,8 @@ def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
 
 
 def _revived(problem: LeastSquares, points: Points, k: int, void: NDArray[np.bool_]) -> Array:
-    """(p,) how to move the parameters of search k that have no effect where it ended, (p,) `void`, within the bounds, to
-    where the gradient of one parameter is the largest that leads inside; zero where none is.
+    """(p,) how to move the parameters of search k that have no effect where it ended, (p,) `void`, to
+    where the gradient of one parameter is the largest that leads inside the bounds; zero where none is.
 
     Second derivatives by differences of the gradient; the gradient is exactly linear in the factors of a product.
     """
@@ -304,7 +304,7 @@ def _stiffness(steps: Array, softer: Array) -> Array:
 
 
 def _moved(problem: LeastSquares, points: Points, steps: Array, stiffness: Array) -> Points:
-    """The points after their steps, where those descend, elsewhere as before, with the damping with which the step would
+    """The points after their steps, where those descend, elsewhere as before, with the damping with which a step would
     have ended at the minimum of a parabola along it (Hebden 1973).
 
     No more damping than before where the sum of squares falls nearly as the linear model predicts; where it falls by
