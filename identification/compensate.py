@@ -84,7 +84,7 @@ def _least(model: Model, linearize: Linearize, starts: Array, iterations: int) -
     )
     problem = LeastSquares(linearize, *limits, reach, negligible, metric=reach, iterations=iterations)
     solution = levenberg_marquardt(problem, starts)
-    return solution.parameters, np.sqrt(solution.squares)
+    return solution.parameters, np.sqrt(solution.rss)
 
 
 def metric(model: Model) -> Array:

@@ -301,7 +301,7 @@ def identify_files(
             "file": str(prior_from),
             "parameters": list(earlier.names),
             "anew": [name for name in identified.names if name not in held],
-            "contradicted": [one.to_json() for one in identified.contradictions],
+            "contradicted": [one._asdict() for one in identified.contradictions],
         }
     if words:
         identified = with_base_doubt(identified, with_sessions(loaded, rows), words, rows)

@@ -17,7 +17,7 @@ transformations change neither sums of squares nor products of columns, and leas
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -89,17 +89,32 @@ class Points(NamedTuple):
 class Solution:
     """Ends of K searches.
 
-    parameters : (K, p);  squares : (K,) sums of squared residuals;  active : (K, p) True where a bound is active
-    status : (K,) of `Status`: converged; almost_solved where rounding or a flat valley ended the search;
+    parameters : (K, p), API units;  rss : (K,) weighted sums of squared residuals, [mm^2] without sigma
+    status : (K,) of `Status`: converged (stationary: no free column of the Jacobian has a cosine above 1e-9 with the
+        residuals; the closed form always is); almost_solved where rounding or a flat valley ended the search;
         iteration_limit; solver_failed where the residuals at the start are not finite
-    iterations : (K,) steps, rejected ones included
+    active : (K, p) True where a bound is active;  iterations : (K,) steps, rejected ones included
     """
 
     parameters: Array
-    squares: Array
-    active: NDArray[np.bool_]
+    rss: Array
     status: NDArray[np.object_]
-    iterations: Index
+    active: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    iterations: Index = field(default_factory=lambda: np.ones(1, dtype=int))
+
+    def __len__(self) -> int:
+        return len(self.rss)
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """(K,) True where it is stationary; False for data that are not finite."""
+        return np.asarray(self.status == Status.converged)
+
+    def finished(self) -> Solution:
+        """The same, read only."""
+        for array in (self.parameters, self.rss, self.status):
+            array.setflags(write=False)
+        return self
 
 
 def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
@@ -114,14 +129,14 @@ def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
     finite = np.isfinite(points.squares)
     failed = np.full(count, Status.solver_failed, dtype=object)
     x, squares = points.parameters.copy(), np.where(finite, np.inf, points.squares)
-    solution = Solution(x, squares, np.zeros((count, p), dtype=bool), failed, np.zeros(count, int))
+    solution = Solution(x, squares, failed, np.zeros((count, p), dtype=bool), np.zeros(count, int))
     small, points = VANISHED * _lengths(points.jacobians), points.at(finite)
     while len(points.problems):
-        before = solution.squares.copy()
+        before = solution.rss.copy()
         points = _search(problem, points, solution)
         if problem.metric is not None:
             break
-        points = points.at(solution.squares[points.problems] < before[points.problems])
+        points = points.at(solution.rss[points.problems] < before[points.problems])
         void = (_lengths(points.jacobians) <= small[points.problems]) & (problem.lower < problem.upper)
         moves = {
             k: move for k in np.flatnonzero(void.any(axis=1)) if (move := _revived(problem, points, k, void[k])).any()
@@ -182,9 +197,9 @@ def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points
             )
             ends.append(end)
             solution.iterations[end.problems] += iteration
-            lower = end.squares < (1.0 - SMALL_FALL) * solution.squares[end.problems]
+            lower = end.squares < (1.0 - SMALL_FALL) * solution.rss[end.problems]
             rows = end.problems[lower]
-            solution.parameters[rows], solution.squares[rows] = end.parameters[lower], end.squares[lower]
+            solution.parameters[rows], solution.rss[rows] = end.parameters[lower], end.squares[lower]
             solution.active[rows], solution.status[rows] = active[ended][lower], outcomes(good[ended], *status)[lower]
         points = points.at(~ended)
         if len(points.problems) == 0:

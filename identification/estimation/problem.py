@@ -285,6 +285,11 @@ class Problem:
         return np.clip(self.model.values, self.model.parameters.lower, self.model.parameters.upper)
 
     @cached_property
+    def rounding(self) -> Array:
+        """(K,) norms of the weighted residuals that rounding errors of coordinates of this size make."""
+        return ROUNDING * np.sqrt(np.einsum("kmd,m->k", self.positions**2, self.weights))
+
+    @cached_property
     def prior_rows(self) -> Array:
         """(r, p) rows of the prior in the Jacobian, see `Prior.rows`."""
         nothing = np.zeros((0, len(self.model.parameters)))
@@ -332,12 +337,10 @@ class Problem:
 
     def minimized(self, starts: Array, linearize: Linearize | None = None, iterations: int = ITERATIONS) -> Solution:
         """Stationary points within the bounds from starts (K, p);  linearize : in place of the problem's own"""
-        # norms of residuals that rounding errors of coordinates of this size make
-        rounding = ROUNDING * np.sqrt(np.einsum("kmd,m->k", self.positions**2, self.weights))
         rows = linearize or (lambda parameters, index: compressed(*self.linearize(parameters, index)))
         parameters, scales = self.model.parameters, self.model.scales
         bounds = parameters.lower, parameters.upper
-        form = LeastSquares(rows, *bounds, scales, rounding, self.tolerance, iterations=iterations)
+        form = LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance, iterations=iterations)
         return levenberg_marquardt(form, starts)
 
 
@@ -489,7 +492,7 @@ def linear(problem: Problem) -> Solution:
         raise InputError(f"method: linear does not fit this model, allowed: {allowed}")
     parameters, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
     status = outcomes(np.isfinite(squares), Status.converged, Status.solver_failed)
-    return Solution(parameters, squares, np.zeros(parameters.shape, dtype=bool), status, np.ones(len(squares), int))
+    return Solution(parameters, squares, status)
 
 
 def paper_steps(problem: Problem) -> Solution:
@@ -517,7 +520,7 @@ def paper_steps(problem: Problem) -> Solution:
     finite = bool(np.all(np.isfinite(errors)))
     status = Status.converged if finite and steps < 50 else Status.iteration_limit if finite else Status.solver_failed
     x = (errors if finite else np.zeros(len(errors)))[None]
-    return Solution(x, problem.squares(x), np.zeros(x.shape, dtype=bool), np.array([status]), np.array([steps]))
+    return Solution(x, problem.squares(x), np.array([status]), iterations=np.array([steps]))
 
 
 METHODS: Mapping[str, Callable[[Problem], Solution]] = {

@@ -74,7 +74,7 @@ def test_ends_where_scipy_ends(lower: tuple[float, ...], upper: tuple[float, ...
     found = levenberg_marquardt(problem(linearize, 3, 40, lower=low, upper=high), 1.05 * others)
     assert set(found.status) == {Status.converged}
     assert np.all((found.parameters >= low) & (found.parameters <= high))
-    assert np.all(found.squares <= np.sum(linearize(others, np.arange(40))[0] ** 2, axis=1) * (1.0 + 1e-9))
+    assert np.all(found.rss <= np.sum(linearize(others, np.arange(40))[0] ** 2, axis=1) * (1.0 + 1e-9))
     # scipy keeps a little inside the bounds: 1e-6 of values of order one
     np.testing.assert_allclose(found.parameters, others, rtol=0, atol=2e-5)
     far = levenberg_marquardt(problem(linearize, 3, 40, lower=low, upper=high), np.tile([2.5, 0.8, 0.1], (40, 1)))
@@ -245,7 +245,7 @@ def test_a_wrong_derivative_ends_unconverged() -> None:
     assert not np.any(found.status == Status.converged)
     assert np.all(found.iterations < problem(wrong, 3, 3).iterations)
     begun = np.sum(right(np.ones((3, 3)), np.arange(3))[0] ** 2, axis=1)
-    assert np.all(found.squares <= begun * (1.0 + 1e-12))
+    assert np.all(found.rss <= begun * (1.0 + 1e-12))
 
 
 def bilinear(count: int, factors: tuple[int, int], seed: int) -> tuple[Linearize, np.ndarray]:
@@ -278,7 +278,7 @@ def test_no_corner_without_gradient_counts_as_converged(factors: tuple[int, int]
     assert np.mean(converged) > 0.95
     x = found.parameters
     residual, jacobian = linearize(x, np.arange(count))
-    np.testing.assert_allclose(found.squares, np.sum(residual**2, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(found.rss, np.sum(residual**2, axis=1), rtol=1e-12)
     gradient = np.einsum("knp,kn->kp", jacobian, residual)
     inside = np.where(x <= low, gradient > 0.0, np.where(x >= high, gradient < 0.0, True))
     size = np.linalg.norm(jacobian, axis=1) * np.linalg.norm(residual, axis=1)[:, None]
@@ -286,8 +286,8 @@ def test_no_corner_without_gradient_counts_as_converged(factors: tuple[int, int]
     assert np.all(np.abs(gradient)[inside] <= 2.0 * GRADIENT_TOLERANCE * size[inside])
     near = np.clip(x + 1e-3 * generator.uniform(-1.0, 1.0, x.shape), 2e-6, upper - 2e-6)
     ends = np.array([scipy_end(linearize, near[k], k, low, high) for k in range(count)])
-    lower_by = found.squares - np.sum(linearize(ends, np.arange(count))[0] ** 2, axis=1)
-    np.testing.assert_array_less(lower_by, 1e-9 * found.squares)
+    lower_by = found.rss - np.sum(linearize(ends, np.arange(count))[0] ** 2, axis=1)
+    np.testing.assert_array_less(lower_by, 1e-9 * found.rss)
 
 
 def test_a_saddle_point_is_left() -> None:
@@ -298,7 +298,7 @@ def test_a_saddle_point_is_left() -> None:
 
     found = levenberg_marquardt(problem(linearize, 2, 1, rounding=np.array([1e-12])), np.array([[1.0, 1.0]]))
     assert found.status[0] is Status.converged
-    assert found.squares[0] <= 1e-20
+    assert found.rss[0] <= 1e-20
 
 
 def test_a_corner_is_left_where_the_other_factor_has_room() -> None:
@@ -316,7 +316,7 @@ def test_a_corner_is_left_where_the_other_factor_has_room() -> None:
     least = problem(linearize, 3, 1, lower=low, upper=high, rounding=np.array([1e-12]))
     found = levenberg_marquardt(least, np.array([[0.0, -0.3, -0.8]]))
     assert found.status[0] is Status.converged
-    assert found.squares[0] <= 1e-20
+    assert found.rss[0] <= 1e-20
 
 
 @pytest.mark.parametrize("rows", [150, 2 * BLOCK + 3])
