@@ -248,7 +248,7 @@ class Model:
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
         """What effects act through: (m, d, P) derivative of the positions by what is added at each place of the chain,
-        and (m, S) the state that it may depend on (effects/places.py)."""
+        and (m, S) the state that it may depend on (effects/chain.py)."""
         levers, state = self.expressions.place_levers(*self._arguments(postures, parameters, conditions))
         return levers, state[..., 0]
 

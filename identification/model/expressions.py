@@ -13,8 +13,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
-from identification.effects.chain import condition_slices
-from identification.effects.places import by_place, position_and_state, widths
+from identification.effects.chain import by_place, condition_slices, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
 from identification.kinematics.frames import turned

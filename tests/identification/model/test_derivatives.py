@@ -11,7 +11,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
-from identification.effects.places import position_and_state, widths
+from identification.effects.chain import position_and_state, widths
 from identification.error_curve import ErrorCurve
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, turned
