@@ -8,7 +8,7 @@ import click
 from hypothesis import strategies as st
 
 from doe.cli import main
-from doe.cli.options import FilePath
+from doe.cli.verb import FilePath
 from tests.fuzz.arms import ArmText, arms
 from tests.fuzz.campaigns import campaigns
 from tests.fuzz.tables import measurements, plans, studies, targets
