@@ -354,8 +354,8 @@ def advise_files(
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
     from identification import Model, load_arm, with_scatter
-    from identification.validate.reuse import only as only_these
-    from identification.validate.reuse import words_of
+    from identification.reuse import only as only_these
+    from identification.reuse import words_of
 
     (loaded, given_sigma), named = with_scatter(load_arm(arm)), words_of(only)
     problem = DesignProblem.of(only_these(loaded, named) if named else Model(loaded))

@@ -28,7 +28,7 @@ from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, library, unknown_effect
 from identification.errors import InputError
-from identification.estimation.prior import Prior
+from identification.estimation.problem import Prior
 from identification.gap.hypotheses import EFFECT, ORDER, Hypothesis, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
