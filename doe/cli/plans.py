@@ -137,7 +137,7 @@ def written(
     return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
 
-def drawn(name: str, *of: Any) -> Callable[[], Figure]:
+def drawing(name: str, *of: Any) -> Callable[[], Figure]:
     """What draws a picture of doe/report/figures.py: matplotlib takes longer to load than a small design."""
 
     def draw() -> Figure:
@@ -251,7 +251,7 @@ def design_files(
     model: Any = design.problem.model
     columns = model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
     text = plan_text(design.plan, loaded.joint_types, columns)
-    extra += written({out: text, picture: drawn("plan_figure", loaded, design.plan.postures)}, force, "plan")
+    extra += written({out: text, picture: drawing("plan_figure", loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
@@ -301,7 +301,7 @@ def score_files(
         counted = f"{len(outside)} of {len(judged)} runs are outside joint limits or constraints"
         sentence = f"{plan}: {counted}, the first is run {outside[0]}: the bound does not apply"
         warnings.warn(sentence, UserWarning, stacklevel=2)
-    pictures: dict[Path | None, Any] = {picture: drawn("plan_figure", loaded, judged.postures)}
+    pictures: dict[Path | None, Any] = {picture: drawing("plan_figure", loaded, judged.postures)}
     sees = None
     try:
         sees = detectability(without_prior(loaded), judged.postures)
@@ -375,7 +375,7 @@ def advise_files(
         enough = f"identifiable from {fewest} run{'s' * (fewest != 1)} or more at well-chosen postures"
         shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
     shown.append(advice_document(advice).plus(*doubts))
-    written({picture: drawn("advice_figure", advice)}, force)
+    written({picture: drawing("advice_figure", advice)}, force)
     return with_collisions(Answer(data, shown, warnings=doubts), loaded)
 
 
