@@ -147,7 +147,7 @@ class Effect:
     alias : base parameters from which no measurement of the tip can distinguish it, or None
     nuisance : True if it is no fault of the arm, so that `diagnose` does not search for it
     of_commands : True if it acts between command and encoder reading, so that models of the readings ignore it
-        (identification/servo.py)
+        (identification/simulate.py)
     scatter : True if it acts on the noise, so that the model of the mean ignores it (identification/effects/noise.py)
     once : True if it belongs to the session of the identification; in later sessions its final state applies
     of_positions : True if it is of the frame in which positions are measured, which other instruments do not have

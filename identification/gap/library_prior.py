@@ -29,7 +29,7 @@ from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, library, unknown_effect
 from identification.effects.chain import contribution
 from identification.errors import InputError
-from identification.estimation.prior import Prior
+from identification.estimation.problem import Prior
 from identification.gap.hypotheses import EFFECT, ORDER, Hypothesis, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
