@@ -3,7 +3,7 @@
     commanded joint angle -> real joint angle -> links -> position in the base -> measured position
 
 An effect is a class with a table of parameters and, by the names of their places, formulas of what it adds there, which
-identification/effects/chain.py adds up. The library's own are `declared`; a user's is a class under `register`.
+identification/effects/chain.py adds up. The library's own come through `add_effect`; a user's is a class under `register`.
 
 Settings of effects are numbers that are chosen rather than estimated, and the values that a scan tries.
 """
@@ -280,7 +280,7 @@ def register(cls: type[Effect]) -> type[Effect]:
     return cls
 
 
-def declared(name: str, summary: str, text: str, numbers: Any = (), **members: Any) -> type[Effect]:
+def add_effect(name: str, summary: str, text: str, numbers: Any = (), **members: Any) -> type[Effect]:
     """Make an effect and add it to the library.
 
     text : what it is and adds, for people;  numbers : its parameters, or the function of an effect that lists them

@@ -1,4 +1,4 @@
-"""The library: every effect on the mean, with its parameters and what it adds at its place, as `declared` takes them.
+"""The library: every effect on the mean, with its parameters and what it adds at its place (`add_effect`).
 
 The reason for each typical size stands beside it. Less common effects of real robot cells have a lower `prior`, which
 lets a common effect be named where it explains the data equally well. Effects that no measurement of the tip can
@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.effects.base import LEVER, REACH, Effect, Number, Scope, Setting, clock, declared, step_times
+from identification.effects.base import LEVER, REACH, Effect, Number, Scope, Setting, add_effect, clock, step_times
 from identification.effects.chain import Chain
 from identification.instruments import distance_to_center
 from identification.kinematics.frames import rotation_to_z
@@ -27,11 +27,11 @@ WIDTHS = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)  # of hysteresis, in ranges of the 
 PLANE, SPACE = (2,), (3,)
 STEP = Setting(-0.5, 1000.0, step_times)  # time of a step, see `clock`
 
-of_gravity = partial(declared, needs=frozenset({"gravity"}), family="gravity")
+of_gravity = partial(add_effect, needs=frozenset({"gravity"}), family="gravity")
 # acts through the effects of gravity in the arm's model, and modifies all of them
-of_load = partial(declared, needs=frozenset({"gravity"}), through="gravity", prior=RARE)
-of_time = partial(declared, needs=frozenset({"time"}))
-of_joint = partial(declared, per_joint="required")
+of_load = partial(add_effect, needs=frozenset({"gravity"}), through="gravity", prior=RARE)
+of_time = partial(add_effect, needs=frozenset({"time"}))
+of_joint = partial(add_effect, per_joint="required")
 
 
 def each(shorts: Iterable[str], *more: Any) -> list[Number]:
@@ -324,7 +324,7 @@ of_gravity(  # Euler-Bernoulli: deflection F L^3 / 3EI + M L^2 / 2EI, slope F L^
     deflections=lambda self, chain, values: 1000.0 * _bent(chain, values, (3, 3), (2, 2)),
     slopes=lambda self, chain, values: _bent(chain, values, (2, 2), (1, 1)),
 )
-declared(
+add_effect(
     "thermal_growth",
     "links grow with temperature",
     "Links grow with temperature: l_j (1 + a (T - T_mean)).",
@@ -367,7 +367,7 @@ of_joint(
 )
 
 # -- base and instrument -----------------------------------------------------------------------------------------------
-declared(
+add_effect(
     "base_offset",
     "base not at the origin of the measurements",
     "The base does not stand at the origin of the measurements: + (x0, y0).",
@@ -403,7 +403,7 @@ def _of_session(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
 
 # nothing physical is missing: arm or instrument was set up again. `identify` and `diagnose` add it by themselves where
 # the data name sessions, and leave it out of what they write
-declared(
+add_effect(
     "session_base",
     "arm or instrument set up again for each session",
     "Each session after the first has its own base: + (x, y), rotation by w, relative to that of the first.",
@@ -419,7 +419,7 @@ declared(
     base_rotation=lambda self, chain, values: _of_session(self, chain, values)[chain.dimension :],
     base_translation=lambda self, chain, values: _of_session(self, chain, values)[: chain.dimension],
 )
-declared(
+add_effect(
     "axes_skew",
     "instrument axes of unequal scale or not square",
     "Unequal scales and axes that are not square: p + (a + ib) conj(p), p = x + iy.",
@@ -430,7 +430,7 @@ declared(
         values[0] * p[0] + values[1] * p[1], values[1] * p[0] - values[0] * p[1]
     ),
 )
-declared(
+add_effect(
     "length_offset",
     "all measured distances too long by the same",
     "A measured distance is longer than it is by the same everywhere, + c: the zero of a draw wire, the reference "
@@ -440,7 +440,7 @@ declared(
     dimensions=SPACE,
     instrument=lambda self, p, values: values[0] * p / distance_to_center(p),  # the center is the origin
 )
-declared(
+add_effect(
     "measurement_scale",
     "instrument scale is wrong",
     "The instrument's unit is wrong by a factor: p (1 + s).",
@@ -448,7 +448,7 @@ declared(
     alias="a common factor of all link lengths",
     instrument=lambda self, p, values: values[0] * p,
 )
-declared(
+add_effect(
     "tool_offset",
     "target not at the tip",
     "The measured target is not at the tip: (x, y) in the frame of the last link.",
@@ -457,7 +457,7 @@ declared(
     dimensions=PLANE,  # in space the tool is part of the geometry
     tool=lambda self, chain, values: values,
 )
-declared(
+add_effect(
     "base_rotation",
     "base turned against the measurements",
     "The base is turned against the frame of the measurements.",

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.arrays import Array
-from identification.effects.base import LEVER, Effect, Number, declared
+from identification.effects.base import LEVER, Effect, Number, add_effect
 
 Values = Mapping[str, float]
-of_noise = partial(declared, scatter=True)
+of_noise = partial(add_effect, scatter=True)
 
 
 class Scene(NamedTuple):
