@@ -3,7 +3,7 @@
     commanded joint angle -> real joint angle -> links -> position in the base -> measured position
 
 An effect is a class with a table of parameters and, by the names of their places, formulas of what it adds there, which
-identification/effects/chain.py adds up. The library's own come through `add_effect`; a user's is a class under `register`.
+identification/effects/chain.py adds up. `add_effect` makes the library's own; a user's is a class under `register`.
 
 Settings of effects are numbers that are chosen rather than estimated, and the values that a scan tries.
 """
