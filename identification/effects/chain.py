@@ -39,14 +39,14 @@ def condition_slices(links: int, extra: Collection[str] = ()) -> dict[str, slice
     """Where each condition of a model stands among its columns: those of `Conditions.table`, and of these in order what
     the model has besides.
 
-    extra : `past` of the joints, if an effect has a memory; `marker`, where there are several; `orientation`, what was
-        measured, column by column, and 1 where there is none; `errors` of the joints by their curves, and the share of
-        the curves' geometry that is off
+    extra : `past` of the joints, if an effect has a memory; `marker`, where there are several; `reference`, measured
+        orientations column by column, and 1 where there is none; `errors` of the joints by their curves, and the share
+        of the curves' geometry that is off
     """
     sizes = {"payload": 1, "temperature": 1, "time": 1, "session": 1, "directions": links}
     sizes |= {"past": links * REMEMBERED} if "past" in extra else {}
     sizes |= {"marker": 1} if "marker" in extra else {}
-    sizes |= {"reference": 9, "missing": 1} if "orientation" in extra else {}
+    sizes |= {"reference": 9, "missing": 1} if "reference" in extra else {}
     sizes |= {"errors": links, "off": 1} if "errors" in extra else {}
     return _slices(sizes)
 

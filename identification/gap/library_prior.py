@@ -156,6 +156,6 @@ def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
         return False
     q, c, _, _ = model.symbols
     values = ca.SX.sym("v", len(effect.parameters))
-    angle = contribution(effect, "joint_angles", model.expressions.chain(q, c), values)[joint]
+    angle = contribution(effect, "joint_angles", model.chain_at(q, c), values)[joint]
     others = ca.vertcat(*(q[k] for k in range(model.joints) if k != joint), c)
     return bool(ca.depends_on(angle, q[joint])) and not bool(ca.depends_on(angle, others))
