@@ -7,9 +7,9 @@ respect to the ORIENTATION offset dtheta_k touches link k only (eq. 8); that wit
 over links k..n, which is what eq. 4 prints. For arms in space see identification/kinematics/chain.py.
 
 A model has two stages. Symbols: chain, effects and instrument make one expression of posture q, conditions c and
-parameters p, and its derivatives. Numbers: a compiled function of these runs on arrays of postures. To set up both costs
-more than most uses, and searches ask for hundreds of models, so models that have the same symbols share them: the first
-of these (`expressions`) keeps what any of them needed.
+parameters p, and its derivatives. Numbers: a compiled function of these runs on arrays of postures. Both cost more than
+most uses, and searches ask for hundreds of models, so models that have the same symbols share them: the first of these
+(`expressions`) keeps what any of them needed.
 """
 
 from __future__ import annotations
