@@ -94,7 +94,7 @@ def metric(model: Model) -> Array:
 
 def linearization(model: Model, conditions: Conditions) -> Linearize:
     """Postures (k, n) and row numbers -> positions (k, d) and derivatives with respect to the posture (k, d, n)."""
-    evaluate = model.expressions.posture_jacobian
+    evaluate = model.posture_jacobian
 
     def linearize(postures: Array, rows: Index) -> tuple[Array, Array]:
         table = model.condition_table(postures, conditions.rows(rows))

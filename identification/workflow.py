@@ -1,6 +1,6 @@
 """The commands of identification: files in, files out, and an `Answer` of what there is to say.
 
-Each function is a verb of `armcal`, which its signature, its docstring and its example declare (doe/cli/common.py), and
+Each function is a verb of `armcal`, which its signature, its docstring and its example declare (doe/cli/verb.py), and
 may be called from Python as well: `identify_files("arm.toml", "data.csv", out="calibrated.toml")`. Verbs take units of
 files; those of one name without `_files` are the same of objects, in millimetres and radians. What they load is loaded
 when they are called, so that `armcal --help` answers at once.

@@ -52,7 +52,6 @@ LAYERS = {
     "identification.files.first_files": 2,
     "identification.files.measurement_columns": 2,
     "identification.vectorize": 0,
-    "identification.model.expressions": 3,
     "identification.model": 3,
     "identification.information": 1,
     "identification.simulate": 4,
