@@ -144,8 +144,8 @@ def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.b
     causes = (
         "a lost beam, an arm that was still moving, or what the model lacks there. armcal diagnose tells these apart; "
         "identify --without-outliers leaves such rows out",
-        "not single rows but whole postures or neighbors: what the model lacks there (gravity, play), or postures where "
-        "the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong",
+        "not single rows but whole postures or neighbors: what the model lacks there (gravity, play), or postures "
+        "where the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong",
     )
     return [
         f"{rows_in_words(rows)}: up to {off[rows].max():.4g} mm off, the others "
@@ -368,10 +368,9 @@ def hardly_determined(fit: Identification) -> list[str]:
     what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits."""
     if fit.expected_tip_measured is None or fit.expected_tip is None:
         return base_and_tool(fit, None)
-    inside, anywhere = (  # without the posture's own error, which no further rows help against
-        float(np.sqrt(max(error**2 - own_error(fit) ** 2, 0.0)))
-        for error in (fit.expected_tip_measured, fit.expected_tip)
-    )
+    tips = np.square([fit.expected_tip_measured, fit.expected_tip])
+    # without the posture's own error, which no further rows help against
+    inside, anywhere = np.sqrt((tips - own_error(fit) ** 2).clip(min=0.0)).tolist()
     arm, equations, places = fit.model.arm, fit.residuals_before.size, placing(fit.model.parameters)
     spare = equations - len(places)
     off = fit.rms_before if len(places) < len(fit.names) else fit.rms_after  # its place says nothing of the arm

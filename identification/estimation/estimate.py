@@ -6,8 +6,8 @@ what has a prior: it is the noise of the largest marginal likelihood (`problem.l
 that is given.
 
 Many data sets (Monte Carlo studies, bootstraps, fleets of one arm, random plans) with a closed form take a few
-multiplications per fit. Any other model starts there and goes on with Levenberg-Marquardt; on one plan, steps by inverse
-normal matrices that are made once come first (the chord method, `chord_steps`).
+multiplications per fit. Any other model starts there and goes on with Levenberg-Marquardt; on one plan, steps by
+inverse normal matrices that are made once come first (the chord method, `chord_steps`).
 """
 
 from __future__ import annotations
@@ -257,8 +257,8 @@ def _identification(
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
     identifiability = identifiability_of(decomposed, model.names, model.scales)
-    # before: where nothing says where a spatial arm stands and what is measured on it, these are fitted in least squares
-    # (one Gauss-Newton step from the closed form)
+    # before: where nothing says where a spatial arm stands and what is measured on it, these are fitted in least
+    # squares (one Gauss-Newton step from the closed form)
     was, after = problem.start, problem.residuals(x)[0]
     if free := placing(model.parameters):
         position, jacobian = model.linearize(problem.postures, was, problem.conditions)
@@ -268,8 +268,8 @@ def _identification(
         was[free] += np.linalg.lstsq(slopes, left.ravel(), rcond=None)[0]
     before = problem.residuals(was)[0]
     sentences, implausible = doubts(model, x, identifiability.identifiable, before, after, data)
-    # rows that the model does not explain, where enough equations are left to tell; rows nearer than half the limit need
-    # no test with their leverage, which is small where rows are many
+    # rows that the model does not explain, where enough equations are left to tell; rows nearer than half the limit
+    # need no test with their leverage, which is small where rows are many
     used, held = problem.weights > 0.0, problem.prior_rows
     unexplained, (m, d, p) = np.zeros(len(after), dtype=bool), rows.jacobian.shape
     white = (problem.root_weights * after)[used]
@@ -347,7 +347,7 @@ def estimate_batch(
             x[part], rss[part] = solve(measured[part])
         status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
         return solution.finished()
-    # from the closed form, by the chord method with one matrix for all, then with their own, last by Levenberg-Marquardt
+    # from the closed form, by the chord method with one matrix for all, then with their own; last one by one
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
     usable = np.all(np.isfinite(x), axis=1)
@@ -376,8 +376,8 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
     jacobians : (k, N, p) of each data set with the rows of the prior; (1, N, p): one for all
 
     Steps are N^-1 J(p)^T W r with N^-1 taken at one point, where J(p)^T W r comes exactly from CasADi's reverse mode at
-    the price of a few position evaluations: no Jacobian, no decomposition per step. The matrix only sets the speed: what
-    is accepted is stationary for its own data set. What does not contract quickly, or meets a bound, is left to others.
+    the price of a few position evaluations: no Jacobian, no decomposition per step. The matrix only sets the speed:
+    what is accepted is stationary for its own data set. What does not contract quickly, or meets a bound, is left.
     """
     lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
     held = problem.prior_rows.T @ problem.prior_rows
