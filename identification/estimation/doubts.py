@@ -281,7 +281,8 @@ def contradiction(name: str, before: Earlier, fit: Identification, instead: tupl
     """Of a parameter before, and of a fit without that prior."""
     p, k = fit.model.parameters[now := fit.names.index(name)], before.names.index(name)
     figures = before.values[k], np.sqrt(before.covariance[k, k]), fit.parameters[now], fit.std[now]
-    return Contradiction(name, p.file_unit, *(float(x * p.to_file) for x in figures), instead)
+    prior, prior_std, value, std = (float(x * p.to_file) for x in figures)
+    return Contradiction(name, p.file_unit, prior, prior_std, value, std, instead)
 
 
 def contradiction_warnings(contradictions: Sequence[Contradiction], without_prior: Sequence[Parameter]) -> list[str]:

@@ -217,7 +217,7 @@ def _with_likeliest_noise(
     x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
     # two steps before the noise is estimated again, in ten rounds at most: the model is nearly linear, so that the
     # second round changes little
-    before, steps, most = np.inf, 0, ITERATIONS if holds else 2
+    before, steps, most = np.inf, np.zeros(1, dtype=int), ITERATIONS if holds else 2
     for turn in range(1 if holds else 11):
         noise, widths = likeliest(problem, x, *about(x))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}

@@ -139,7 +139,9 @@ def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
         points = points.at(solution.rss[points.problems] < before[points.problems])
         void = (_lengths(points.jacobians) <= small[points.problems]) & (problem.lower < problem.upper)
         moves = {
-            k: move for k in np.flatnonzero(void.any(axis=1)) if (move := _revived(problem, points, k, void[k])).any()
+            k: move
+            for k in np.flatnonzero(void.any(axis=1)).tolist()
+            if (move := _revived(problem, points, k, void[k])).any()
         }
         stuck = np.array([*moves], dtype=int)
         if not moves:

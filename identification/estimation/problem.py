@@ -14,7 +14,7 @@ those of the machining and of the zeros of joints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -95,7 +95,7 @@ class Earlier(ByValue):
         return Earlier(tuple(name for name in self.names if name not in values), self.values[~named] + gain @ off, left)
 
 
-def _check_positive(what: str, named: Collection[tuple[str, float]]) -> None:
+def _check_positive(what: str, named: Iterable[tuple[str, float]]) -> None:
     for name, value in named:
         if not 0.0 < value < np.inf:
             raise InputError(f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")

@@ -71,10 +71,12 @@ class WhiteRows:
         position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
         residual = problem.root_weights * (problem.positions[0] - position)
         weighted = problem.root_weights[:, :, None] * jacobian
-        numbers = (np.unique(n[kept], return_inverse=True)[1] for n in (data.posture_numbers, data.repeat_numbers))
+        postures, repeats = (
+            np.unique(n[kept], return_inverse=True)[1] for n in (data.posture_numbers, data.repeat_numbers)
+        )
         sequence = np.cumsum(kept)[data.sequence[kept[data.sequence]]] - 1
         pull = prior.T @ (prior @ (problem.prior_center - parameters))
-        return cls(weighted[kept], residual[kept], rank, sequence, *numbers, pull)
+        return cls(weighted[kept], residual[kept], rank, sequence, postures, repeats, pull)
 
     @property
     def freedom(self) -> float:
@@ -465,7 +467,7 @@ def groups_of(measurements: Measurements, kept: NDArray[np.bool_] | None = None)
     return groupings(measurements.postures[rows], measurements.posture_numbers[rows], turn[rows])
 
 
-def groupings(postures: Array, repeats: Groups, time: Array) -> tuple[Groups, Groups]:
+def groupings(postures: Array, repeats: Groups, time: Array | Groups) -> tuple[Groups, Groups]:
     """(m,) group of each row by interval of time, and by region of posture (repeated bisection at the median of the
     joint with the widest range): up to `GROUPS` groups of equal size.
 
