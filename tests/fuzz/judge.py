@@ -162,8 +162,8 @@ def readers(case: Case, name: str) -> Iterator[Callable[[Path], object]]:
     from doe.plan.plan import load_plan
     from identification.files.arm import load_arm
     from identification.files.csv import read_table
-    from identification.files.measurement import load_measurements
     from identification.files.urdf import read_urdf
+    from identification.measurements import load_measurements
 
     given = {
         option: value for option, value in zip(case.words, case.words[1:], strict=False) if option.startswith("--")
