@@ -27,7 +27,7 @@ from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells, hidden_effects, simulator
 from doe.studies.blind.simulator import TrueArm, column
-from identification.effects.rare import RARE
+from identification.effects.formulas import RARE
 from identification.gap.search import log_odds_of_count
 from identification.model import Model
 

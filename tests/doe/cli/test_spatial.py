@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.cli.common import with_collisions
+from doe.cli.plans import with_collisions
 from doe.problem.constraints import COLLISIONS
 from identification.document import Answer
 from identification.estimation import estimate

@@ -10,8 +10,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import Identification, estimate, estimate_with_prior
-from identification.estimation.prior import Earlier, Prior, contradicted, worst_contradicted
-from identification.estimation.problem import LinearProblem, Problem
+from identification.estimation.problem import Earlier, LinearProblem, Prior, Problem, contradicted, worst_contradicted
 from identification.measurements import Measurements
 from identification.model import Model
 

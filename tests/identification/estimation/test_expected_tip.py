@@ -10,7 +10,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch
-from identification.estimation.expected_tip import expected_tip, size_left_open
+from identification.estimation.doubts import expected_tip, size_left_open
 from identification.files.arm import load_arm
 from identification.instruments import Distance, Instrument, Plane, Sphere
 from identification.measurements import load_measurements

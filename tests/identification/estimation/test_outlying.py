@@ -10,7 +10,7 @@ from scipy.stats import chi2, hypergeom
 
 from identification.arm import Arm
 from identification.estimation import estimate, without_outliers
-from identification.estimation.outlying import OUTLIER, _tail, limit_of, outlying, studentised, together
+from identification.estimation.uncertainty import OUTLIER, _tail, limit_of, outlying, studentised, together
 from identification.information import column_space
 from identification.model import Model
 from identification.simulate import simulate

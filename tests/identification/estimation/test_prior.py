@@ -17,15 +17,16 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.prior import (
+from identification.estimation.problem import (
     WIDTHS,
     ZERO_WIDTHS,
+    LinearProblem,
     Prior,
+    Problem,
     likeliest,
     likeliest_noise,
     restricted_likelihood,
 )
-from identification.estimation.problem import LinearProblem, Problem
 from identification.gap.library_prior import library_prior
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements

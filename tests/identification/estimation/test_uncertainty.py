@@ -16,8 +16,7 @@ from scipy.linalg import sqrtm
 from identification.arm import Arm, Machining
 from identification.errors import InputError
 from identification.estimation import estimate
-from identification.estimation.doubts import copied_rows
-from identification.estimation.expected_tip import left_out_rms
+from identification.estimation.doubts import copied_rows, left_out_rms
 from identification.estimation.uncertainty import (
     WhiteRows,
     correlated,

@@ -14,7 +14,7 @@ import pytest
 from identification import effects
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import base, build, library
-from identification.effects.places import widths
+from identification.effects.chain import widths
 from identification.errors import InputError
 from identification.files.arm import load_arm, with_effects
 from identification.gap.columns import bundles

@@ -10,7 +10,7 @@ from scipy import stats
 
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.estimation.grouped import GROUPS, Mean, groupings, mean_of, regions
+from identification.estimation.uncertainty import GROUPS, Mean, groupings, mean_of, regions
 from identification.gap.confirmation import Confirmation, confirm, predicted_from_others, split
 from identification.gap.fit import Rows
 from identification.gap.hypotheses import hypotheses

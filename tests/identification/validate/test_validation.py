@@ -27,9 +27,8 @@ from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
-from identification.validate import Figures, validate
-from identification.validate.origin import mostly_outside, outside
-from identification.validate.validation import Offered, extrapolation, identified_geometry, judged, prior_judged
+from identification.origin import mostly_outside, outside
+from identification.validate import Figures, Offered, extrapolation, identified_geometry, judged, prior_judged, validate
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
 
 UR10 = Path(__file__).parents[2] / "data" / "ur10_planar"
