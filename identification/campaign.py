@@ -31,11 +31,10 @@ from identification.files.arm import load_arm
 from identification.files.csv import Table as CsvTable
 from identification.files.csv import read_table
 from identification.files.io import read_text
-from identification.files.measurement import load_measurements
-from identification.files.measurement_columns import UNITS
+from identification.files.measurement import UNITS
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
-from identification.measurements import Measurements, distances
+from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
 from identification.origin import data_hashes, diagnosed, outside
 from identification.reuse import same_drawing

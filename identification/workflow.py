@@ -55,8 +55,8 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 def _measured(path: Path, arm: Arm) -> Measurements:
-    from identification.files.measurement import load_measurements
     from identification.inspection.data_checks import certainly_wrong_units, data_warnings
+    from identification.measurements import load_measurements
 
     measurements = load_measurements(path, arm)
     if wrong := certainly_wrong_units(measurements, arm):
@@ -141,8 +141,8 @@ def check_files(arm: Path, data: Path, *, progress: Progress = silent) -> Answer
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
     """
     from identification.files.arm import load_arm, urdf_masses
-    from identification.files.measurement import load_measurements
     from identification.inspection.inspection import inspect
+    from identification.measurements import load_measurements
 
     loaded = load_arm(arm)
     measurements = load_measurements(data, loaded)
@@ -498,8 +498,7 @@ def _write_calibrated(
     kept : the calibration before, of which parameters that were not estimated keep covariance and data, and the one
         that was the prior
     """
-    from identification.files.arm import corrected_urdf
-    from identification.files.arm_text import urdf_beside, with_calibration, with_effects
+    from identification.files.arm import corrected_urdf, urdf_beside, with_calibration, with_effects
     from identification.files.io import read_text, write_together
     from identification.reuse import with_data_of, with_held
     from identification.sessions import SESSIONS, without_sessions
@@ -556,8 +555,7 @@ def diagnose_files(
     """
     import numpy as np
 
-    from identification.files.arm import load_arm
-    from identification.files.arm_text import urdf_beside, with_calibration, with_effects
+    from identification.files.arm import load_arm, urdf_beside, with_calibration, with_effects
     from identification.files.io import read_text, write_together
     from identification.gap.confirmation import split
     from identification.gap.curve import curves_text
