@@ -23,7 +23,7 @@ from identification.progress import Progress, silent
 if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.estimation import Identification
-    from identification.estimation.result import Calibrated, CorrectedValue
+    from identification.estimation.result import CorrectedValue
     from identification.gap.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
@@ -402,7 +402,6 @@ def _beside_the_fit(
 ) -> dict[str, Any]:
     """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
     from identification.estimation.doubts import left_out_rms
-    from identification.estimation.result import Calibrated
     from identification.measurements import rms_distance
     from identification.validate import drawing_residuals
 
@@ -415,33 +414,33 @@ def _beside_the_fit(
         keys["rms_nominal_mm"] = drawing
     if fit.geometry is None or fit.not_identifiable:
         return keys
-    table, places = dh_table(Calibrated.of(fit), fit.corrected_values, path)
+    table, places = dh_lines(fit.calibrated_arm(), fit.corrected_values, path)
     return keys | ({"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {})
 
 
-def dh_table(
-    calibrated: Calibrated, values: Sequence[CorrectedValue], arm: Path
+def dh_lines(
+    calibrated: Arm, values: Sequence[CorrectedValue], arm: Path
 ) -> tuple[tuple[CorrectedValue, ...], list[str]]:
     """The corrected Denavit-Hartenberg table of an arm file that has one, and lines of base, measured points and the
     radius of a sphere beside it; else empty.
 
     values : corrected ones, the radius among them
     """
-    from identification.estimation.result import dh_places, dh_values
+    from identification.estimation.result import dh_table
     from identification.files.arm import dh_rows
     from identification.kinematics.frames import point_table, pose_table
 
     if (table := dh_rows(arm)) is None:
         return (), []
     try:
-        rows, places = dh_values(calibrated, *table), dh_places(calibrated, *table)
+        rows, places = dh_table(calibrated, *table)
     except InputError:  # prismatic joints, or axes that are one
         return (), []
     lines = []
     for name, at in places:
         figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
         lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
-    own = {p.name for p in calibrated.geometry.chain.instrument.parameters}
+    own = {p.name for p in calibrated.chain.instrument.parameters}
     touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
     return rows, [*lines, *touched]
 

@@ -72,9 +72,11 @@ def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
 
 def parameters_document(fit: Identification) -> Document:
     """All of it: the parameters, rounded by their standard deviations, and what else was found."""
+    # an effect always has its settings: `transmission_ripple:2[k=17].a`
+    full = {p.name: f"{effect.label}.{p.short}" for effect in fit.model.effects for p in effect.parameters}
     rows = [
-        [name, *(to_significant_digits(row[key], row["std"]) for key in COLUMNS), row["unit"]]
-        for name, row in zip(fit.shown_names, fit.rows(), strict=True)
+        [full.get(row["name"], row["name"]), *(to_significant_digits(row[k], row["std"]) for k in COLUMNS), row["unit"]]
+        for row in fit.rows()
     ]
     open_ones = [("not identifiable", combination) for combination in fit.not_identifiable]
     return Document("Identification", [], [Sheet(HEADINGS, rows), Facts([*open_ones, *facts(fit)])], (), fit.warnings)
@@ -94,7 +96,7 @@ def facts(fit: Identification) -> list[tuple[str, str | None]]:
     return [
         ("method", f"{fit.method}: {fit.outcome}"),
         ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} mm"),
-        ("largest", f"{fit.max_before:.4g} -> {fit.max_after:.4g} mm"),
+        ("largest", "{:.4g} -> {:.4g} mm".format(*fit.largest)),
         ("orientations, RMS", angles),
         ("expected error", tip),
         ("sigma", f"{sigma}, {fit.dof} degrees of freedom"),

@@ -20,11 +20,9 @@ from identification.documents.identification import conventions, corrected_table
 from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.estimation.problem import Prior
 from identification.estimation.result import (
-    Calibrated,
     CorrectedValue,
     corrected_values,
-    dh_places,
-    dh_values,
+    dh_table,
 )
 from identification.files.arm import dump_arm, load_arm
 from identification.kinematics.chain import DHRow, chain_of
@@ -205,8 +203,8 @@ def fitted() -> Identification:
 
 def test_table_base_and_tool_say_what_the_fit_does() -> None:
     found = fitted()
-    rows = {row.name: row.corrected for row in dh_values(Calibrated.of(found), UR10)}
-    places = dict(dh_places(Calibrated.of(found), UR10))
+    values, poses = dh_table(found.calibrated_arm(), UR10)
+    rows, places = {row.name: row.corrected for row in values}, dict(poses)
     assert len(rows) == 18  # 27 of a complete set less six of the base and three of the point
     for posture in np.random.default_rng(5).uniform(-2.0, 2.0, (4, 6)):
         at = places["base"]
@@ -235,6 +233,6 @@ def test_deviations_are_those_of_samples_of_the_covariance() -> None:
         named = {**found.geometry.values, **dict(zip(found.names, values, strict=True))}
         links = corrected_links(corrected(found.geometry.chain, named), drawn).links
         samples.append([links[1].a, np.degrees(links[1].beta or 0.0), links[3].d, np.degrees(links[4].theta)])
-    rows = {row.name: row for row in dh_values(Calibrated.of(found), UR10)}
+    rows = {row.name: row for row in dh_table(found.calibrated_arm(), UR10)[0]}
     stds = [rows[name].std for name in ("row 2 a", "row 2 beta", "row 4 d", "row 5 theta")]
     assert stds == pytest.approx(np.std(samples, axis=0).tolist(), rel=0.18)
