@@ -513,9 +513,9 @@ def _differences(table: Any, values: Values, steps: Values) -> dict[Any, dict[st
 def dh_table(
     arm: Arm, rows: Sequence[DHRow], convention: str = STANDARD
 ) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Array]]]:
-    """Nominal and corrected numbers of the links between the axes of a calibrated arm, without those as drawn by
-    definition; and beside them the pose of the base (4, 4), and places (3,) of the measured points for the last frame of the
-    table, by name: with these the table says what the calibration does. Empty without a covariance.
+    """Nominal and corrected numbers of the links between the axes of a calibrated arm, without those drawn by
+    definition; and beside them the pose of the base (4, 4), and places (3,) of the measured points for the last frame
+    of the table, by name: with these the table says what the calibration does. Empty without a covariance.
 
     rows, convention : of the arm's drawing; a and alpha of the modified convention stand in the row of the next joint
 
