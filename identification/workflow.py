@@ -559,8 +559,8 @@ def diagnose_files(
     from identification.files.arm import load_arm
     from identification.files.arm_text import urdf_beside, with_calibration, with_effects
     from identification.files.io import read_text, write_together
+    from identification.gap.average import curves_text
     from identification.gap.confirmation import split
-    from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
     from identification.servo import with_servo_errors

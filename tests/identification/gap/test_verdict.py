@@ -10,7 +10,7 @@ import pytest
 from doe.studies.blind.score import contradictions
 from identification.arm import EffectSpec
 from identification.documents.diagnosis import SHORT
-from identification.gap.detectability import LEVEL
+from identification.estimation.grouped import LEVEL
 from identification.gap.result import Candidate, Diagnosis
 from identification.gap.search import MOST
 from identification.gap.verdict import CREDIBLE, Probabilities
