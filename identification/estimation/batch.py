@@ -7,7 +7,7 @@ A model with a closed form takes a few multiplications per fit. Any other starts
 Those are steps N^-1 J(p)^T W r with N^-1 taken at one point, for all data sets together or for each, where J(p)^T W r
 comes exactly from CasADi's reverse mode at the price of a few position evaluations: no Jacobian, no decomposition per
 step, several times as many fits per second as `levenberg_marquardt` gives
-(tests/benchmarks/test_identification_speed.py). The matrix only sets the speed: what is accepted is stationary for its
+(tests/benchmarks/test_speed.py). The matrix only sets the speed: what is accepted is stationary for its
 own data set. What does not contract quickly, or meets a physical bound, is left to others.
 """
 
