@@ -26,7 +26,7 @@ from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells, hidden_effects, simulator
 from doe.studies.blind.simulator import TrueArm, column, measure, session, shift, turn
-from identification.effects.rare import RARE
+from identification.effects.formulas import RARE
 from identification.estimation import estimate
 from identification.model import Model
 

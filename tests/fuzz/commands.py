@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from hypothesis import strategies as st
 
 from doe.cli import main
-from doe.cli.options import FilePath
+from doe.cli.verb import FilePath
 from tests.fuzz.inputs import (
     arms,
     measurements,
