@@ -32,11 +32,10 @@ from identification.estimation.result import Calibrated, CorrectedValue, correct
 from identification.files.arm import load_arm
 from identification.files.csv import Table, read_table
 from identification.files.io import read_text
-from identification.files.measurement import PlanFile, load_measurements, read_plan
-from identification.files.measurement_columns import UNITS
+from identification.files.measurement import UNITS, PlanFile, read_plan
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
-from identification.measurements import Measurements, distances
+from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
 from identification.origin import data_hashes, diagnosed, mostly_outside
 from identification.reuse import same_drawing

@@ -84,7 +84,7 @@ def _least(model: Model, linearize: Linearize, starts: Array, iterations: int) -
     )
     problem = LeastSquares(linearize, *limits, reach, negligible, metric=reach, iterations=iterations)
     solution = levenberg_marquardt(problem, starts)
-    return solution.parameters, np.sqrt(solution.squares)
+    return solution.parameters, np.sqrt(solution.rss)
 
 
 def metric(model: Model) -> Array:
@@ -94,7 +94,7 @@ def metric(model: Model) -> Array:
 
 def linearization(model: Model, conditions: Conditions) -> Linearize:
     """Postures (k, n) and row numbers -> positions (k, d) and derivatives with respect to the posture (k, d, n)."""
-    evaluate = model.expressions.posture_jacobian
+    evaluate = model.posture_jacobian
 
     def linearize(postures: Array, rows: Index) -> tuple[Array, Array]:
         table = model.condition_table(postures, conditions.rows(rows))

@@ -11,7 +11,7 @@ import numpy as np
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array, rows_in_words
 from identification.effects import build, build_all
-from identification.effects.noise import NoiseEffect, Scene
+from identification.effects.noise import Scene
 from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.kinematics.frames import turned
@@ -127,7 +127,7 @@ def disturbed(
 ) -> Array:
     """(m, d) errors with the truth's effects on the scatter applied, in the order of the arm file."""
     built = [(build(spec, truth.chain), spec) for spec in truth.effects]
-    noisy = [(effect, spec) for effect, spec in built if isinstance(effect, NoiseEffect)]
+    noisy = [(effect, spec) for effect, spec in built if effect.scatter]
     if not noisy:
         return errors
     levers = Model(replace(truth, effects=(), calibration=None)).joint_levers(exact.postures, None, conditions)

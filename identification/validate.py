@@ -22,7 +22,6 @@ from identification.documents.identification import BY_CHANCE, DRAWN, FITTED, va
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import left_out_residuals
-from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, gained_squares
 from identification.information import spectrum
@@ -239,7 +238,7 @@ def _refitted(
                 file = measurements.provenance.get("file", "measurements")
                 allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
                 raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
-            values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
+            values = problem.minimized(start[None]).parameters[0]
             left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
         residuals[rows] = problem.residuals(values)[0]
         refitted.append(placed_values(model.arm.chain, model.parameters.mapping(values)))

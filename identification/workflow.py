@@ -55,8 +55,8 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 def _measured(path: Path, arm: Arm) -> Measurements:
-    from identification.files.measurement import load_measurements
     from identification.inspection.data_checks import certainly_wrong_units, data_warnings
+    from identification.measurements import load_measurements
 
     measurements = load_measurements(path, arm)
     if wrong := certainly_wrong_units(measurements, arm):
@@ -141,8 +141,8 @@ def check_files(arm: Path, data: Path, *, progress: Progress = silent) -> Answer
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
     """
     from identification.files.arm import load_arm, urdf_masses
-    from identification.files.measurement import load_measurements
     from identification.inspection.inspection import inspect
+    from identification.measurements import load_measurements
 
     loaded = load_arm(arm)
     measurements = load_measurements(data, loaded)
@@ -328,7 +328,7 @@ def identify_files(
             "file": str(prior_from),
             "parameters": list(known.names),
             "anew": [name for name in identified.names if name not in held],
-            "contradicted": [one.to_json() for one in identified.contradictions],
+            "contradicted": [one._asdict() for one in identified.contradictions],
         }
     if words:
         identified = with_base_doubt(identified, with_sessions(loaded, rows), words, rows)
@@ -438,7 +438,7 @@ def _calibrated_file(
     path: Path, effects: Sequence[EffectSpec], calibration: Calibration, out: Path
 ) -> dict[PathLike, str | bytes]:
     """The arm file of `path` with these effects and this calibration, as `out`, and the URDF file that it needs."""
-    from identification.files.arm_text import urdf_beside, with_calibration, with_effects
+    from identification.files.arm import urdf_beside, with_calibration, with_effects
     from identification.files.io import read_text
 
     folder = Path(path).parent

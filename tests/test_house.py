@@ -46,12 +46,9 @@ LAYERS = {
     "identification.measurements": 2,
     "identification.files.schema": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names
-    "identification.files.arm_text": 2,
     "identification.files.measurement": 2,
     "identification.files.first_files": 2,
-    "identification.files.measurement_columns": 2,
     "identification.vectorize": 0,
-    "identification.model.expressions": 3,
     "identification.model": 3,
     "identification.information": 1,
     "identification.simulate": 4,
