@@ -27,7 +27,6 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.sessions import placing
 
 if TYPE_CHECKING:
-    from identification.compensate import Compensation
     from identification.estimation.result import CorrectedValue, Identification
 
 Data = Mapping[str, Any]  # what a command says with --json
@@ -390,8 +389,8 @@ def validation_sections(data: Data, points: str = "") -> list[Section]:
 
 
 # -- armcal compensate -------------------------------------------------------------------------------------------------
-def compensation_document(result: Compensation) -> Document:
-    """How many targets are reached and which are not, then joint commands for the first ones."""
+def compensation_document(result: Any) -> Document:
+    """How many targets are reached and which are not, then joint commands for the first ones;  result : `Compensation`"""
     verdict = f"{np.count_nonzero(result.reached)} of {len(result.targets)} targets reached by the calibrated model"
     if result.model_rms is not None:
         verdict += f" (RMS {result.model_rms:.4g} mm on its own measurements)"
