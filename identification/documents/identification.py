@@ -390,7 +390,7 @@ def validation_sections(data: Data, points: str = "") -> list[Section]:
 
 # -- armcal compensate -------------------------------------------------------------------------------------------------
 def compensation_document(result: Any) -> Document:
-    """How many targets are reached and which are not, then joint commands for the first ones;  result : `Compensation`"""
+    """How many targets are reached and which are not, and commands for the first ones;  result : `Compensation`"""
     verdict = f"{np.count_nonzero(result.reached)} of {len(result.targets)} targets reached by the calibrated model"
     if result.model_rms is not None:
         verdict += f" (RMS {result.model_rms:.4g} mm on its own measurements)"
