@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from doe.discrimination.design import DiscriminationDesign
     from doe.discrimination.t_optimal import NextPostures
     from identification import Arm, Diagnosis, Measurements
-    from identification.files.measurement import PlanFile
 
 Data = Mapping[str, Any]  # what a command says with --json
 
@@ -225,8 +224,8 @@ def plan_section(
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
 
 
-def file_section(arm: Arm, file: PlanFile, name: str) -> Section:
-    """The same of a file of an arm's plan."""
+def file_section(arm: Arm, file: Any, name: str) -> Section:
+    """The same of a plan as a file has it (`read_plan`)."""
     return plan_section(arm, Plan(file.postures, file.weights, fit=file.fit), file.cells, name)
 
 
