@@ -21,7 +21,7 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve
-from identification.estimation.grouped import LEVEL
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import WAVES, Linearized, curve_waves
 from identification.gap.fit import At, Fit
 from identification.gap.hypotheses import Block

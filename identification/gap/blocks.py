@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.linalg import block_diag
 
 from identification.arrays import Array
-from identification.effects.places import widths
+from identification.effects.chain import widths
 from identification.error_curve import local_splines
 from identification.gap.fit import At
 from identification.gap.hypotheses import Block, Library, untested_joints

@@ -29,10 +29,11 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, softmax, stdtrit
 
 from identification.arrays import Array
-from identification.effects.places import widths
+from identification.effects.chain import widths
 from identification.errors import InputError
 from identification.estimation.doubts import FALL
-from identification.estimation.grouped import GROUPS, LEVEL, Groups, Mean, groups_of, mean_of
+from identification.estimation.uncertainty import GROUPS, Groups, Mean, groups_of, mean_of
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.average import PredictingModel
 from identification.gap.detectability import POWER
 from identification.gap.fit import At

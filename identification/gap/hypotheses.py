@@ -25,9 +25,8 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
-from identification.effects.chain import Chain, condition_slices
-from identification.effects.places import contributions, in_state, state_size
-from identification.effects.rare import RARE
+from identification.effects.chain import Chain, condition_slices, contributions, in_state, state_slices
+from identification.effects.formulas import RARE
 from identification.gap.fit import At, Rows
 from identification.information import column_space
 from identification.kinematics.parameters import PRISMATIC
@@ -179,8 +178,9 @@ Key = tuple[type[Effect], int | None, tuple[Any, ...]]
 @lru_cache(maxsize=8)
 def _chains(arm: Arm, remembers: bool) -> tuple[tuple[ca.SX, ca.SX, ca.SX], Chain, Chain]:
     """CasADi symbols of posture (n), conditions and state, and the nominal chain, without and with loads."""
-    q, state, extra = ca.SX.sym("q", arm.links), ca.SX.sym("state", state_size(arm.chain)), ("past",) * remembers
-    c = ca.SX.sym("c", max(place.stop for place in condition_slices(arm.links, extra).values()))
+    extra = ("past",) * remembers
+    ends = (max(p.stop for p in s.values()) for s in (condition_slices(arm.links, extra), state_slices(arm.chain)))
+    q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
     chain = Chain.of(arm, q, c, extra)
     return (q, c, state), chain, in_state(chain, state)
 
@@ -232,7 +232,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
         whole: list[int | None] = [] if cls.per_joint == "required" else [None]
         for joint in whole + (joints if cls.per_joint != "none" else []):
             spec = EffectSpec(name, joint)
-            if joint in unseen and cls.joint_angles is not Effect.joint_angles:
+            if joint in unseen and hasattr(cls, "joint_angles"):
                 skipped[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)

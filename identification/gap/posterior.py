@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from identification.estimation.grouped import LEVEL
-from identification.estimation.outlying import together
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
+from identification.estimation.uncertainty import together
 from identification.gap.blocks import Linearized, linearized
 from identification.gap.fit import At, Rows, fit
 from identification.gap.hypotheses import Block, Library, with_further_orders

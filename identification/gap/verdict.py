@@ -13,7 +13,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from identification.estimation.grouped import LEVEL
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.posterior import Explanation, Posterior
 from identification.gap.search import MOST, NEGLIGIBLE
 

@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document
-from identification.documents.identification import DRAWN
-from identification.documents.use import BY_CHANCE, FITTED, validation_sections, validation_verdict
+from identification.documents.identification import BY_CHANCE, DRAWN, FITTED, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
-from identification.estimation.expected_tip import left_out_residuals
-from identification.estimation.grouped import LEVEL, gained_squares
-from identification.estimation.levenberg_marquardt import levenberg_marquardt
+from identification.estimation.doubts import left_out_residuals
 from identification.estimation.problem import Problem
+from identification.estimation.uncertainty import LEVEL_95, gained_squares
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
@@ -34,9 +32,9 @@ from identification.kinematics.parameters import JOINT_OFFSET, of_effects
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
+from identification.origin import check_calibrated, comes_from, extrapolated, identified, outside
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import placing, start_at_bases, with_base_offset, with_sessions, without_sessions
-from identification.validate.origin import check_calibrated, comes_from, extrapolated, identified, outside
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.confirmation import Confirmation
@@ -240,7 +238,7 @@ def _refitted(
                 file = measurements.provenance.get("file", "measurements")
                 allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
                 raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
-            values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
+            values = problem.minimized(start[None]).parameters[0]
             left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
         residuals[rows] = problem.residuals(values)[0]
         refitted.append(placed_values(model.arm.chain, model.parameters.mapping(values)))
@@ -267,7 +265,7 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
     after, before = (distances(residuals) for residuals in (validation.residuals, validation.nominal_residuals))
     # where the squares saved are no more than groups of rows, by time or by region of posture, scatter by
     gained = gained_squares(before, after, measurements)
-    if gained.value > 0.0 and gained.p_above() > LEVEL / 2.0:
+    if gained.value > 0.0 and gained.p_above() > LEVEL_95 / 2.0:
         share = 100.0 * validation.model.rms / validation.nominal.rms
         of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
         yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell (p = {gained.p_above():.2g})"
@@ -345,19 +343,7 @@ class Offered:
     @property
     def better(self) -> bool:
         """Whether the model predicts better beyond chance, as `validate` judges it."""
-        return self.rms < self.rms_geometry and self.p_value <= LEVEL / 2.0
-
-    @property
-    def sentence(self) -> str:
-        """How the model compares with the geometry."""
-        which = "held-out rows" if self.by == "holdout" else "rows, each predicted by a fit to other postures"
-        with_effects, geometry = f"{self.rms:.3g} mm RMS (largest {self.largest:.3g})", f"{self.rms_geometry:.3g} mm"
-        figures = f"{with_effects} against {geometry} (largest {self.largest_geometry:.3g}) in {self.rows} {which}"
-        if self.better:
-            return f"better than the geometry alone: {figures}"
-        if self.rms >= self.rms_geometry:
-            return f"no better than the geometry alone: {figures}"
-        return f"better than the geometry alone only within chance: {figures}, p = {self.p_value:.2g}"
+        return self.rms < self.rms_geometry and self.p_value <= LEVEL_95 / 2.0
 
     def to_json(self) -> dict[str, Any]:
         """Key `offered` (identification/files/README.md, "JSON keys")."""
