@@ -63,7 +63,7 @@ def moved(at: At, functions: Array) -> Array:
     return times(moves, functions)
 
 
-def varied(at: At, functions: Array) -> Array:
+def of_geometry(at: At, functions: Array) -> Array:
     """(m, d, p w) columns of functions (m, w) that are added to each of the p parameters of the geometry, in its
     scale."""
     of_effects = {p.name for effect in at.model.effects for p in effect.parameters}
@@ -71,7 +71,7 @@ def varied(at: At, functions: Array) -> Array:
     return times(at.linearized[1][:, :, own] * at.model.scales[own], functions)
 
 
-def moments(at: At) -> Array:
+def load_torques(at: At) -> Array:
     """(m, n) of gravity about the joints, their mean square 1."""
     torques = at.model.on_chain(lambda chain: chain.torques)(at.rows.postures, at.rows.conditions)
     return np.asarray(torques / max(float(np.sqrt(np.mean(np.square(torques)))), 1e-300))
@@ -146,7 +146,7 @@ def outside_blocks(at: At) -> Iterator[Block]:
         """Of the moment of gravity about the joint."""
 
         def functions(w: At) -> Array:
-            t = moments(w)[:, j]
+            t = load_torques(w)[:, j]
             return np.stack([t, np.abs(t), t * np.abs(t), np.sign(t)], axis=1)
 
         return turned(j, functions)
@@ -180,7 +180,7 @@ def outside_blocks(at: At) -> Iterator[Block]:
         return (x / np.maximum(radius, 1e-9 * reach)[:, None])[:, :, None] * rings[:, None]
 
     def loads(w: At) -> Array:
-        return times(w.levers * moments(w)[:, None, :], in_time(w, SLOW))
+        return times(w.levers * load_torques(w)[:, None, :], in_time(w, SLOW))
 
     # whether these rows can show it, label, prior weight beside OUTSIDE, columns
     table: list[tuple[bool, str, float, Callable[[At], Array]]] = []
@@ -198,10 +198,10 @@ def outside_blocks(at: At) -> Iterator[Block]:
         ]
     table += [
         (timed, "time", 1.0, lambda w: moved(w, in_time(w, TIMES))),
-        (timed, "time[parameters]", 0.3, lambda w: varied(w, in_time(w, SLOW))),
+        (timed, "time[parameters]", 0.3, lambda w: of_geometry(w, in_time(w, SLOW))),
         (timed and arm.gravity is not None, "time[load]", 0.3, loads),
         (warmed, "temperature", 1.0, lambda w: moved(w, warm(w))),
-        (warmed, "temperature[parameters]", 0.3, lambda w: varied(w, warm(w))),
+        (warmed, "temperature[parameters]", 0.3, lambda w: of_geometry(w, warm(w))),
         (seen, "workspace", 0.25, smooth),
         (seen, "workspace[squares]", 0.25, squares),
         (seen, "workspace[axes]", 0.25, along_axes),
