@@ -25,7 +25,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_columns
 from identification.document import Document
-from identification.documents.use import compensation_document
+from identification.documents.identification import compensation_document
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
 from identification.kinematics.corrected import standing_in

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document
-from identification.documents.identification import DRAWN
-from identification.documents.use import BY_CHANCE, FITTED, validation_sections, validation_verdict
+from identification.documents.identification import BY_CHANCE, DRAWN, FITTED, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import left_out_residuals
@@ -345,18 +344,6 @@ class Offered:
     def better(self) -> bool:
         """Whether the model predicts better beyond chance, as `validate` judges it."""
         return self.rms < self.rms_geometry and self.p_value <= LEVEL_95 / 2.0
-
-    @property
-    def sentence(self) -> str:
-        """How the model compares with the geometry."""
-        which = "held-out rows" if self.by == "holdout" else "rows, each predicted by a fit to other postures"
-        with_effects, geometry = f"{self.rms:.3g} mm RMS (largest {self.largest:.3g})", f"{self.rms_geometry:.3g} mm"
-        figures = f"{with_effects} against {geometry} (largest {self.largest_geometry:.3g}) in {self.rows} {which}"
-        if self.better:
-            return f"better than the geometry alone: {figures}"
-        if self.rms >= self.rms_geometry:
-            return f"no better than the geometry alone: {figures}"
-        return f"better than the geometry alone only within chance: {figures}, p = {self.p_value:.2g}"
 
     def to_json(self) -> dict[str, Any]:
         """Key `offered` (identification/files/README.md, "JSON keys")."""

@@ -30,7 +30,6 @@ LAYERS = {
     "identification.documents.inspection": 7,
     "identification.documents": 2,
     "identification.documents.pictures": 6,
-    "identification.documents.use": 6,
     "identification.threads": 0,
     "identification.files": 1,
     "identification.kinematics": 1,
