@@ -93,7 +93,7 @@ class SpatialModel:
     # -- what the interfaces ask for ---------------------------------------------------------------------------------
     @cached_property
     def parameters(self) -> ParameterSet:
-        return ParameterSet.of(self._parameter(name) for name in self.names)
+        return ParameterSet(self._parameter(name) for name in self.names)
 
     @staticmethod
     def _parameter(name: str) -> Parameter:

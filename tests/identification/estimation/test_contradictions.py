@@ -3,14 +3,13 @@ are as rare as said; a moved zero is named with what the data alone say."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from identification.arm import Arm
 from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.estimation.problem import Earlier, LinearProblem, Prior, Problem, contradicted, worst_contradicted
+from identification.kinematics.parameters import ParameterSet
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -121,7 +120,7 @@ def test_one_equation_tells_no_culprit() -> None:
 
     names = MODEL.names[:2]
     prior = Prior({}, Earlier(names, np.zeros(2), 0.01 * np.eye(2)))
-    parameters = replace(MODEL.parameters, items=MODEL.parameters.items[:2])
+    parameters = ParameterSet(MODEL.parameters[:2])
     problem = SimpleNamespace(prior=prior, model=SimpleNamespace(parameters=parameters, names=names, prior={}))
     linear = LinearProblem(problem, np.zeros(2), np.array([5.0]), np.ones((1, 2)))  # type: ignore[arg-type]
     found = worst_contradicted(linear, 1e-3, np.inf, ())
