@@ -30,7 +30,6 @@ LAYERS = {
     "identification.documents.inspection": 7,
     "identification.documents": 2,
     "identification.documents.pictures": 6,
-    "identification.documents.use": 6,
     "identification.threads": 0,
     "identification.files": 1,
     "identification.kinematics": 1,
@@ -47,10 +46,8 @@ LAYERS = {
     "identification.measurements": 2,
     "identification.files.schema": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names
-    "identification.files.arm_text": 2,
     "identification.files.measurement": 2,
     "identification.files.first_files": 2,
-    "identification.files.measurement_columns": 2,
     "identification.vectorize": 0,
     "identification.model": 3,
     "identification.information": 1,

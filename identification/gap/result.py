@@ -19,7 +19,7 @@ from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
-from identification.document import Document
+from identification.document import Document, html
 from identification.documents import diagnosis as words
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.confirmation import Confirmation, Gap
@@ -284,7 +284,7 @@ class Diagnosis:
     @property
     def sentence(self) -> str:
         """The verdict in one line."""
-        return words.sentence(self)
+        return str(self.to_json()["sentence"])
 
     @property
     def probability(self) -> dict[str, float]:
@@ -299,7 +299,7 @@ class Diagnosis:
     @property
     def likely(self) -> str:
         """The probabilities in one line, including `other_sets`."""
-        return words.likely(self)
+        return words.likely(self.to_json())
 
     @property
     def other_sets(self) -> dict[str, float]:
@@ -356,9 +356,8 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""
-        return {
+        data: dict[str, Any] = {
             "verdict": self.verdict,
-            "sentence": self.sentence,
             "warnings": list(self.warnings),
             "effects": list(self.effects),
             "named": self.named.to_json(),
@@ -382,7 +381,7 @@ class Diagnosis:
             "offered": None if self.offered is None else self.offered.to_json(),
             "confirmation": None if self.confirmation is None else self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
-            "misfit": None if self.misfit is None else self.misfit._asdict(),
+            "misfit": self.misfit and self.misfit._asdict() | {"significant": self.misfit.significant},
             "rows": len(self.residuals.before),
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
@@ -390,6 +389,7 @@ class Diagnosis:
             "predicting": [spec.key for spec in self.predicting.specs],
             "notes": list(self.notes),
         }
+        return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
 
     def to_frame(self, kind: str = "polars") -> Any:
         """Data frame with a row for each parameter of each candidate;  kind : `polars` or `pandas`."""
@@ -411,4 +411,4 @@ class Diagnosis:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return self.document().without_pictures()._repr_html_()
+        return html(self.document(), picture=None)

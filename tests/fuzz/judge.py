@@ -20,8 +20,8 @@ from doe.plan.plan import load_plan
 from identification.errors import LONGEST_LINE, InputError
 from identification.files.arm import load_arm
 from identification.files.csv import read_table
-from identification.files.measurement import load_measurements
 from identification.files.urdf import read_urdf
+from identification.measurements import load_measurements
 from tests.fuzz.commands import LOOPS, THERE, Case
 
 RESULT, BAD_INPUT, FAILED, HELP = "result", "bad input", "job failed", "help"

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from doe.plan.plan import load_plan
 from doe.studies.monte_carlo.specification import load_study
 from identification.errors import InputError
-from identification.files.arm import load_arm
-from identification.files.arm_text import dump_arm
+from identification.files.arm import dump_arm, load_arm
 from identification.files.csv import read_table
-from identification.files.measurement import load_measurements, load_targets
+from identification.files.measurement import load_targets
+from identification.measurements import load_measurements
 from tests.fuzz.commands import Case, cases
 from tests.fuzz.inputs import ArmText, arms, measurements, mostly_valid, plans, spoilt, studies, targets
 from tests.fuzz.judge import Outcome, broken, prepare, run_here

@@ -11,10 +11,9 @@ import pytest
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.compensate import compensate
 from identification.estimation import estimate
-from identification.files.arm import load_arm
-from identification.files.arm_text import with_effects
-from identification.files.measurement import load_measurements, measurement_text
-from identification.measurements import Measurements
+from identification.files.arm import load_arm, with_effects
+from identification.files.measurement import measurement_text
+from identification.measurements import Measurements, load_measurements
 from identification.model import Model
 from identification.simulate import following_errors, servo_shift, simulate, with_servo_errors
 

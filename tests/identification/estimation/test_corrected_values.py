@@ -26,8 +26,7 @@ from identification.estimation.result import (
     dh_places,
     dh_values,
 )
-from identification.files.arm import load_arm
-from identification.files.arm_text import dump_arm
+from identification.files.arm import dump_arm, load_arm
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
 from identification.measurements import Measurements

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.documents.diagnosis import order_clauses
+from identification.documents.diagnosis import findings
 from identification.errors import InputError
 from identification.gap.blocks import linearized
 from identification.gap.detectability import NEAR, Beside, assess, detectability, detectable_lambda, order_ranges
@@ -183,10 +183,8 @@ def test_a_wave_is_a_shape_where_its_neighbor_is_alike(degrees: float, joint: in
         assert entry["effect"] == label
         assert entry["orders"] == (max(1, np.ceil(K - apart)), np.floor(K + apart))
         np.testing.assert_allclose(entry["range_deg"], np.degrees([q[:, joint].min(), q[:, joint].max()]))
-        assert (
-            f"over the {np.degrees(np.ptp(q[:, joint])):.0f} deg that joint {joint + 1} moved"
-            in order_clauses(shapes)[0]
-        )
+        said = findings({"shape": None, "misfit": None, "replication": (), "shapes": [entry]})[0]
+        assert said.startswith(f"Over the {np.degrees(np.ptp(q[:, joint])):.0f} deg that joint {joint + 1} moved, ")
 
 
 def test_other_effects_are_no_waves() -> None:

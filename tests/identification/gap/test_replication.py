@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -23,7 +21,6 @@ from identification.gap.replication import (
     _in_session,
     replications,
 )
-from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
@@ -78,8 +75,8 @@ def test_what_returns_and_what_does_not(
     for there, size in zip(one.sessions, sizes, strict=True):
         errors = (np.radians(there.values) - [size.real, size.imag]) / np.radians(there.deviations)
         assert np.all(np.abs(errors) < 5.0)
-    told = cast(Diagnosis, SimpleNamespace(shape=None, misfit=None, replication=(one,), shapes=()))
-    assert findings(told) == [f"{'replicates' if answer else 'does not replicate'} across sessions: {one.effect}"]
+    told = {"shape": None, "misfit": None, "replication": [one.to_json()], "shapes": ()}
+    assert findings(told) == [f"{'Replicates' if answer else 'Does not replicate'} across sessions: {one.effect}."]
 
 
 @pytest.mark.parametrize(("second", "right", "wrong"), [(SIZE, True, False), (0.0j, False, True)])
