@@ -120,7 +120,11 @@ def parameters_document(fit: Identification) -> Document:
     # an effect always has its settings: `transmission_ripple:2[k=17].a`
     full = {p.name: f"{effect.label}.{p.short}" for effect in fit.model.effects for p in effect.parameters}
     rows = [
-        [name, *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS), row["unit"]]
+        [
+            full.get(row["name"], row["name"]),
+            *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS),
+            row["unit"],
+        ]
         for row in fit.rows()
     ]
     table = Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), rows)

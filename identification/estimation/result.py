@@ -27,7 +27,7 @@ from identification.estimation.doubts import Contradiction, contradiction_warnin
 from identification.estimation.problem import Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
-from identification.kinematics.corrected import CorrectedGeometry, CorrectedLinks, corrected_links, drawn_links
+from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
 from identification.measurements import POINT, distances, rms_distance
@@ -526,19 +526,19 @@ def dh_table(
         return (), []
     drawn, values = drawn_links(rows, convention), {**model.fixed, **calibration.values}
 
-    def numbers(links: CorrectedLinks) -> dict[tuple[int, str], float]:
+    def numbers(links: Sequence[Link]) -> dict[tuple[int, str], float]:
         """Joint and name -> number [mm, deg], of parallel axes beta in place of d."""
         return {
             (j, name): value if DH_MEANING[name][0] == "mm" else float(np.degrees(value))
-            for j, link in enumerate(links.links, start=1)
-            for name, value in vars(link).items()
+            for j, link in enumerate(links, start=1)
+            for name, value in link._asdict().items()
             if value is not None and (j > 1 or name not in ("theta", "d")) and (link.beta is None or name != "d")
         }
 
     def table(at: Values) -> dict[tuple[int, str], float]:
-        return numbers(corrected_links(CorrectedGeometry(arm.chain, at).real, drawn))
+        return numbers(corrected_links(corrected(arm.chain, at), drawn)[0])
 
-    nominal, now = numbers(CorrectedLinks(drawn, np.eye(4), np.eye(4))), table(values)
+    nominal, now = numbers(drawn), table(values)
     units = {p.name: p.unit for p in model.geometry_parameters}  # effects, hundreds with the library, are not in it
     steps = {name: STEP.get(units[name], 1e-6) for name in calibration.parameter_names if name in units}
     slopes, listed = _differences(table, values, steps), []
@@ -548,9 +548,8 @@ def dh_table(
         about = f"row {row_number} {name}", None, nominal[j, name], value
         quantity = (*about, slopes[j, name], unit, meaning.format(j=j, k=j + 1), UNBOUNDED)
         listed.append(_row(quantity, calibration))
-    real = CorrectedGeometry(arm.chain, values).real
-    links, before = corrected_links(real, drawn), corrected_links(arm.chain, drawn)
-    base = real.base @ links.first @ np.linalg.inv(before.first)
-    behind = np.linalg.inv(before.last) @ links.last
+    real = corrected(arm.chain, values)
+    (_, first, last), (_, drawn_first, drawn_last) = (corrected_links(chain, drawn) for chain in (real, arm.chain))
+    behind = np.linalg.inv(drawn_last) @ last
     tools = [(f"tool {name}", behind[:3, :3] @ place + behind[:3, 3]) for name, place in real.tools.items()]
-    return tuple(listed), [("base", base), *tools]
+    return tuple(listed), [("base", real.base @ first @ np.linalg.inv(drawn_first)), *tools]
