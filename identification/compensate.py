@@ -30,7 +30,7 @@ from identification.kinematics.counting import counting_in, in_columns, turned_i
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
-from identification.model.positions import in_own_frame
+from identification.model.placed import in_own_frame
 from identification.newton_ascent import newton_ascent
 from identification.origin import check_calibrated, extrapolated, familiar_range, identified, outside
 from identification.sessions import BASE

@@ -520,8 +520,8 @@ def diagnose_files(
 
     from identification.files.arm import load_arm
     from identification.files.io import write_together
+    from identification.gap.average import curves_text
     from identification.gap.confirmation import split
-    from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
     from identification.simulate import with_servo_errors
