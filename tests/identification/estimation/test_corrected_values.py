@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, Calibration, EffectSpec
-from identification.documents.identification import conventions, corrected_table
+from identification.documents.identification import corrected_section, corrected_table
 from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.estimation.problem import Prior
 from identification.estimation.result import (
@@ -142,7 +142,7 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
     assert length.weak is (weak := m * deviation**2 < 3.0)
     zero = by_name(found.corrected_values)["zero of joint 1"]
     assert (zero.prior_std, zero.held_by_prior) == (None, False)
-    shown = corrected_table(found.corrected_values).rows[0][0], " ".join(conventions(found.corrected_values, False))
+    shown = corrected_table(found.corrected_values).rows[0][0], str(corrected_section("", found.corrected_values, False).parts)
     assert ("*" in shown[0], "* 1 of 2 are weakly determined" in shown[1]) == (weak, weak)
 
 
