@@ -9,8 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from doe.cli.common import verb
-from doe.cli.options import Count, JobOptions, interruptible
+from doe.cli.verb import Count, JobOptions, interruptible, verb
 from identification import InputError, JobError, Progress, nearest, silent
 from identification.document import Answer
 

@@ -44,7 +44,7 @@ from identification import (
     silent,
     without_prior,
 )
-from identification.estimation.batch import sessions
+from identification.estimation.estimate import sessions
 from identification.files.io import write_together
 from identification.information import covariance, covariances
 from identification.kinematics.counting import in_columns, in_joints

@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from doe.cli.compare import command
+from doe.cli import main
 from doe.design import score
 from doe.jobs.rows import RowTable, frame_of
 from doe.jobs.running import Outcome
@@ -212,17 +212,17 @@ def test_verb(tmp_path: Path) -> None:
     arm = tmp_path / "arm.toml"
     arm.write_text("links_mm = [260.0, 180.0]\n")
     options = [str(arm), "--runs", "2,3", "--solvers", "analytic", "--repeats", "1", "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(command, [*options, "--json"])
+    done = CliRunner().invoke(main.commands["compare"], [*options, "--json"])
     assert done.exit_code == 0, done.output
     answer = json.loads(done.stdout)
     assert [r["best"] for r in answer["summary"]] == pytest.approx([0.0, 0.0], abs=1e-9)
     written = {f.name for f in (tmp_path / "out").iterdir()}
     assert written == {"rows.parquet", "summary.parquet", "profile.svg", "time.svg"}
     assert pl.read_parquet(tmp_path / "out" / "rows.parquet")["runs"].to_list() == [2, 3]
-    refused = CliRunner().invoke(command, options)
+    refused = CliRunner().invoke(main.commands["compare"], options)
     assert refused.exit_code == 2
     assert "--resume" in refused.output
-    assert CliRunner().invoke(command, [*options, "--resume"]).exit_code == 0
+    assert CliRunner().invoke(main.commands["compare"], [*options, "--resume"]).exit_code == 0
 
 
 @pytest.mark.parametrize(
@@ -236,6 +236,6 @@ def test_verb(tmp_path: Path) -> None:
 def test_bad_options_are_one_line(tmp_path: Path, options: list[str], found: str) -> None:
     arm = tmp_path / "arm.toml"
     arm.write_text("links_mm = [260.0, 180.0]\n")
-    done = CliRunner().invoke(command, [str(arm), *options])
+    done = CliRunner().invoke(main.commands["compare"], [str(arm), *options])
     assert done.exit_code == 2
     assert found in done.output

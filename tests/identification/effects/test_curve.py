@@ -15,8 +15,7 @@ from identification.effects import build
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.estimation.estimate import estimate
-from identification.files.arm import load_arm
-from identification.files.arm_text import dump_arm, with_calibration, with_effects
+from identification.files.arm import dump_arm, load_arm, with_calibration, with_effects
 from identification.kinematics.chain import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
@@ -123,7 +122,7 @@ def test_every_use() -> None:
         ),
         (
             'name = "joint_error_curve"\njoint = 1\nfrom_deg = 0.0\nto_deg = 9.0\nvalues_deg = "all"',
-            "values_deg: found 'all', allowed: the values",
+            "values_deg: found 'all', allowed: a list",
         ),
     ],
 )

@@ -420,9 +420,8 @@ def test_one_link_lists_its_exact_aliases() -> None:
 
 def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     from identification.effects import base
-    from identification.effects.joint import GearRatio
 
-    class Square(GearRatio):
+    class Square(library()["gear_ratio"]):  # type: ignore[misc]
         name = "cable_square"
         family = "cable"
 

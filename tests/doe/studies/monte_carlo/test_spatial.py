@@ -14,7 +14,7 @@ from doe.studies.monte_carlo import Fitted, Study, Truth, load_study, run_study
 from doe.studies.monte_carlo.study import in_api_units, in_file_units, true_values
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
-from identification.files.arm_text import dump_arm
+from identification.files.arm import dump_arm
 from identification.for_design import without_prior
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Conditions

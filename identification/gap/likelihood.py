@@ -1,0 +1,243 @@
+"""Marginal likelihood of sets of blocks, in the space of their columns.
+
+After linearization and whitening, y = J g + sum_b Z_b z_b + e with flat g, e ~ N(0, sigma^2 I), p(sigma) ~ 1 / sigma,
+and z_b ~ N(0, sigma^2 s_b^2 I) for each block of the set. With everything projected off J, only the products G = Z^T Z,
+c = Z^T y and y^T y enter. For a set A with sizes s, D = diag(s) and f degrees of freedom of the base model,
+
+    log p(y | A, s) = -1/2 log |I + D G_A D| - f/2 log(R / y^T y),     R = y^T y - c_A^T D (I + D G_A D)^-1 D c_A,
+
+relative to nothing missing (A. Zellner, 1971). The columns of a block are scaled such that s_b^2 is the expected
+square, in units of the noise, of what the block contributes to the rows; s_b is one of `SIZES`.
+
+What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z; of it the scores and the blocks' own parts are
+kept. With one block more or less, V changes by a term of that block's rank (M. A. Woodbury, 1950).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+from scipy.special import fdtrc, log_ndtr
+
+from identification.arrays import Array, eigen_of_pairs
+from identification.information import VISIBLE, significant
+
+# of a block's contribution, in standard deviations of the noise. Prior: from what can just not be seen by itself to a
+# tenth of the reach, equally spaced in log lambda
+SIZES: Array = 3.0 * np.exp2(np.arange(14))
+LEAST = 1e-14  # of y^T y; numerical: what rounding leaves of a sum of squares
+
+Index = NDArray[np.int64]
+Key = tuple[tuple[int, int], ...]  # blocks with the numbers of their sizes, ascending
+
+
+def orthonormal(gram: Array, tolerance: float = VISIBLE) -> Array:
+    """(w, r) combinations, orthonormal, of columns with these products (w, w);  tolerance : of `significant`"""
+    lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
+    seen = significant(values, tolerance)
+    return np.asarray(vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Products of the P columns of B blocks, projected off the base model.
+
+    gram, right : (P, P) G and (P,) c;  squares : y^T y;  freedom : f
+    starts : (B + 1,) first column of each block, and P;  signs : (B,) 1 where the only parameter cannot be negative
+    limits : (B,) how many of `SIZES` a block may have
+    """
+
+    gram: Array
+    right: Array
+    squares: float
+    freedom: int
+    starts: Index
+    signs: NDArray[np.bool_]
+    limits: Index
+
+    def of_blocks(self, blocks: Sequence[int]) -> Products:
+        """Those of a few blocks alone."""
+        chosen, places = list(blocks), self.places(blocks)
+        starts = np.concatenate([[0], np.cumsum(self.widths[chosen])])
+        gram, right = self.gram[np.ix_(places, places)], self.right[places]
+        return Products(gram, right, self.squares, self.freedom, starts, self.signs[chosen], self.limits[chosen])
+
+    @cached_property
+    def widths(self) -> Index:
+        """(B,) columns of each block."""
+        return np.diff(self.starts)
+
+    def places(self, blocks: Sequence[int]) -> Index:
+        """Indices of the columns of these blocks, in their order."""
+        return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(*self.starts[b : b + 2]) for b in blocks)])
+
+    @cached_property
+    def alike(self) -> list[Index]:
+        """Of the blocks of each width w their columns (b, w)."""
+        return [self.starts[:-1][self.widths == w][:, None] + np.arange(w) for w in np.unique(self.widths)]
+
+    def state(self, pairs: Sequence[tuple[int, int]] = ()) -> State:
+        """The set of these blocks with the numbers of their sizes."""
+        return State(self, tuple(sorted(pairs)))
+
+    def beside(self, blocks: Sequence[int]) -> Products:
+        """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
+        large = self.state([(block, len(SIZES) - 1) for block in blocks])
+        gram, freedom = self.gram - large.rows.T @ large.solve(large.rows), self.freedom - len(large.places)
+        return Products(gram, large.scores, large.squares, freedom, self.starts, self.signs, self.limits)
+
+    def f_test(self, blocks: Sequence[int]) -> tuple[float, float]:
+        """F statistic of a few blocks against the base model, and its p-value."""
+        places = self.places(blocks)
+        count, spare = max(len(places), 1), max(self.freedom - len(places), 1)
+        # of unit size; a row that is left out may have a column alone
+        inner = self.gram[np.ix_(places, places)] + 1e-12 * np.eye(len(places))
+        gain = float(self.right[places] @ np.linalg.solve(inner, self.right[places]))
+        f = gain / count / (max(self.squares - gain, 1e-300) / spare)
+        return f, float(fdtrc(count, spare, f))
+
+    def added(self, state: State) -> Array:
+        """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf; of
+        those that are in the set, too."""
+        values, parts = np.empty(len(self.right)), np.empty(len(self.right))
+        for index, own in zip(self.alike, state.within, strict=True):
+            if own.shape[1] == 1:
+                values[index], parts[index] = own[:, 0], state.scores[index]
+            else:
+                values[index], vectors = eigen_of_pairs(own) if own.shape[1] == 2 else np.linalg.eigh(own)
+                parts[index] = (state.scores[index][:, None, :] @ vectors)[:, 0]
+        squared, starts = np.square(SIZES)[:, None], self.starts[:-1]
+        spread = 1.0 + squared * np.maximum(values, 0.0)  # (S, P)
+        gains = np.add.reduceat(squared * np.square(parts) / spread, starts, axis=1)  # (S, B)
+        squares = np.maximum(state.squares - gains, LEAST * self.squares + 1e-300)
+        ratios = -0.5 * np.add.reduceat(np.log(spread), starts, axis=1)
+        ratios -= 0.5 * self.freedom * np.log(squares / state.squares)
+        if self.signs.any():
+            places = starts[self.signs]
+            deviations = parts[places] * np.sqrt(squared / spread[:, places] * self.freedom / squares[:, self.signs])
+            ratios[:, self.signs] += np.log(2.0) + log_ndtr(deviations)
+        return np.where(np.arange(len(SIZES)) < self.limits[:, None], ratios.T, -np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A set of blocks with their sizes, and k columns.
+
+    larger : the set that this one is without one of its blocks, and this block's columns in it;  given : `within`
+    """
+
+    products: Products
+    key: Key
+    larger: tuple[State, NDArray[np.bool_]] | None = None
+    given: tuple[Array, ...] | None = None
+
+    @cached_property
+    def blocks(self) -> tuple[int, ...]:
+        """Numbers of the blocks, ascending."""
+        return tuple(block for block, _ in self.key)
+
+    @cached_property
+    def places(self) -> Index:
+        """(k,) of its columns among all, ascending."""
+        return self.products.places(self.blocks)
+
+    @cached_property
+    def sizes(self) -> Array:
+        """(k,) s of the columns."""
+        return np.repeat(SIZES[[size for _, size in self.key]], self.products.widths[[*self.blocks]])
+
+    @cached_property
+    def rows(self) -> Array:
+        """(k, P) of G."""
+        return self.products.gram[self.places]
+
+    @cached_property
+    def _factor(self) -> Array:
+        """(k, k) lower triangular root of G_A + D^-2."""
+        inner = self.rows[:, self.places]
+        inner[np.diag_indices(len(inner))] += self.sizes**-2.0
+        return np.asarray(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0]) if self.key else inner
+
+    def solve(self, table: Array) -> Array:
+        """(k, n) the coefficients' covariance, for unit sigma, times a table (k, n)."""
+        return np.asarray(lapack.dpotrs(self._factor, table, lower=1)[0]) if table.size else table
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(k, k) of its coefficients, for unit sigma."""
+        half = lapack.dpotri(self._factor, lower=1)[0] if self.key else self._factor
+        return np.asarray(half + np.tril(half, -1).T)
+
+    @cached_property
+    def mean(self) -> Array:
+        """(k,) of its coefficients."""
+        return self.solve(self.products.right[self.places][:, None])[:, 0]
+
+    @cached_property
+    def squares(self) -> float:
+        """R, not below rounding."""
+        whole = self.products.squares
+        return max(whole - float(self.mean @ self.products.right[self.places]), LEAST * whole, 1e-300)
+
+    @property
+    def variance(self) -> float:
+        """Of the noise."""
+        return self.squares / max(self.products.freedom, 1)
+
+    @cached_property
+    def scores(self) -> Array:
+        """(P,) V's counterpart of c."""
+        return np.asarray(self.products.right - self.mean @ self.rows)
+
+    @property
+    def ratio(self) -> float:
+        """Log likelihood ratio against nothing missing, signs left out."""
+        volume = 2.0 * float(np.sum(np.log(np.diag(self._factor) * self.sizes)))
+        share = self.squares / max(self.products.squares, 1e-300)
+        return -0.5 * volume - 0.5 * self.products.freedom * float(np.log(share))
+
+    @property
+    def signed(self) -> float:
+        """Log of the factor by which the signs that physics allows make the set likelier."""
+        signs = np.repeat(self.products.signs[[*self.blocks]], self.products.widths[[*self.blocks]])
+        if not signs.any():
+            return 0.0
+        variance = np.diag(self.solve(np.eye(len(signs))[:, signs])[signs]) * self.variance
+        return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / np.sqrt(np.maximum(variance, 1e-300)))))
+
+    @cached_property
+    def within(self) -> tuple[Array, ...]:
+        """Of each group of `Products.alike` the blocks' own parts of V."""
+        if self.given is not None:
+            return self.given
+        if self.larger is not None:
+            whole, out = self.larger
+            covariance = whole.solve(np.eye(len(out))[:, out]).T
+            taken = covariance @ whole.rows
+            return self._changed(whole.within, taken, np.asarray(np.linalg.solve(covariance[:, out], taken)))
+        own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
+        return self._changed(own, self.rows, -self.solve(self.rows))
+
+    def _changed(self, within: tuple[Array, ...], one: Array, other: Array) -> tuple[Array, ...]:
+        """The blocks' own parts of V + one^T other, with (v, P) each, from those of V."""
+        pairs = zip(self.products.alike, within, strict=True)
+        return tuple(own + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, own in pairs)
+
+    def without(self, block: int) -> State:
+        """The set without one of its blocks."""
+        out = np.repeat(np.array(self.blocks) == block, self.products.widths[[*self.blocks]])
+        return State(self.products, tuple(pair for pair in self.key if pair[0] != block), (self, out))
+
+    def beside(self, block: int, size: int) -> State:
+        """The set with a further block."""
+        own = slice(*self.products.starts[block : block + 2])
+        rows = self.products.gram[own] - self.solve(self.rows[:, own]).T @ self.rows  # (w, P) of V
+        inner = rows[:, own] + SIZES[size] ** -2.0 * np.eye(len(rows))
+        given = self._changed(self.within, rows, -np.linalg.solve(inner, rows))
+        return State(self.products, tuple(sorted((*self.key, (block, size)))), given=given)

@@ -1,0 +1,306 @@
+"""Reusing a calibration: only some of its parameters are estimated again, or all of them with it as the prior.
+
+The tracker moved, a motor was changed, a year went by: most of what was found still holds. Where the set-up is another
+than the fit assumes, a freer fit says so: the base stands elsewhere, or a measured point is mounted elsewhere than in
+the session before.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import fdtrc
+
+from identification.arm import Arm, Calibration
+from identification.errors import InputError, nearest
+from identification.estimation import Identification, estimate
+from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
+from identification.estimation.problem import Earlier
+from identification.estimation.uncertainty import LEVEL
+from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
+from identification.kinematics.corrected import standing_in
+from identification.kinematics.counting import TURN, joint_range, range_of
+from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.model.placed import with_markers
+from identification.origin import HELD_FROM, comes_from, identified
+from identification.row_digests import ROW_DIGESTS, rows_shared, union
+from identification.sessions import BASE as PLANAR_BASE
+from identification.sessions import SESSIONS, with_base
+
+HARDLY = 0.1  # of how far a point is moved: a standard deviation that adds hardly anything to it
+GAIN = 1.25  # of the sum of squares: a tenth of the RMS error; less is not worth another set of parameters
+# word -> kinds of parameters
+KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "lengths": (LENGTH_ERROR, TRANSLATION_ERROR),
+        "rotations": (ROTATION_ERROR,),
+        "joint_offsets": (JOINT_OFFSET,),
+        "base": (BASE,),
+        "tool": (TOOL,),
+        "effects": (EFFECT,),
+    }
+)
+
+
+def words_of(texts: Iterable[str]) -> list[str]:
+    """The words of `lengths,base`, given once or several times."""
+    return [word.strip() for text in texts for word in text.split(",") if word.strip()]
+
+
+def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = None) -> Model:
+    """The model of an arm of which only these parameters are estimated; the others stay at the arm's best known values.
+
+    words : kinds (`KINDS`), effects (`backlash`, `backlash:2`) or parameters (`joint_offset:2`). `base` of a planar arm
+        is its shift and the offset of joint 1; bases of further sessions are always estimated
+
+    Raises `InputError` for words that name no parameter of the arm, and for a base or a measured point that is to be
+    held and that nothing says.
+    """
+    if "base" in words:
+        arm = with_base(arm)
+    if not arm.chain.planar and measurements is not None:
+        arm = replace(arm, chain=with_markers(arm.chain, measurements))
+    model = Model(arm)
+    chosen = {name for word in words for name in _named(word, model)}
+    chosen |= {name for name in model.names if name.startswith(f"{SESSIONS}.")}
+    held = {name: value for name, value in model.best_known.items() if name not in chosen}
+    frozen, kept = set(held) - set(model.fixed), arm.calibration
+    several = measurements is not None and len(measurements.session_names) > 1
+    missing = {BASE: kept is None or kept.base is None, TOOL: kept is None or not kept.tools}
+    for kind in (BASE, TOOL) if not arm.chain.planar else ():
+        if (missing[kind] or several) and any(p.kind == kind and p.name in frozen for p in model.parameters):
+            reason = "the data have several sessions" if several else "the arm file does not say where it is"
+            raise InputError(f"only: {kind} is to be held, but {reason}, allowed: --only with {kind} among the words")
+    if several and arm.chain.planar and set(PLANAR_BASE) & frozen:
+        raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
+    return replace(model, held=held)
+
+
+def _named(word: str, model: Model) -> set[str]:
+    """Names of the parameters that a word means."""
+    effects = {effect.key: effect for effect in model.effects}
+    if word == "base" and model.arm.chain.positions_in_plane:
+        named = {p.name for p in model.parameters if p.name in PLANAR_BASE}
+    elif word in KINDS:
+        named = {p.name for p in model.parameters if p.kind in KINDS[word]}
+    else:
+        named = {name for name in model.names if name == word or name.rpartition(".")[0].partition(":")[0] == word}
+        named |= {p.name for key, effect in effects.items() if key == word for p in effect.parameters}
+    if named & set(model.names):
+        return named & set(model.names)
+    kinds = {p.kind for p in model.parameters} | {BASE}
+    allowed = [word for word, kinds_of_word in KINDS.items() if kinds & set(kinds_of_word)]
+    names = [*allowed, *effects, *model.names]
+    raise InputError(f"only: {word!r} is no parameter of the model, {nearest(word, names)}")
+
+
+def at_reference(measurements: Measurements, calibrated: Arm) -> Measurements:
+    """Temperatures counted from where the calibration counts them, where it says so: what it says of lengths and of
+    their growth is right there."""
+    reference = identified(calibrated).get("mean_temperature_C")
+    return measurements if reference is None else replace(measurements, reference=float(reference))
+
+
+def with_held(calibration: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
+    """A calibration with what parameters had before that it does not estimate: their covariance, as independent of its
+    own, the angles that they were found on, and the data that they come from (`held_from` of the provenance).
+
+    kinds : types of the joints
+    """
+    if before is None or not (
+        names := set(before.parameter_names) & set(calibration.values) - set(calibration.parameter_names)
+    ):
+        return calibration
+    calibration = with_data_of(calibration, before, kinds)
+    if before.covariance is None or calibration.covariance is None:
+        return calibration
+    held = before.about(names)
+    covariance = block_diag(calibration.covariance, held.covariance)
+    return replace(
+        calibration, parameter_names=(*calibration.parameter_names, *held.parameter_names), covariance=covariance
+    )
+
+
+def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
+    """A calibration that had an earlier one as its prior: it knows the angles and the data of both."""
+    if before is None:
+        return calibration
+    provenances, earlier = (calibration.provenance, before.provenance), before.provenance
+    data = {key: earlier[key] for key in ("sha256", "rows") if key in earlier}
+    held_from = {**earlier.get(HELD_FROM, {}), str(earlier.get("file", "data")): data}
+    provenance: dict[str, Any] = {**calibration.provenance, HELD_FROM: held_from}
+    if kept := [one[ROW_DIGESTS] for one in provenances if isinstance(one.get(ROW_DIGESTS), str)]:
+        provenance[ROW_DIGESTS] = union(kept)
+    new, old = (range_of(one, kinds) for one in provenances)
+    if new is not None and old is not None:
+        widest = []  # [rad, mm] of both: of a revolute joint by the whole turns that leave it the narrowest
+        for joint, before_joint, kind in zip(new.T, old.T, kinds, strict=True):
+            away = round((before_joint.mean() - joint.mean()) / TURN) + np.arange(-1, 2)
+            turns = TURN * away if kind == REVOLUTE else [0.0]
+            hulls = [[min(before_joint[0], joint[0] + s), max(before_joint[1], joint[1] + s)] for s in turns]
+            widest.append(min(hulls, key=np.ptp))
+        provenance |= joint_range(np.transpose(widest), kinds)
+    return replace(calibration, provenance=MappingProxyType(provenance))
+
+
+# -- an earlier calibration as the prior -------------------------------------------------------------------------------
+def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlier:
+    """What a calibrated arm says of a model's parameters, but for where base and measured points are, which are found
+    again; given what the model holds.
+
+    measurements : that it is to be the prior of
+
+    Raises `InputError` for another drawing, no covariance, no parameter in common, and measurements that the
+    calibration comes from: they would count twice. Warns (`UserWarning`) of some rows that are in both, and where the
+    calibration does not say which rows it comes from.
+    """
+    calibration = calibrated.calibration
+    if calibration is None or calibration.covariance is None:
+        raise InputError("prior: found no covariance, allowed: a file written by `armcal identify --out`")
+    if not same_drawing(calibrated, model.arm):
+        raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
+    _check_other_rows(calibration.provenance, measurements)
+    values = np.array([calibration.values[name] for name in calibration.parameter_names])
+    whole = Earlier(calibration.parameter_names, values, calibration.covariance)
+    held = {name: value for name, value in model.fixed.items() if name in calibration.parameter_names}
+    # where arm and instrument stand; of a planar arm with a base offset that and the offset of joint 1
+    planar = PLANAR_BASE if PLANAR_BASE[0] in model.all_parameters.names else ()
+    of_set_up = {
+        p.name for p in model.all_parameters if (p.name in planar if model.arm.chain.planar else p.kind in (BASE, TOOL))
+    }
+    of_both = whole.about((set(model.names) | set(held)) - of_set_up)
+    if not set(of_both.names) - set(held):
+        raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
+    return of_both.conditioned_on({name: value for name, value in held.items() if name not in of_set_up})
+
+
+def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> None:
+    """Raises `InputError` for measurements that a calibration of this provenance comes from, in any order, for most of
+    them and for measurements that have most of its own."""
+    if comes_from(origin, measurements):
+        reason = "the calibration was fitted to these very measurements, which would count twice"
+        raise InputError(f"prior: {reason}, allowed: new measurements")
+    if not isinstance(text := origin.get(ROW_DIGESTS), str):
+        why = "the calibration does not say which rows it comes from, as of an earlier version"
+        warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=3)
+        return
+    shared = rows_shared(text, measurements.postures, measurements.positions)
+    share, of_its = (100.0 * part for part in shared)
+    rows = (
+        f"about {share:.0f} % of these rows ({of_its:.0f} % of the calibration's own) are among those it was fitted to"
+    )
+    # most rows; coarse readings of postures that are commanded again may agree by chance
+    if max(shared) >= 0.5:
+        raise InputError(f"prior: {rows}, which would count twice, allowed: new measurements")
+    if shared.measurements > 0.0:
+        warnings.warn(f"prior: {rows}, and count twice", UserWarning, stacklevel=3)
+
+
+def same_drawing(calibrated: Arm, arm: Arm) -> bool:
+    """Whether the errors of two arms mean the same things: equal lengths, joints and frames."""
+    same = calibrated.links == arm.links and (calibrated.chain.planar) == (arm.chain.planar)
+    same = same and calibrated.joint_types == arm.joint_types and np.allclose(calibrated.lengths, arm.lengths)
+    if same and not calibrated.chain.planar and not arm.chain.planar:
+        pairs = zip(calibrated.chain.joints, arm.chain.joints, strict=True)
+        same = all(np.allclose(a.origin, b.origin) and np.allclose(a.axis, b.axis) for a, b in pairs)
+    return bool(same)
+
+
+# -- another set-up ----------------------------------------------------------------------------------------------------
+def with_base_doubt(
+    held_fit: Identification, arm: Arm, words: Sequence[str], measurements: Measurements
+) -> Identification:
+    """A fit of `only` these words, with a doubt where the base is held and the arm stands elsewhere by now: residuals
+    fall as in `doubts.another_frame` where it is estimated, too."""
+    try:
+        model = only(arm, ["base", *words], measurements)
+        free_fit = estimate(model, measurements) if "base" not in words else held_fit
+    except InputError:  # the base is given, or too few rows
+        return held_fit
+    if not _worth_freeing(held_fit, free_fit, FALL**2):
+        return held_fit
+    fall = (
+        f"the RMS falls from {held_fit.rms_after:.4g} to {free_fit.rms_after:.4g} mm where the base is estimated, too"
+    )
+    reason = f"the arm does not stand where the arm file says: {fall}; add it: --only base,{','.join(words)}"
+    others = (doubt for doubt in held_fit.doubts if not doubt.startswith(OTHER_FRAME))
+    return replace(held_fit, doubts=(reason, *others))
+
+
+def with_mounting_doubt(
+    together: Identification, measurements: Measurements, fit: Callable[[Measurements], Identification]
+) -> Identification:
+    """A fit to several sessions, with a doubt where measured points that the sessions share are mounted elsewhere in
+    some of them: squares fall significantly, and by more than `GAIN`, where each session has points of its own.
+
+    fit : the same for other measurements
+    """
+    arm = getattr(together.model, "arm", None)
+    if arm is None or arm.chain.planar or len(measurements.sessions) < 2:
+        return together
+    renamed, old = renamed_by_session(measurements, tuple(arm.chain.tools))
+    try:
+        apart = fit(renamed) if old else together
+    except InputError:  # the points are given, or too few rows
+        return together
+    if not _worth_freeing(together, apart, GAIN) or not (moved := _moved(apart, old)):
+        return together
+    which = "; ".join(f"{new.replace(' of ', ' in session ', 1)}: {size} mm away" for new, size in moved.items())
+    fall = f"the RMS falls from {together.rms_after:.4g} to {apart.rms_after:.4g} mm where each has a name of its own"
+    doubt = f"reflectors are mounted elsewhere than in the session before ({which}): {fall}"
+    return replace(together, doubts=(f"{doubt}; name them otherwise there, in the column marker", *together.doubts))
+
+
+def _worth_freeing(held: Identification, free: Identification, factor: float) -> bool:
+    """`doubts.worth_freeing` of a fit and one with further parameters."""
+    left, left_free = (float(np.sum(fit.residuals_after**2)) for fit in (held, free))
+    return worth_freeing(left, left_free, len(free.names) - len(held.names), free.dof, factor)
+
+
+def renamed_by_session(measurements: Measurements, names: tuple[str, ...]) -> tuple[Measurements, dict[str, str]]:
+    """Measurements whose points have names of their own in every session after the first that sees them; and of each
+    new name the one that the point has in the data.
+
+    names : of the arm's points, of which the first is measured where the data have no column marker
+    """
+    marker = measurements.marker
+    names_read = np.full(len(measurements), names[0]) if marker is None else np.asarray(marker)
+    renamed, old, seen = names_read.astype(object), dict[str, str](), set[str]()
+    for session, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
+        for name in (here := sorted({*names_read[rows].tolist()} & seen)):
+            old[f"{name} of {session}"] = name
+            renamed[rows[names_read[rows] == name]] = f"{name} of {session}"
+        seen |= {*names_read[rows].tolist()} - {*here}
+    return replace(measurements, marker=renamed.astype(str), marker_names=()), old
+
+
+def _moved(apart: Identification, old: dict[str, str]) -> dict[str, str]:
+    """How far each point that is moved significantly is from where the session before has it [mm], along the directions
+    in which it is: the heights of a SCARA's reflectors, say, are hardly known."""
+    chain = apart.model.arm.chain
+    places = standing_in(chain, apart.model.parameters.mapping(apart.parameters)).tools
+    index = {name: k for k, name in enumerate(apart.names)}
+    distances: dict[str, str] = {}
+    for new, name in old.items():
+        names = [f"{TOOL}[{each}].{axis}" for each in (new, name) for axis in "xyz"]
+        if not {*names} <= {*index}:  # of a minimal set of parameters
+            continue
+        columns = np.array([index[each] for each in names])
+        difference = np.kron([[1.0, -1.0]], np.eye(3))
+        covariance = difference @ apart.covariance[np.ix_(columns, columns)] @ difference.T
+        variances, axes = np.linalg.eigh(covariance)
+        along = axes.T @ (places[new] - places[name])
+        statistics = along**2 / np.maximum(variances, np.finfo(float).tiny)
+        told = fdtrc(1, apart.dof, statistics) <= LEVEL / (3 * len(old))
+        if told.any():
+            told |= variances < HARDLY**2 * np.sum(along[told] ** 2)
+            distances[new] = f"{'' if told.all() else 'at least '}{np.linalg.norm(along[told]):.3g}"
+    return distances

@@ -1,0 +1,520 @@
+"""Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands.
+
+Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with. Where
+the arm stands is found by the closed form on its calibrated geometry, composed into the chain, and then, with the
+effects of the arm, by least squares. So a model is judged, too, before it is offered for use: does it predict what it
+has not seen better than the geometry alone?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Arm
+from identification.arrays import Array, readonly
+from identification.document import Document
+from identification.documents.identification import BY_CHANCE, DRAWN, FITTED, validation_sections, validation_verdict
+from identification.errors import InputError, nearest
+from identification.estimation import Identification, estimate
+from identification.estimation.doubts import left_out_residuals
+from identification.estimation.problem import Problem
+from identification.estimation.uncertainty import LEVEL_95, gained_squares
+from identification.information import spectrum
+from identification.kinematics.chain import BASE, TOOL, KinematicChain
+from identification.kinematics.corrected import corrected, errors_between, standing_in
+from identification.kinematics.frames import displaced_by, pose
+from identification.kinematics.parameters import JOINT_OFFSET, error_names, of_effects
+from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
+from identification.model import Model
+from identification.model.placed import one_unnamed, placed_model, with_markers
+from identification.origin import check_calibrated, comes_from, extrapolated, identified, outside
+from identification.sessions import BASE as PLANAR_BASE
+from identification.sessions import placing, start_at_bases, with_base_offset, with_sessions, without_sessions
+
+if TYPE_CHECKING:  # a diagnosis imports this package
+    from identification.gap.confirmation import Confirmation
+    from identification.gap.result import Diagnosis
+
+REFITS = (*DRAWN,)
+QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
+FEWEST = 3 * QUARTERS  # rows from which groups are formed
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Of the distances between model and measurement [mm], over rows."""
+
+    rms: float
+    mean: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, distances: Array) -> Figures:
+        """Of (m,) distances; `p95` is their 95th percentile."""
+        rms, p95 = np.sqrt(np.mean(distances**2)), np.percentile(distances, 95.0)
+        return cls(float(rms), float(np.mean(distances)), float(p95), float(np.max(distances)))
+
+    def to_json(self) -> dict[str, float]:
+        """`rms_mm, mean_mm, p95_mm, max_mm`."""
+        return {f"{name}_mm": value for name, value in vars(self).items()}
+
+
+class RowBlock(NamedTuple):
+    """Some of the rows: a session, a quarter of the time, a quadrant of the workspace, or the postures inside or
+    outside the range of angles that the model was identified on.
+
+    kind : `session`, `time`, `workspace` or `range`;  nominal : the drawing, refitted in the same way
+    """
+
+    kind: str
+    name: str
+    rows: int
+    model: Figures
+    nominal: Figures
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `blocks` (identification/files/README.md, "JSON keys")."""
+        figures = self.model.to_json() | {"rms_nominal_mm": self.nominal.rms}
+        return {"kind": self.kind, "name": self.name, "rows": self.rows, **figures}
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """What a calibrated model leaves of other measurements, beside the drawing.
+
+    refit : what was refitted, `base`, `offsets` or `none`, in each session separately
+    refitted : for each session the refitted parameters, name -> value [API unit]
+    residuals, nominal_residuals : (m, d) measured less computed [mm], by the model and by the drawing
+    """
+
+    arm: Arm
+    measurements: Measurements
+    refit: str
+    refitted: tuple[Mapping[str, float], ...]
+    residuals: Array
+    nominal_residuals: Array
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("residuals", "nominal_residuals"):
+            object.__setattr__(self, name, readonly(getattr(self, name)))
+
+    @property
+    def model(self) -> Figures:
+        """Of the calibrated model, over all rows."""
+        return Figures.of(distances(self.residuals))
+
+    @property
+    def nominal(self) -> Figures:
+        """Of the drawing, refitted in the same way, over all rows."""
+        return Figures.of(distances(self.nominal_residuals))
+
+    @property
+    def rms_angles(self) -> tuple[float, ...]:
+        """RMS of the angles between orientations measured and computed [deg], by the model and by the drawing; empty
+        where none are measured."""
+        scale = self.arm.chain.angle_scale
+        angles = [residuals[:, POINT.stop :] for residuals in (self.residuals, self.nominal_residuals)]
+        return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
+
+    @property
+    def blocks(self) -> tuple[RowBlock, ...]:
+        """The rows by session, time, workspace, and range of the identification."""
+        blocks = []
+        for kind, name, rows in row_groups(self.arm, self.measurements):
+            figures = (Figures.of(distances(r[rows])) for r in (self.residuals, self.nominal_residuals))
+            blocks.append(RowBlock(kind, name, len(rows), *figures))
+        return tuple(blocks)
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `validate` (identification/files/README.md, "JSON keys")."""
+        if self.arm.chain.instrument.own_targets:
+            every = placed_model(Model(self.arm), self.measurements).arm.chain.every_parameter
+        elif self.arm.chain.planar:
+            every = Model(with_base_offset(self.arm)).all_parameters
+        else:
+            every = with_markers(one_unnamed(self.arm.chain, self.measurements), self.measurements).every_parameter
+        parameters = {p.name: p for p in every}
+        refitted = [
+            {"session": session, "name": name, "unit": (p := parameters[name]).file_unit, "value": value * p.to_file}
+            for session, values in zip(self.measurements.sessions or (None,), self.refitted, strict=True)
+            for name, value in values.items()
+        ]
+        return {
+            "rows": len(self.residuals),
+            "refit": self.refit,
+            **self.model.to_json(),
+            **{f"{name}_nominal_mm": value for name, value in vars(self.nominal).items()},
+            **dict(zip(("rms_deg", "rms_nominal_deg"), self.rms_angles, strict=False)),
+            "blocks": [block.to_json() for block in self.blocks],
+            "refitted": refitted,
+            "notes": list(self.notes),
+        }
+
+    def document(self) -> Document:
+        """What the model is worth, drawing and model over all rows, then block by block."""
+        data = self.to_json()
+        notes = [note for note in self.notes if BY_CHANCE not in note]
+        parts = validation_sections(data, "" if self.arm.chain.planar else ", measured points")
+        return Document("Validation", [validation_verdict(data), *notes], parts)
+
+    def __str__(self) -> str:
+        return str(self.document())
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return self.document()._repr_html_()
+
+
+def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:
+    """Compares a calibrated arm with measurements that were not used to identify it.
+
+    arm : with a calibration, or with known effect values; all of it stays as it is but for
+    refit : `base`, position and rotation of the base (three numbers, the arm may not have had a base offset before; of
+        a spatial arm six, and the measured points); `offsets`, that and every joint offset; `none`, nothing. In each
+        session separately
+
+    Raises `InputError` for an arm without calibration, another `refit`, data of another arm, too few rows.
+    """
+    if refit not in REFITS:
+        raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
+    check_calibrated(arm)
+    check_validation(Model(arm), measurements)
+    conditions = conditions_of(arm, measurements, refit)
+    refitted, residuals, left_open = _refitted(arm, measurements, conditions, refit)
+    nominal = _refitted(replace(arm, effects=(), calibration=None), measurements, conditions, refit)[1]
+    validation = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
+    return replace(validation, notes=tuple(_notes(validation, left_open)))
+
+
+def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
+    """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
+    measurements places it: a base for each session, one place for a measured point that several sessions share."""
+    drawing = replace(arm, effects=(), calibration=None)
+    if arm.chain.planar or len(measurements.sessions) < 2:
+        return _refitted(drawing, measurements, conditions_of(arm, measurements, "base"), "base")[1]
+    check_validation(Model(drawing), measurements)
+    drawing = replace(drawing, chain=replace(arm.chain, settled=frozenset()))
+    model = Model(with_sessions(drawing, measurements))
+    free = {model.names[k] for k in placing(model.parameters)}
+    held = {name: value for name, value in model.best_known.items() if name not in free}
+    return estimate(replace(model, held=held), measurements).residuals_after
+
+
+def check_validation(model: Model, measurements: Measurements) -> None:
+    """Raises `InputError` for measurements of another arm, and for effects without gravity."""
+    for what, counted, needed in (
+        ("joints", measurements.links, model.joints),
+        ("coordinates", measurements.dimension, model.dimension),
+    ):
+        if counted != needed and (what == "joints" or counted not in model.dimensions):
+            raise InputError(f"measurements: found {counted} {what}, allowed: {needed}, as the arm has")
+    if "gravity" in model.needs and model.arm.gravity is None:
+        raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
+
+
+# -- refitting where the arm stands ------------------------------------------------------------------------------------
+def _refitted(
+    arm: Arm, measurements: Measurements, conditions: Conditions, refit: str
+) -> tuple[list[dict[str, float]], Array, int]:
+    """Values of the refitted parameters by session, (m, d) residuals [mm], and how many combinations the data leave
+    open."""
+    refitted, residuals, left_open = [], np.empty_like(measurements.positions), 0
+    for rows in measurements.session_rows:
+        session, session_conditions = measurements.rows(rows), conditions.rows(rows)
+        model, start = refit_model(arm, session, session_conditions, refit)
+        weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
+        problem = Problem(model, session.postures, session_conditions, session.positions[None], weights)
+        values = start
+        if refit != "none":
+            if session.positions.size < (p := len(start)):
+                file = measurements.provenance.get("file", "measurements")
+                allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
+                raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
+            values = problem.minimized(start[None]).parameters[0]
+            left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
+        residuals[rows] = problem.residuals(values)[0]
+        refitted.append(placed_values(model.arm.chain, model.parameters.mapping(values)))
+    return refitted, residuals, left_open
+
+
+def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Conditions:
+    """Conditions with the temperature counted from the mean of the data of the identification, where it is known.
+
+    Where the arm was set up again (`refit`), what happened once in the session of the identification is over: a drift
+    or a step has come to its end.
+    """
+    conditions, mean = measurements.conditions, identified(arm).get("mean_temperature_C")
+    if refit != "none" and any(effect.once for effect in Model(arm).effects):
+        conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
+    if measurements.temperature is None or mean is None:
+        return conditions
+    return replace(conditions, temperature=measurements.temperature - float(mean))
+
+
+def _notes(validation: Validation, left_open: int) -> Iterator[str]:
+    """What to know before these figures are believed;  left_open : combinations that were to be refitted"""
+    arm, measurements, refit = validation.arm, validation.measurements, validation.refit
+    after, before = (distances(residuals) for residuals in (validation.residuals, validation.nominal_residuals))
+    # where the squares saved are no more than groups of rows, by time or by region of posture, scatter by
+    gained = gained_squares(before, after, measurements)
+    if gained.value > 0.0 and gained.p_above() > LEVEL_95 / 2.0:
+        share = 100.0 * validation.model.rms / validation.nominal.rms
+        of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
+        yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell (p = {gained.p_above():.2g})"
+    if angles := validation.rms_angles:
+        yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
+    out = outside(arm, measurements.postures)
+    beyond = np.zeros(len(after), dtype=bool) if out is None else np.asarray(out.any(axis=1))
+    if FEWEST <= np.count_nonzero(beyond) <= len(beyond) - FEWEST:
+        familiar, elsewhere = (
+            f"{np.sqrt(np.mean(after[rows] ** 2)):.3g} mm (drawing {np.sqrt(np.mean(before[rows] ** 2)):.3g} mm)"
+            for rows in (~beyond, beyond)
+        )
+        seen = f"{100.0 * np.mean(~beyond):.2g} % of these rows lie at joint angles that the calibration has seen"
+        yield f"{seen}: RMS there {familiar}, elsewhere {elsewhere}"
+    tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
+    fresh = [name for name in names if name not in tools]
+    if not arm.chain.planar and refit != "none":  # measured points that the calibration does not have are fitted
+        if not names and len(tools) > 1:
+            several = "where they are of several, name them in the column marker"
+            alone = "the rows are taken as of one reflector, whose position was fitted to them"
+            yield f"no column marker: {alone}; {several}"
+        elif fresh and not len(tools) == 1 == len(names):
+            its = "its position was" if len(fresh) == 1 else "their positions were"
+            yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
+    if comes_from(identified(arm), measurements):
+        yield FITTED
+    if far := extrapolation(arm, measurements.postures):
+        yield far
+    model = Model(arm)
+    if once := [effect.key for effect in model.effects if effect.once and refit != "none"]:
+        yield f"{', '.join(once)}: of the session of the identification only; taken as at its end, in all rows"
+    for effect in model.effects:
+        for need, column, missing, instead in (
+            ("temperature", "temperature_C", measurements.temperature is None, "the mean temperature"),
+            ("time", "order or time_s", measurements.order is None, "the order of the rows"),
+        ):
+            if need in effect.needs and missing:
+                yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
+    if left_open:
+        yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
+
+
+# -- judged before it is offered ---------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Offered:
+    """Distances [mm] that the model offered and the geometry alone leave, each as `identify` and `validate` have it.
+
+    by : `holdout` or `cross-validation` (each posture by a fit to others);  rows : how many
+    rms, largest : of the model;  rms_geometry, largest_geometry : of the geometry, identified on the same rows
+    p_value : one-sided, of no gain
+    """
+
+    by: str
+    rows: int
+    rms: float
+    largest: float
+    rms_geometry: float
+    largest_geometry: float
+    p_value: float
+
+    @classmethod
+    def of(cls, by: str, geometry: Array, model: Array, measurements: Measurements) -> Offered:
+        """From residuals (m, d) [mm] of the same rows."""
+        before, after = distances(geometry), distances(model)
+        rms, rms_geometry = rms_distance(model), rms_distance(geometry)
+        p_value = gained_squares(before, after, measurements).p_above()
+        return cls(by, len(after), rms, float(after.max()), rms_geometry, float(before.max()), p_value)
+
+    @classmethod
+    def of_test(cls, test: Confirmation) -> Offered:
+        """From a test of a model against the base model."""
+        figures = (test.after, test.largest_after, test.before, test.largest_before)
+        return cls(test.by, test.rows, *figures, 1.0 if test.p_shrinks is None else test.p_shrinks)
+
+    @property
+    def better(self) -> bool:
+        """Whether the model predicts better beyond chance, as `validate` judges it."""
+        return self.rms < self.rms_geometry and self.p_value <= LEVEL_95 / 2.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Key `offered` (identification/files/README.md, "JSON keys")."""
+        lengths = {"rms_mm": self.rms, "max_mm": self.largest}
+        lengths |= {"rms_geometry_mm": self.rms_geometry, "max_geometry_mm": self.largest_geometry}
+        return {"by": self.by, "rows": self.rows, **lengths, "p_value": self.p_value, "better": self.better}
+
+
+def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:
+    """The diagnosis with what its extended model is worth beside the geometry (`Diagnosis.offered`).
+
+    Where nothing is missing nothing is offered. On a hold-out both are placed as `validate` places them, so that the
+    figures are those that it gives of the files of `diagnose --out` and of `identify --out`; without one, the
+    cross-validation over postures says it.
+
+    arm : as it was diagnosed;  measurements, holdout : as for `diagnose`
+    """
+    if diagnosis.verdict == "none" or not diagnosis.predicting.specs:
+        return diagnosis
+    if holdout is None:
+        tests = [test for test in diagnosis.cross_validation if test.transfer == "other postures"]
+        return replace(diagnosis, offered=Offered.of_test(tests[0])) if tests else diagnosis
+    kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
+    geometry = identified_geometry(arm, kept)
+    try:
+        alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
+    except InputError:  # too few rows to place the arm
+        return diagnosis
+    return replace(diagnosis, offered=Offered.of("holdout", alone, extended, holdout))
+
+
+def identified_geometry(arm: Arm, measurements: Measurements) -> Arm:
+    """The arm as `identify` calibrates it, where it stands in the first session."""
+    fit = estimate(Model(with_sessions(arm, measurements)), measurements)
+    return replace(arm, calibration=without_sessions(fit.calibration()))
+
+
+def prior_judged(
+    geometry: Callable[[], Identification], fit: Identification, measurements: Measurements
+) -> Offered | None:
+    """What a fit with a prior of further effects is worth beside the geometry, each posture predicted from the others;
+    None where the rows determine the one or the other not."""
+    model = left_out_residuals(fit, measurements)
+    alone = None if model is None else left_out_residuals(geometry(), measurements)
+    return None if model is None or alone is None else Offered.of("cross-validation", alone, model, measurements)
+
+
+# -- set up anew -------------------------------------------------------------------------------------------------------
+def as_calibrated(arm: Arm) -> Arm:
+    """The arm with its calibrated geometry as the nominal one; values of effects stay, and effects whose curve has a
+    geometry have it as errors of the corrected chain."""
+    values = {} if arm.calibration is None else arm.calibration.values
+    bare: dict[str, Any] = {"values": of_effects(values), "base": None, "tools": {}, "tool_axes": {}}
+    kept = None if arm.calibration is None else replace(arm.calibration, **bare)
+    chain, effects = corrected(arm.chain, values), []
+    for spec in arm.effects:
+        if spec.curve is not None and spec.curve.geometry:
+            of_curve = dict(spec.curve.geometry)
+            of_curve |= {name: float(x) for name, x in arm.chain.along_base(of_curve, values).items()}
+            without = {name: values.get(name, 0.0) - of_curve.get(name, 0.0) for name in {*values, *of_curve}}
+            errors = errors_between(chain, corrected(arm.chain, without))
+            geometry = {name: -error for name, error in errors.items()} | of_effects(of_curve)
+            spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
+        effects.append(spec)
+    return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
+
+
+def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
+    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts."""
+    if not arm.chain.planar:
+        model = _spatial(arm, measurements, refit)
+        return model, model.values
+    values = Model(arm).best_known
+    if refit == "none":
+        return Model(arm, values), np.zeros(0)
+    offsets = [f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)] if refit == "offsets" else []
+    if not arm.chain.positions_in_plane:  # its targets are where it stands
+        model = placed_model(Model(arm), measurements)
+        free = {*offsets, *(p.name for p in model.arm.chain.instrument.parameters)}
+        model = replace(model, held={k: v for k, v in model.best_known.items() if k not in free})
+        return model, model.values
+    model = Model(with_base_offset(arm), {k: value for k, value in values.items() if k not in (*PLANAR_BASE, *offsets)})
+    start = model.parameters.vector(values)
+    computed = model.position(measurements.postures, start, conditions)
+    return model, start_at_bases(start, model, computed, measurements.positions)
+
+
+def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
+    """Starts at the closed form.
+
+    refit : `base`: base and measured points; `offsets`: those and the offsets of the joints between the first and the
+        last, which base and points stand for; `none`: nothing
+    """
+    arm = as_calibrated(arm)
+    if refit == "none":
+        chain, names = arm.chain, measurements.marker_names
+        # of one point it is that which is measured, whatever the data call it
+        if not chain.instrument.own_targets and not len(chain.tools) == 1 == len(names):
+            fault = "no column marker, and the arm has several measured points" if not names else ""
+            fresh = [repr(name) for name in names if name not in chain.tools]
+            fault = f"unknown name {', '.join(fresh)}" if fresh else fault if len(chain.tools) > 1 else ""
+            if fault:
+                allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
+                raise InputError(f"measurements.marker: {fault}, {allowed}")
+        model = Model(replace(arm, chain=with_markers(arm.chain, measurements)))
+        return replace(model, held=model.best_known)
+    chain = replace(one_unnamed(arm.chain, measurements), settled=frozenset())
+    model = placed_model(Model(replace(arm, chain=chain)), measurements)
+    if len(model.arm.chain.tools) == 1 == len(chain.tools):  # curves have the point by its name in the calibration
+        (old,), (new,) = chain.tools, model.arm.chain.tools
+        effects = []
+        for spec in model.arm.effects:
+            if spec.curve is not None:
+                geometry = {k.replace(f"{TOOL}[{old}]", f"{TOOL}[{new}]"): v for k, v in spec.curve.geometry.items()}
+                spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
+            effects.append(spec)
+        model = replace(model, arm=model.arm.with_effects(*effects))
+    free = {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}
+    free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links)} if refit == "offsets" else set()
+    return replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
+
+
+def placed_values(chain: KinematicChain, values: Mapping[str, float]) -> dict[str, float]:
+    """Where base and measured points are, by the names of their parameters [mm, rad]; other values as they are.
+
+    values : corrections of base and points
+    """
+    stands, placed = standing_in(chain, values), dict[str, float]()
+    points = {f"{TOOL}[{name}]": pose(place, stands.tool_axes.get(name)) for name, place in stands.tools.items()}
+    for name, frame in {BASE: stands.base, **points}.items():
+        placed |= displaced_by(np.eye(4), frame, error_names(name))
+    return {name: placed.get(name, value) for name, value in values.items()}
+
+
+def extrapolation(arm: Arm, postures: Array) -> str | None:
+    """How many postures (m, n) of rows are outside the angles of the identification, in a clause; None: none, or not
+    known."""
+    out = outside(arm, postures)
+    clause = extrapolated(out, "rows")
+    beyond = [s.curve for s in arm.effects if s.curve and out is not None and out[:, (s.joint or 1) - 1].any()]
+    if clause is None or not beyond:
+        return clause
+    if any(curve.geometry for curve in beyond):
+        return f"{clause}; without its error curves, by the geometry that was fitted alone"
+    return f"{clause}; its error curves are zero there, and the geometry of armcal identify alone may be better"
+
+
+def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
+    """Kind, name and row numbers of every block; none of them is empty."""
+    m = len(measurements)
+    for name, rows in zip(measurements.sessions, measurements.session_rows, strict=False):
+        yield "session", name, rows
+    if m < FEWEST:
+        return
+    if not measurements.sessions:
+        for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
+            yield "time", f"quarter {k}", rows
+    # of lengths the places computed, in the frame of the base
+    measures_places = measurements.dimension > 1
+    places = (measurements.positions if measures_places else Model(arm).points(measurements.postures)[:, -1])[:, :2]
+    x, y = np.median(places, axis=0)
+    right, above = (places > [x, y]).T
+    for name, inside in (
+        (f"x > {x:.0f}, y > {y:.0f}", right & above),
+        (f"x < {x:.0f}, y > {y:.0f}", ~right & above),
+        (f"x < {x:.0f}, y < {y:.0f}", ~right & ~above),
+        (f"x > {x:.0f}, y < {y:.0f}", right & ~above),
+    ):
+        if inside.any():
+            yield "workspace", name, np.flatnonzero(inside)
+    out = outside(arm, measurements.postures)
+    if out is not None and 0 < int(out.any(axis=1).sum()) < m:
+        yield "range", "inside", np.flatnonzero(~out.any(axis=1))
+        yield "range", "outside", np.flatnonzero(out.any(axis=1))

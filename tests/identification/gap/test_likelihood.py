@@ -1,0 +1,144 @@
+"""Marginal likelihoods of blocks against covariances of all rows, quadrature over sigma, and least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import gammaln
+from scipy.stats import norm
+
+from identification.gap.likelihood import SIZES, Products
+
+N, WIDTHS = 30, (1, 2, 1, 3, 7)
+STARTS = np.concatenate([[0], np.cumsum(WIDTHS)])
+
+
+LIMITS = np.array([14, 14, 14, 14, 3])
+
+
+def products_of(columns: np.ndarray, target: np.ndarray, freedom: int, *rest: np.ndarray) -> Products:
+    """Of columns (N, P) with y (N,)."""
+    return Products(columns.T @ columns, target @ columns, float(target @ target), freedom, *rest)
+
+
+def problem(seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, Products]:
+    """J (N, 3), columns Z (N, P) of which two blocks are nearly alike, y, and their products projected off J."""
+    rng = np.random.default_rng(seed)
+    j, z = rng.normal(size=(N, 3)), rng.normal(size=(N, STARTS[-1])) / np.sqrt(N)
+    z[:, 3] = z[:, 0] + 0.2 * z[:, 3]
+    y = j @ [3.0, -2.0, 1.0] + 12.0 * z[:, 1] - 9.0 * z[:, 4] + rng.normal(size=N)
+    q = np.linalg.qr(j)[0]
+    left, rest = z - q @ (q.T @ z), y - q @ (q.T @ y)
+    signs = np.array([True, False, False, False, False])
+    return j, z, y, products_of(left, rest, N - 3, STARTS, signs, LIMITS)
+
+
+def off(j: np.ndarray, z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and data in coordinates orthogonal to J, where its flat parameters are integrated out."""
+    free = np.linalg.svd(j)[0][:, j.shape[1] :]
+    return free.T @ z, free.T @ y
+
+
+def log_density(z: np.ndarray, y: np.ndarray, scales: np.ndarray) -> float:
+    """Of y ~ N(0, sigma^2 (I + Z D^2 Z^T)) with sigma integrated out by quadrature over its logarithm."""
+    covariance = np.eye(len(y)) + (z * scales**2) @ z.T
+    square = float(y @ np.linalg.solve(covariance, y))
+    volume = np.linalg.slogdet(covariance)[1]
+    peak = 0.5 * np.log(square / len(y))
+
+    def density(t: float) -> float:
+        return float(np.exp(-len(y) * (t - peak) - 0.5 * square * (np.exp(-2 * t) - np.exp(-2 * peak))))
+
+    area = quad(density, peak - 3.0, peak + 6.0, epsabs=0.0, epsrel=1e-10)[0]
+    return float(-0.5 * volume - len(y) * peak - 0.5 * square * np.exp(-2 * peak) + np.log(area))
+
+
+@pytest.mark.parametrize("blocks", [(1,), (0, 3), (1, 4), (0, 1, 2, 3, 4)])
+def test_the_ratio_is_that_of_densities_of_all_rows(blocks: tuple[int, ...]) -> None:
+    j, z, y, products = problem()
+    z, y = off(j, z, y)
+    pairs = [(b, size) for b, size in zip(blocks, (0, 2, 1, 4, 3), strict=False)]
+    own = products.places(blocks)
+    scales = np.repeat([SIZES[size] for _, size in pairs], [WIDTHS[b] for b in blocks])
+    nothing = log_density(z[:, :0], y, np.zeros(0))
+    expected = log_density(z[:, own], y, scales) - nothing
+    assert products.state(pairs).ratio == pytest.approx(expected, abs=1e-7)
+    assert nothing == pytest.approx(gammaln(len(y) / 2) - np.log(2) - len(y) / 2 * np.log(0.5 * float(y @ y)), abs=1e-7)
+
+
+def test_a_block_added_to_a_set_is_the_larger_set() -> None:
+    products = problem()[3]
+    for pairs in ((), ((1, 2),), ((0, 1), (3, 3))):
+        state = products.state(pairs)
+        added, chosen = products.added(state), {block for block, _ in pairs}
+        for b in range(1, len(WIDTHS)):  # the first has a sign: below
+            if b not in chosen:
+                whole = np.array([products.state((*pairs, (b, size))).ratio for size in range(len(SIZES))])
+                allowed = np.arange(len(SIZES)) < products.limits[b]
+                np.testing.assert_allclose(added[b], np.where(allowed, whole - state.ratio, -np.inf), atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None:
+    products, rng = problem(seed)[3], np.random.default_rng(seed)
+    state = products.state()
+    for _ in range(40):
+        block = int(rng.integers(len(WIDTHS)))
+        state = state.without(block) if block in state.blocks else state
+        if rng.random() < 0.7:
+            state = state.beside(block, int(rng.integers(products.limits[block])))
+        once = products.state(state.key)
+        assert state.key == once.key
+        for own, made in zip(state.within, once.within, strict=True):
+            np.testing.assert_allclose(own, made, atol=1e-9)
+
+
+def test_what_a_set_leaves_is_what_ridge_regression_leaves() -> None:
+    j, z, y, products = problem()
+    q = np.linalg.qr(j)[0]
+    z, y = z - q @ (q.T @ z), y - q @ (q.T @ y)
+    state = products.state([(1, 2), (4, 1)])
+    scales = np.repeat([SIZES[2], SIZES[1]], [2, 7])
+    inverse = np.linalg.inv(np.eye(N) + (z[:, state.places] * scales**2) @ z[:, state.places].T)
+    assert state.squares == pytest.approx(y @ inverse @ y, rel=1e-10)
+    np.testing.assert_allclose(state.scores, z.T @ inverse @ y, atol=1e-9)
+    left = z.T @ inverse @ z
+    for index, own in zip(products.alike, state.within, strict=True):
+        np.testing.assert_allclose(own, left[index[:, :, None], index[:, None, :]], atol=1e-9)
+
+
+def test_a_few_blocks_alone_have_the_same_likelihoods() -> None:
+    products = problem()[3]
+    few = products.of_blocks((1, 3, 4))
+    one, other = few.state([(0, 0), (2, 2)]), products.state([(1, 0), (4, 2)])
+    assert one.ratio == pytest.approx(other.ratio, abs=1e-10)
+    assert few.limits.tolist() == [14, 14, 3]
+
+
+def test_a_block_of_one_sign_has_twice_the_mass_on_its_side() -> None:
+    j, z, y, _ = problem()
+    q = np.linalg.qr(j)[0]
+    for sign in (1.0, -1.0):
+        x = sign * (z[:, :1] - q @ (q.T @ z[:, :1]))
+        rest = y + 9.0 * z[:, 0] - q @ (q.T @ (y + 9.0 * z[:, 0]))
+        ends, limit = np.array([0, 1]), np.array([14])
+        two, one = (products_of(x, rest, N - 3, ends, np.array([s]), limit) for s in (False, True))
+        either, positive = (p.added(p.state())[0] for p in (two, one))
+        fits = [two.state([(0, size)]) for size in range(14)]
+        variances = [fit.covariance[0, 0] * fit.squares / two.freedom for fit in fits]
+        above = [2.0 * norm.cdf(float(fit.mean[0] / np.sqrt(v))) for fit, v in zip(fits, variances, strict=True)]
+        np.testing.assert_allclose(positive - either, np.log(above), atol=1e-6)
+        np.testing.assert_allclose([one.state([(0, size)]).signed for size in range(14)], np.log(above), atol=1e-9)
+
+
+def test_estimates_are_ridge_regression() -> None:
+    j, z, y, products = problem()
+    state = products.state([(0, 1), (1, 2), (4, 0)])
+    scales = np.repeat([SIZES[1], SIZES[2], SIZES[0]], [1, 2, 7])
+    rows = np.block([[j, z[:, state.places]], [np.zeros((len(scales), 3)), np.diag(1.0 / scales)]])
+    target = np.concatenate([y, np.zeros(len(scales))])
+    expected = np.linalg.lstsq(rows, target, rcond=None)[0]
+    np.testing.assert_allclose(state.mean, expected[3:], atol=1e-9)
+    assert state.squares == pytest.approx(float(np.sum((target - rows @ expected) ** 2)), rel=1e-10)
+    np.testing.assert_allclose(state.covariance, np.linalg.inv(rows.T @ rows)[3:, 3:], rtol=1e-8, atol=1e-12)
