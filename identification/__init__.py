@@ -12,14 +12,13 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "model": "Model",
     "model.minimal": "practical",
     "effects": "library",
-    "measurements": "Conditions Measurements rms_distance",
+    "measurements": "Conditions Measurements load_measurements rms_distance",
     "kinematics.parameters": "EFFECT GEOMETRY JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
     "kinematics.counting": "turned_into",
     "kinematics.chain": "DHRow chain_of planar_chain",
-    "files.arm": "arm_from_tables load_arm",
-    "files.arm_text": "dump_arm with_effects",
-    "files.measurement": "load_measurements plan_file_text read_plan",
-    "files.measurement_columns": "csv_text posture_columns",
+    "files.arm": "arm_from_tables dump_arm load_arm with_effects",
+    "files.csv": "csv_text",
+    "files.measurement": "plan_file_text posture_columns read_plan",
     "workflow": "load_sessions",
     "campaign": "Campaign",
     # what data say
@@ -52,10 +51,9 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.errors import ArmcalError, InputError, JobError, in_one_line, nearest
     from identification.estimation import Identification, estimate, estimate_batch, estimate_each
     from identification.estimation.uncertainty import freedom_of, quantile_95
-    from identification.files.arm import arm_from_tables, load_arm
-    from identification.files.arm_text import dump_arm, with_effects
-    from identification.files.measurement import load_measurements, plan_file_text, read_plan
-    from identification.files.measurement_columns import csv_text, posture_columns
+    from identification.files.arm import arm_from_tables, dump_arm, load_arm, with_effects
+    from identification.files.csv import csv_text
+    from identification.files.measurement import plan_file_text, posture_columns, read_plan
     from identification.for_design import (
         NEEDS_SIGMA,
         ArmModel,
@@ -82,7 +80,7 @@ if TYPE_CHECKING:  # the same for type checkers
         Parameter,
         ParameterSet,
     )
-    from identification.measurements import Conditions, Measurements, rms_distance
+    from identification.measurements import Conditions, Measurements, load_measurements, rms_distance
     from identification.model import Model
     from identification.model.minimal import practical
     from identification.progress import Progress, silent

@@ -26,20 +26,19 @@ from identification.documents.identification import (
 from identification.documents.pictures import Compared, workspace_arrows
 from identification.documents.use import command_rows, rows_listed, validation_sections, validation_verdict
 from identification.errors import InputError
-from identification.estimation.corrected_values import Calibrated, CorrectedValue, corrected_values
+from identification.estimation.result import Calibrated, CorrectedValue, corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import Table as CsvTable
 from identification.files.csv import read_table
 from identification.files.io import read_text
-from identification.files.measurement import load_measurements
-from identification.files.measurement_columns import UNITS
+from identification.files.measurement import UNITS
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
-from identification.measurements import Measurements, distances
+from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
+from identification.origin import data_hashes, diagnosed, outside
+from identification.reuse import same_drawing
 from identification.validate import Validation, validate
-from identification.validate.origin import data_hashes, diagnosed, outside
-from identification.validate.reuse import same_drawing
 from identification.workflow import dh_table
 
 # a command -> keys that its JSON object alone has

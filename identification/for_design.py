@@ -257,7 +257,7 @@ class ArmModel:
     @property
     def complete(self) -> bool:
         """Whether nothing is missing: what the data of a diagnosed arm could show is in its model."""
-        from identification.validate.origin import diagnosed
+        from identification.origin import diagnosed
 
         return diagnosed(self.arm)
 
@@ -356,7 +356,7 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
     if arm.sigma is not None:
         return arm, ""
     from identification.arm import SIGMA_RANGE
-    from identification.validate.origin import identified
+    from identification.origin import identified
 
     scatter = identified(arm).get("scatter_mm")
     if not isinstance(scatter, float) or not SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1]:

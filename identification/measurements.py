@@ -77,11 +77,13 @@ def check_values(name: str, array: NDArray[Any], good: NDArray[np.bool_], allowe
 
 if TYPE_CHECKING:
     from identification.arm import Arm
+    from identification.files.io import PathLike
 
 __all__ = [
     "Conditions",
     "Measurements",
     "directions_from_order",
+    "load_measurements",
     "past_from_order",
     "rms_distance",
     "session_time",
@@ -200,7 +202,7 @@ class Measurements(ByValue):
         links : how many the arm has, or the arm, as of `load_measurements`. Raises `InputError` naming row and column
         """
         from identification.files.csv import table_of_frame
-        from identification.files.measurement_columns import measurement_fields
+        from identification.files.measurement import measurement_fields
 
         return cls(**measurement_fields(table_of_frame(frame), links) | {"provenance": MappingProxyType({})})
 
@@ -210,7 +212,7 @@ class Measurements(ByValue):
         joint_types : of each joint, None: all revolute
         """
         from identification.data_frames import frame_of_columns
-        from identification.files.measurement_columns import measurement_columns
+        from identification.files.measurement import measurement_columns
 
         return frame_of_columns(measurement_columns(self, joint_types), kind)
 
@@ -376,3 +378,17 @@ class Measurements(ByValue):
     def _picked(self, index: Any) -> Self:
         columns = [name for name in (*VALUES, "session", "marker", "past") if getattr(self, name) is not None]
         return replace(self, **{name: getattr(self, name)[index] for name in columns})
+
+
+def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measurements:
+    """The measurements of a CSV or Parquet file, of an arm with `links` links if given.
+
+    links : or the arm itself: a spatial one has positions of three coordinates, markers, and may have sliding joints
+
+    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
+    once about columns that are not used.
+    """
+    from identification.files.csv import read_table
+    from identification.files.measurement import measurement_fields
+
+    return Measurements(**measurement_fields(read_table(path), links))

@@ -1,6 +1,6 @@
 """The commands of identification: files in, files out, and an `Answer` of what there is to say.
 
-Each function is a verb of `armcal`, which its signature, its docstring and its example declare (doe/cli/common.py), and
+Each function is a verb of `armcal`, which its signature, its docstring and its example declare (doe/cli/verb.py), and
 may be called from Python as well: `identify_files("arm.toml", "data.csv", out="calibrated.toml")`. Verbs take units of
 files; those of one name without `_files` are the same of objects, in millimetres and radians. What they load is loaded
 when they are called, so that `armcal --help` answers at once.
@@ -23,7 +23,7 @@ from identification.progress import Progress, silent
 if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.estimation import Identification
-    from identification.estimation.corrected_values import Calibrated, CorrectedValue
+    from identification.estimation.result import Calibrated, CorrectedValue
     from identification.gap.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
@@ -55,8 +55,8 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 def _measured(path: Path, arm: Arm) -> Measurements:
-    from identification.files.measurement import load_measurements
     from identification.inspection.data_checks import certainly_wrong_units, data_warnings
+    from identification.measurements import load_measurements
 
     measurements = load_measurements(path, arm)
     if wrong := certainly_wrong_units(measurements, arm):
@@ -141,8 +141,8 @@ def check_files(arm: Path, data: Path, *, progress: Progress = silent) -> Answer
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
     """
     from identification.files.arm import load_arm, urdf_masses
-    from identification.files.measurement import load_measurements
     from identification.inspection.inspection import inspect
+    from identification.measurements import load_measurements
 
     loaded = load_arm(arm)
     measurements = load_measurements(data, loaded)
@@ -238,11 +238,11 @@ def identify_files(
     from identification.estimation import without_outliers as fitted_without_outliers
     from identification.files.arm import load_arm
     from identification.model import Model
-    from identification.servo import following_errors, with_servo_errors
+    from identification.origin import diagnosed
+    from identification.reuse import at_reference, with_base_doubt, with_mounting_doubt, words_of
     from identification.sessions import with_sessions
-    from identification.validate.origin import diagnosed
-    from identification.validate.reuse import at_reference, with_base_doubt, with_mounting_doubt, words_of
-    from identification.validate.validation import prior_judged
+    from identification.simulate import following_errors, with_servo_errors
+    from identification.validate import prior_judged
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -301,7 +301,7 @@ def identify_files(
             "file": str(prior_from),
             "parameters": list(earlier.names),
             "anew": [name for name in identified.names if name not in held],
-            "contradicted": [one.to_json() for one in identified.contradictions],
+            "contradicted": [one._asdict() for one in identified.contradictions],
         }
     if words:
         identified = with_base_doubt(identified, with_sessions(loaded, rows), words, rows)
@@ -363,10 +363,10 @@ def _fitted(
 ) -> Identification:
     """A fit of all parameters or those of --only (`words`), with the priors that were asked for."""
     from identification.estimation import estimate, estimate_with_prior
-    from identification.estimation.prior import Prior
+    from identification.estimation.problem import Prior
     from identification.gap.noise import with_repeats_doubted
     from identification.model import Model
-    from identification.validate.reuse import earlier, only
+    from identification.reuse import earlier, only
 
     free = [] if library is None else list(library.prior.deviations)  # the library's effects always are
     model = only(arm, [*words, *free], rows) if words else Model(arm)
@@ -401,8 +401,8 @@ def _beside_the_fit(
     fit: Identification, path: Path, arm: Arm, rows: Measurements, words: Sequence[str]
 ) -> dict[str, Any]:
     """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
-    from identification.estimation.corrected_values import Calibrated
-    from identification.estimation.expected_tip import left_out_rms
+    from identification.estimation.doubts import left_out_rms
+    from identification.estimation.result import Calibrated
     from identification.measurements import rms_distance
     from identification.validate import drawing_residuals
 
@@ -427,7 +427,7 @@ def dh_table(
 
     values : corrected ones, the radius among them
     """
-    from identification.estimation.corrected_values import dh_places, dh_values
+    from identification.estimation.result import dh_places, dh_values
     from identification.files.arm import dh_rows
     from identification.kinematics.frames import point_table, pose_table
 
@@ -498,11 +498,10 @@ def _write_calibrated(
     kept : the calibration before, of which parameters that were not estimated keep covariance and data, and the one
         that was the prior
     """
-    from identification.files.arm import corrected_urdf
-    from identification.files.arm_text import urdf_beside, with_calibration, with_effects
+    from identification.files.arm import corrected_urdf, urdf_beside, with_calibration, with_effects
     from identification.files.io import read_text, write_together
+    from identification.reuse import with_data_of, with_held
     from identification.sessions import SESSIONS, without_sessions
-    from identification.validate.reuse import with_data_of, with_held
 
     out, urdf = names
     files: dict[PathLike, str | bytes] = {}
@@ -556,16 +555,14 @@ def diagnose_files(
     """
     import numpy as np
 
-    from identification.files.arm import load_arm
-    from identification.files.arm_text import urdf_beside, with_calibration, with_effects
+    from identification.files.arm import load_arm, urdf_beside, with_calibration, with_effects
     from identification.files.io import read_text, write_together
     from identification.gap.confirmation import split
     from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
-    from identification.servo import with_servo_errors
-    from identification.validate import drawing_residuals
-    from identification.validate.validation import judged
+    from identification.simulate import with_servo_errors
+    from identification.validate import drawing_residuals, judged
 
     loaded = load_arm(arm)
     if models := [path for path in data if Path(path).suffix.lower() == ".toml"]:
@@ -635,8 +632,8 @@ def validate_files(
     from identification.documents.use import is_better, validation_actions
     from identification.files.arm import load_arm
     from identification.files.io import write_together
+    from identification.origin import check_calibrated, mostly_outside
     from identification.validate import validate
-    from identification.validate.origin import check_calibrated, mostly_outside
 
     arm = load_arm(model)
     check_calibrated(arm, str(model))
@@ -677,7 +674,7 @@ def compensate_files(
     from identification.files.io import write_together
     from identification.files.measurement import commands_text, load_targets
     from identification.model import Model
-    from identification.validate.origin import check_calibrated
+    from identification.origin import check_calibrated
 
     arm = load_arm(calibrated)
     check_calibrated(arm, str(calibrated))

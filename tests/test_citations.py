@@ -109,7 +109,7 @@ def test_a_wrong_citation_is_found():
 
 
 @pytest.mark.parametrize(
-    "module", ["identification/gap", "identification/estimation/outlying.py", "doe/discrimination"]
+    "module", ["identification/gap", "identification/estimation/uncertainty.py", "doe/discrimination"]
 )
 def test_every_numeric_constant_has_its_reason(module):
     """A comment behind it or directly above it."""

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from itertools import chain, count
 from pathlib import Path
 
-from doe.cli.common import verb, with_collisions
-from doe.cli.stopping import stopped_by
+from doe.cli.plans import with_collisions
+from doe.cli.verb import stopped_by, verb
 from identification import InputError, JobError, Progress, silent
 from identification.document import Answer, Document, picture_bytes
 from identification.files.io import write_together

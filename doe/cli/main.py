@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+import sys
+from collections.abc import Sequence
 from errno import ENOSPC
 from importlib import import_module
 from typing import Any
 
 import click
 
-from doe.cli.common import WORDS, PriorOrFile, no_output, verb
-from identification import SINGLE_THREAD, in_one_line, nearest
-from identification.workflow import VERBS as IDENTIFICATION
+from doe.cli.plans import VERBS as PLANS
+from doe.cli.verb import no_output, verb
+from identification import SINGLE_THREAD, InputError, in_one_line, nearest
+from identification.document import Answer
+from identification.workflow import VERBS as DATA
 
-VERBS = (  # in the order of the work; each has a module here or is a function of identification
+ORDER = (  # of the work; demo and study have modules here
     *("demo", "init", "design", "score", "advise", "compare", "relax", "study", "simulate", "check", "identify"),
     *("diagnose", "discriminate", "validate", "compensate", "report", "effects", "help"),
 )
@@ -42,23 +44,46 @@ OTHER_OPTIONS = {
     "silent": "quiet",
     "threads": "workers",
 }
+FORMATS = "formats"
+OTHER_TOPICS = dict.fromkeys(
+    ("file", "files", "toml", "csv", "json", "units", "columns", "data", "measurements", "armfile", "keys"), FORMATS
+)
 
 
-@contextmanager
-def one_line_errors() -> Iterator[None]:
-    """Usage errors, and a full disk while help is printed, as one line like every other error."""
-    try:
-        yield
-    except click.exceptions.NoArgsIsHelpError:  # the whole help, on purpose
-        raise
-    except click.NoSuchOption as error:
-        raise click.UsageError(in_one_line(unknown_option(error))) from None
-    except click.UsageError as error:
-        raise click.UsageError(in_one_line(error.format_message())) from None
-    except OSError as error:
-        if error.errno != ENOSPC or error.filename is not None:
-            raise
-        no_output(error)
+class Verbs(click.Group):
+    """Verbs in the order of the work; usage errors take one line, with the nearest name."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """In the order in which they were added."""
+        return list(self.commands)
+
+    def main(self, args: Sequence[str] | None = None, prog_name: str | None = None, **_: Any) -> Any:  # type: ignore[override]
+        """As in click, but usage errors, and a full disk while help is printed, are one line like every other error.
+
+        The words of the command line are the object of the context.
+        """
+        words = list(sys.argv[1:] if args is None else args)
+        try:
+            if any("\0" in word for word in words):  # no shell can pass one on; a program that calls this can
+                raise click.UsageError("a word with a null character, allowed: text")
+            sys.exit(super().main(words, prog_name, obj=tuple(words), standalone_mode=False))
+        except click.exceptions.NoArgsIsHelpError as error:  # the whole help, on purpose
+            error.show()
+        except click.NoSuchOption as error:
+            click.UsageError(in_one_line(unknown_option(error))).show()
+        except click.UsageError as error:
+            click.UsageError(in_one_line(error.format_message())).show()
+        except OSError as error:
+            if error.errno != ENOSPC or error.filename is not None:
+                raise
+            no_output(error)
+        sys.exit(2)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """As in click, with a suggestion."""
+        if args and not args[0].startswith("-") and args[0] not in self.commands:
+            ctx.fail(f"unknown verb {args[0]!r}, {nearest(args[0], self.commands, OTHER_VERBS)}")
+        return super().resolve_command(ctx, args)
 
 
 def unknown_option(error: click.NoSuchOption) -> str:
@@ -69,37 +94,6 @@ def unknown_option(error: click.NoSuchOption) -> str:
     close, question, _ = nearest(error.option_name.removeprefix("--"), names, OTHER_OPTIONS).partition("? ")
     meant = re.sub("'(.+?)'", r"'--\1'", close)
     return f"{error.message.rstrip('.')}, {meant}?" if question else error.message.rstrip(".")
-
-
-class Verbs(click.Group):
-    """Verbs in the order of the work, and the nearest one suggested for an unknown one."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """In the order in which they were added."""
-        return list(self.commands)
-
-    def make_context(self, info_name: str | None, args: list[str], *arguments: Any, **options: Any) -> click.Context:
-        """As in click, but usage errors take one line; the words of the command line are kept."""
-        words = tuple(args)
-        with one_line_errors():
-            if any("\0" in word for word in words):  # no shell can pass one on; a program that calls this can
-                raise click.UsageError("a word with a null character, allowed: text")
-            context = super().make_context(info_name, args, *arguments, **options)
-        context.meta[WORDS] = words
-        return context
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """As in click, but usage errors take one line."""
-        with one_line_errors():
-            return super().invoke(ctx)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As in click, with a suggestion."""
-        if args and not args[0].startswith("-") and args[0] not in self.commands:
-            ctx.fail(f"unknown verb {args[0]!r}, {nearest(args[0], self.commands, OTHER_VERBS)}")
-        return super().resolve_command(ctx, args)
 
 
 def versions(context: click.Context, _: click.Parameter, wanted: bool) -> None:
@@ -130,10 +124,28 @@ def main() -> None:
         os.environ.setdefault(variable, number)
 
 
-for name in VERBS:
-    if name in IDENTIFICATION:
-        function, example = IDENTIFICATION[name]
-        kind = PriorOrFile if name == "identify" else click.Command
-        main.add_command(verb(example, kind, name)(function))
+def help_of(topic: str = FORMATS) -> Answer:
+    """The help of a verb, or the file formats.
+
+    Show the help of the verb TOPIC, or with `formats` all file formats and JSON keys.
+    """
+    if topic == FORMATS:
+        from rich.markdown import Markdown
+
+        from identification.files import formats
+
+        text = formats()
+        return Answer({"topic": topic, "text": text}, [Markdown(text)])
+    if topic not in main.commands:
+        raise InputError(f"unknown topic {topic!r}, {nearest(topic, [FORMATS, *main.commands], OTHER_TOPICS)}")
+    parent = click.get_current_context().parent
+    text = main.commands[topic].get_help(click.Context(main.commands[topic], info_name=topic, parent=parent))
+    return Answer({"topic": topic, "text": text}, [text])
+
+
+FUNCTIONS = {**PLANS, **DATA, "help": (help_of, "armcal help formats")}
+for name in ORDER:
+    if name in FUNCTIONS:
+        main.add_command(verb(FUNCTIONS[name][1], name)(FUNCTIONS[name][0]))
     else:
         main.add_command(import_module(f"doe.cli.{name}").command)

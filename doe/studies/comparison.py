@@ -103,9 +103,8 @@ def compare(
         range(comparison.repeats),
     )
     keys: list[Key] = [
-        {"criterion": name, "runs": m, "starts": starts or OWN, "limit_s": comparison.seconds, "repeat": repeat}
-        | subject
-        | setting
+        {**subject, "criterion": name, "runs": m, **setting, "starts": starts or OWN}
+        | {"limit_s": comparison.seconds, "repeat": repeat}
         for subject, name, m, setting, starts, repeat in grid
     ]
 

@@ -52,7 +52,7 @@ from identification import (
     with_points,
     without_prior,
 )
-from identification.estimation.batch import sessions
+from identification.estimation.estimate import sessions
 from identification.files.io import named_file, read_toml, write_together
 from identification.files.schema import StrictTable, validated
 from identification.information import covariance, covariances
@@ -62,29 +62,26 @@ from identification.kinematics.parameters import orientation_transform
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
 PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
-MOST_RUNS, MOST_REPLICATIONS, MOST_BLOCK = 100_000, 1_000_000_000, 1_000_000  # of a cell, a cell, and a task
 MOST_TASKS = 100_000  # of a cell: each is a row of a table
 MOST_ROWS = 4_000_000  # of one plan at a time: 64 MB of positions
 
 
 # -- what is asked for -------------------------------------------------------------------------------------------------
-Count = Annotated[int, Field(ge=1)]
-
-
 class TruthTable(StrictTable):
     """`[[truths]]`: what is really there; what is left out is as in the arm's own calibration and effects."""
 
-    name: str = Field(description="a text")
-    length_errors_mm: list[float] | None = Field(None, description="one number [mm] for each link")
-    joint_offsets_deg: list[float] | None = Field(None, description="one angle [deg] for each link")
-    effects: list[dict[str, Any]] | None = Field(None, description="tables as [[effects]] of an arm file, with values")
-    values: dict[str, float] | None = Field(None, description="a table of numbers [mm, deg], as calibration.values")
+    name: str
+    length_errors_mm: list[float] | None = None
+    joint_offsets_deg: list[float] | None = None
+    effects: list[dict[str, Any]] | None = None  # as [[effects]] of an arm file, with values
+    values: dict[str, float] | None = None  # as calibration.values of a spatial arm
 
     def of(self, arm: Arm) -> Arm:
         """The true arm. Raises `InputError` for errors and effects that the arm cannot have."""
         own = tomllib.loads(dump_arm(arm)).get("calibration", {})
-        errors = dict.fromkeys(("length_errors_mm", "joint_offsets_deg"), [0.0] * arm.links)
-        errors = errors if arm.chain.planar else {"values": {}}
+        errors: dict[str, Any] = {"values": {}}
+        if arm.chain.planar:
+            errors = {"length_errors_mm": [0.0] * arm.links, "joint_offsets_deg": [0.0] * arm.links}
         kept = ("base", "tools", *errors, *(("effects",) if self.effects is None else ()))
         given = self.model_dump(exclude={"name", "effects"}, exclude_none=True)
         true = _with_tables(arm, self.effects, errors | {key: own[key] for key in kept if key in own} | given)
@@ -95,8 +92,8 @@ class TruthTable(StrictTable):
 class ModelTable(StrictTable):
     """`[[models]]`: what the fit estimates besides the geometry."""
 
-    name: str = Field(description="a text")
-    effects: list[dict[str, Any]] | None = Field(None, description="tables as [[effects]] of an arm file")
+    name: str
+    effects: list[dict[str, Any]] | None = None
 
     def of(self, arm: Arm) -> Arm:
         """The arm as the fit knows it: nominal."""
@@ -111,30 +108,22 @@ def _with_tables(arm: Arm, effects: list[dict[str, Any]] | None, calibration: di
     return arm_from_tables(tables | places | ({} if effects is None else {"effects": effects}))
 
 
-class StudyFile(StrictTable):
-    """The whole file. The description of a field is the end of its error message."""
+NotEmpty = Field(min_length=1)
 
-    arms: list[str] = Field(min_length=1, description="names of arm files, at least one")
-    plans: list[str] = Field(min_length=1, description="names of solvers, 'dft', 'random' or plan files, at least one")
-    runs: list[Annotated[Count, Field(le=MOST_RUNS)]] = Field(
-        [], description=f"whole numbers >= 1, at most {MOST_RUNS:,}"
-    )
-    sigma_mm: list[Annotated[float, Field(gt=0)]] | None = Field(
-        None, min_length=1, description="numbers > 0 [mm], at least one; left out: the arm's own"
-    )
-    replications: Annotated[Count, Field(le=MOST_REPLICATIONS)] = Field(
-        10_000, description=f"a whole number >= 1, at most {MOST_REPLICATIONS:,}"
-    )
-    block: Annotated[Count, Field(le=MOST_BLOCK)] = Field(
-        10_000, description=f"a whole number >= 1, at most {MOST_BLOCK:,}: replications per task"
-    )
-    solver_seconds: Annotated[float, Field(gt=0)] = Field(60.0, description="a number > 0 [s]")
-    truths: list[TruthTable] = Field(
-        [TruthTable(name="arm")], min_length=1, description="tables [[truths]], at least one"
-    )
-    models: list[ModelTable] = Field(
-        [ModelTable(name="arm")], min_length=1, description="tables [[models]], at least one"
-    )
+
+class StudyFile(StrictTable):
+    """The whole file: names of arm files; names of solvers, "dft", "random" or plan files; runs and sigma, left out: of
+    the plan files, and of the arms; replications of a cell, `block` of them in a task."""
+
+    arms: Annotated[list[str], NotEmpty]
+    plans: Annotated[list[str], NotEmpty]
+    runs: list[Annotated[int, Field(ge=1, le=100_000)]] = Field(default=[])
+    sigma_mm: Annotated[list[Annotated[float, Field(gt=0)]], NotEmpty] | None = None
+    replications: Annotated[int, Field(ge=1, le=1_000_000_000)] = 10_000
+    block: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
+    solver_seconds: Annotated[float, Field(gt=0)] = 60.0
+    truths: list[TruthTable] = Field(default=[TruthTable(name="arm")], min_length=1)
+    models: list[ModelTable] = Field(default=[ModelTable(name="arm")], min_length=1)
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,7 @@ def table_2(runs: int = 20) -> pl.DataFrame:
         total = information_matrix(np.concatenate([by_orientation, jacobian[..., :links]], axis=-1))
         printed = np.r_[runs * LENGTHS[:links] ** 2, np.full(links, float(runs))]
         scaled = total / np.sqrt(np.outer(printed, printed))
-        row = {"place": "Table II", "links": links, "runs": runs, "item": "sum J^T J = diag(m l^2, m)"}
+        row: Row = {"place": "Table II", "links": links, "runs": runs, "item": "sum J^T J = diag(m l^2, m)"}
         row["diagonal_error"] = float(np.max(np.abs(np.diag(scaled) - 1.0)))
         row["off_diagonal"] = float(np.max(np.abs(scaled - np.diag(np.diag(scaled)))))
         rows.append(row | {"verdict": "agrees" if np.allclose(scaled, np.eye(2 * links), atol=1e-12) else "erratum"})

@@ -24,7 +24,7 @@ from identification.document import (
 )
 from identification.documents.identification import DRAWN, correct, corrected_section, hardly_better
 from identification.effects import library
-from identification.estimation.corrected_values import corrected_values
+from identification.estimation.result import corrected_values
 from identification.model import Model
 
 if TYPE_CHECKING:

@@ -23,8 +23,7 @@ from identification.document import (
 from identification.sessions import placing
 
 if TYPE_CHECKING:
-    from identification.estimation.corrected_values import CorrectedValue
-    from identification.estimation.result import Identification
+    from identification.estimation.result import CorrectedValue, Identification
 
 Data = Mapping[str, Any]  # what a command says with --json
 

@@ -34,7 +34,7 @@ from identification.model import Model
 if TYPE_CHECKING:
     from identification.gap.detectability import Detectability
     from identification.gap.result import Diagnosis
-    from identification.validate.validation import Validation
+    from identification.validate import Validation
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 MANY = 500  # more points are drawn smaller, as pixels in vector formats

@@ -13,7 +13,7 @@ from identification.documents.identification import correct, drawing_in_words, i
 from identification.kinematics.parameters import REVOLUTE
 
 if TYPE_CHECKING:
-    from identification.compensate.compensation import Compensation
+    from identification.compensate import Compensation
 
 Data = Mapping[str, Any]  # what a command says with --json
 

@@ -12,10 +12,9 @@ from functools import cache
 from types import MappingProxyType
 
 from identification.arm import EffectSpec
-from identification.effects import joint, link, mounting, noise, rare  # noqa: F401  (they register themselves)
+from identification.effects import formulas, noise  # noqa: F401  (they fill the library)
 from identification.effects.base import _LIBRARY, Effect, Scope, Setting, register
-from identification.effects.chain import Chain
-from identification.effects.places import measured_position
+from identification.effects.chain import Chain, measured_position
 from identification.errors import InputError, close_names, nearest, suggestion
 from identification.installed import additions
 from identification.kinematics.chain import KinematicChain
@@ -35,7 +34,6 @@ __all__ = [
     "register",
     "unknown_effect",
 ]
-
 
 # what people call what the library has another name for
 OTHER_NAMES = {
@@ -100,17 +98,19 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
     """
     if spec.name not in library():
         raise unknown_effect(spec.name)
-    cls, links = library()[spec.name], len(chain)
+    cls, joint = library()[spec.name], spec.joint
     if chain.dimension not in cls.dimensions:
-        others = "spatial" if chain.planar else "planar"
-        allowed_here = nearest(spec.name, of_dimension(chain.dimension))
-        raise InputError(f"effects: {spec.name} is of {others} arms, {allowed_here}")
-    if spec.joint is None and cls.per_joint == "required":
-        raise InputError(f"effects: {spec.name} needs a joint, allowed: {cls.first_joint} to {links}")
-    if spec.joint is not None and cls.per_joint == "none":
-        raise InputError(f"effects: {spec.name} is of the whole arm, joint = {spec.joint} is not allowed")
-    if spec.joint is not None and not cls.first_joint <= spec.joint <= links:
-        raise InputError(f"effects: {spec.name} at joint {spec.joint}, allowed: {cls.first_joint} to {links}")
+        others = {2: "spatial", 3: "planar"}[chain.dimension]
+        raise InputError(
+            f"effects: {spec.name} is of {others} arms, {nearest(spec.name, of_dimension(chain.dimension))}"
+        )
+    allowed = f"allowed: {cls.first_joint} to {len(chain)}"
+    if joint is None and cls.per_joint == "required":
+        raise InputError(f"effects: {spec.name} needs a joint, {allowed}")
+    if joint is not None and cls.per_joint == "none":
+        raise InputError(f"effects: {spec.name} is of the whole arm, joint = {joint} is not allowed")
+    if joint is not None and not cls.first_joint <= joint <= len(chain):
+        raise InputError(f"effects: {spec.name} at joint {joint}, {allowed}")
     chosen: dict[str, int | float] = {}
     for name, declared in cls.settings.items():
         setting, value = Setting.of(declared), spec.values.get(name)
@@ -118,13 +118,13 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
             fault = "is missing" if value is None else f"= {value:g}"
             raise InputError(f"effects: {spec.key}: {name} {fault}, allowed: {setting.allowed}")
         chosen[name] = int(value) if setting.whole else float(value)
-    effect = cls(chain, spec.joint, chosen, tagged)
+    effect = cls(chain, joint, chosen, tagged)
     if cls.tabulated != (spec.curve is not None):
         fault = "has no table of values" if cls.tabulated else "has a table of values"
         raise InputError(f"effects: {spec.key} {fault}, allowed: one for joint_error_curve, none for others")
     effect.curve = spec.curve
-    allowed = {p.short for p in effect.parameters} | set(cls.settings)
+    names = {p.short for p in effect.parameters} | set(cls.settings)
     for short in spec.values:
-        if short not in allowed:
-            raise InputError(f"effects: {spec.key} has no parameter {short!r}, {nearest(short, allowed)}")
+        if short not in names:
+            raise InputError(f"effects: {spec.key} has no parameter {short!r}, {nearest(short, names)}")
     return effect

@@ -2,8 +2,8 @@
 
     commanded joint angle -> real joint angle -> links -> position in the base -> measured position
 
-An effect overrides the hook of its place, or several; `measured_position` (effects/places.py) adds up what the hooks
-return. A new effect is one class: see `register`.
+An effect is a class with a table of parameters and, by the names of their places, formulas of what it adds there, which
+identification/effects/chain.py adds up. `add_effect` makes the library's own; a user's is a class under `register`.
 
 Settings of effects are numbers that are chosen rather than estimated, and the values that a scan tries.
 """
@@ -14,20 +14,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
+from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.effects.chain import Chain
+from identification.conditions import Conditions
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
-from identification.measurements import Conditions
 
 SESSION = 1.1  # from one session to the next on the clock of steps, a gap of 0.1 between them
 DIGITS = 6  # of a value, significant: labels and files hold it exactly
@@ -46,9 +46,6 @@ class Scope:
     conditions: Conditions = field(default_factory=Conditions)
 
 
-Values = Sequence[float] | Callable[[Scope], Sequence[float]]
-
-
 @dataclass(frozen=True)
 class Setting:
     """A number that is chosen rather than estimated: the order of a wave, the time of a step, a time constant.
@@ -62,7 +59,7 @@ class Setting:
 
     low: float
     high: float
-    values: Values | None = None
+    values: Sequence[float] | Callable[[Scope], Sequence[float]] | None = None
     whole: bool = False
     symbolic: bool = True
 
@@ -76,8 +73,7 @@ class Setting:
         if self.values is None:
             return [float(k) for k in range(int(self.low), int(self.high) + 1)]
         values = self.values(scope) if callable(self.values) else self.values
-        kept = {float(f"{value:.{DIGITS}g}") for value in values if self.allows(value)}
-        return sorted(kept)
+        return sorted({float(f"{value:.{DIGITS}g}") for value in values if self.allows(value)})
 
     def allows(self, value: float) -> bool:
         """Whether this value is allowed in an arm file."""
@@ -112,12 +108,32 @@ def step_times(scope: Scope) -> list[float]:
     return [*spread, *((np.unique(sessions)[1:] - 0.5) * SESSION)]
 
 
+class Number(NamedTuple):
+    """A parameter in the declaration of an effect, see `Parameter`.
+
+    scale : [mm] that one unit moves the tip by, in order of magnitude, or the function of the effect that says it
+    """
+
+    short: str
+    unit: str
+    typical: float
+    scale: float | Callable[[Any], float] = 1.0
+    lower: float = -inf
+    upper: float = inf
+    start: float | None = None
+
+
+LEVER, REACH = attrgetter("link_length"), attrgetter("reach")  # scales of numbers
+
+
 class Effect:
-    """Base class of all effects. Subclasses set the class variables, define the parameters, and override a hook.
+    """Base class of all effects. Subclasses set the class variables, list the parameters, and have methods with the
+    names of places.
 
     Class variables:
 
     name : as in the arm file;  summary : one line for people
+    numbers : the parameters, in the order in which the formulas receive their values, or a method that lists them
     per_joint : `required`, `optional` or `none`: whether the effect is given for a single joint
     first_joint : lowest joint (from 1) that can have it
     needs : what the arm or the data must have: gravity, distance (measured ones), directions, temperature, time,
@@ -131,8 +147,8 @@ class Effect:
     alias : base parameters from which no measurement of the tip can distinguish it, or None
     nuisance : True if it is no fault of the arm, so that `diagnose` does not search for it
     of_commands : True if it acts between command and encoder reading, so that models of the readings ignore it
-        (identification/servo.py)
-    scatter : True if it acts on the noise, so that the model of the mean ignores it (`identification.effects.noise`)
+        (identification/simulate.py)
+    scatter : True if it acts on the noise, so that the model of the mean ignores it (identification/effects/noise.py)
     once : True if it belongs to the session of the identification; in later sessions its final state applies
     of_positions : True if it is of the frame in which positions are measured, which other instruments do not have
     tabulated : True if it is a table of values (`EffectSpec.curve`) without parameters
@@ -144,10 +160,28 @@ class Effect:
     tagged : True if names include the settings, `transmission_ripple:1[k=20].a`, as the arm has a similar effect at the
         same joint (see `build_all`)
     parameters : as `define` returns them
+
+    Places, each a method of the symbols of the nominal arm (`Chain`) and the values of the parameters that returns
+    CasADi SX of this many elements, or a number for all of them. Where n joints or 3 n coordinates are asked for, an
+    effect of one joint may return its own.
+
+    payload : added to the payload [kg], for all effects of gravity
+    gravity_turn : rotation of gravity [rad], in space (3,) about the axes of the base, for all effects of gravity
+    payload_shift : in space (3,) added to the place of the payload in the tip's frame [mm]
+    joint_angles : (n,) added to the commanded joint angles [rad]
+    extensions : (n,) added to the link lengths [mm], a third argument
+    deflections, slopes : in the plane (n,) deflection of each link's end to its left [mm], and slope there [rad]
+    joint_turns, joint_shifts : in space (3 n,) rotations [rad] and translations [mm] of each joint's frame after its
+        motion, about and along its own x, y, z
+    tool : (d,) offset of the measured point in the frame of the last link [mm]
+    base_rotation : rotation of the arm about its base [rad], in space (3,) about its x, y, z
+    base_translation : (d,) translation of the base [mm]
+    instrument : (d,) added to the true position [mm], which it has in place of the chain
     """
 
     name: ClassVar[str]
     summary: ClassVar[str]
+    numbers: ClassVar[Any] = ()
     per_joint: ClassVar[str] = "none"
     first_joint: ClassVar[int] = 1
     needs: ClassVar[frozenset[str]] = frozenset()
@@ -163,6 +197,7 @@ class Effect:
     of_positions: ClassVar[bool] = False
     tabulated: ClassVar[bool] = False
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)
+    disturb: ClassVar[Callable[..., Array]]
     curve: ErrorCurve | None = None
 
     def __init_subclass__(cls) -> None:
@@ -181,6 +216,18 @@ class Effect:
         self.tagged = tagged
         self.parameters: tuple[Parameter, ...] = self.define()
 
+    def define(self) -> tuple[Parameter, ...]:
+        """The parameters, in the order in which the formulas receive their values."""
+        parameters = []
+        for number in self.numbers() if callable(self.numbers) else self.numbers:
+            scale = number.scale(self) if callable(number.scale) else number.scale
+            parameters.append(self.parameter(**number._replace(scale=float(scale))._asdict()))
+        return tuple(parameters)
+
+    def parameter(self, short: str, unit: str, *, scale: float, **more: float | None) -> Parameter:
+        """A parameter of this effect under its full name;  scale, more : as of `Parameter`"""
+        return Parameter(f"{self.key}.{short}", unit, scale=scale, joint=self.joint, **more)  # type: ignore[arg-type]
+
     @property
     def key(self) -> str:
         """Name in reports: `name` or `name:joint`, with the settings if `tagged`."""
@@ -191,21 +238,6 @@ class Effect:
         """Unique name from name, joint and settings: `transmission_ripple:2[k=6]`."""
         settings = ";".join(f"{name}={value:g}" for name, value in self.chosen.items())
         return EffectSpec(self.name, self.joint).key + (f"[{settings}]" if settings else "")
-
-    def parameter(
-        self,
-        short: str,
-        unit: str,
-        *,
-        scale: float,
-        lower: float = -inf,
-        upper: float = inf,
-        typical: float | None = None,
-        start: float | None = None,
-    ) -> Parameter:
-        """A parameter of this effect under its full name; arguments as of `Parameter`."""
-        name = f"{self.key}.{short}"
-        return Parameter(name, unit, lower, upper, scale, joint=self.joint, typical=typical, start=start)
 
     @property
     def link_length(self) -> float:
@@ -218,100 +250,18 @@ class Effect:
         return self.chain.reach
 
     @property
-    def dimension(self) -> int:
-        """d, coordinates of a position of the arm."""
-        return self.chain.dimension
-
-    @property
     def joint_index(self) -> int:
         """The joint from 0, as an index of arrays. Raises `InputError` for an effect of the whole arm."""
         if self.joint is None:
             raise InputError(f"effects: {self.name} needs a joint, allowed: 1 to {len(self.chain)}")
         return self.joint - 1
 
-    def at_joint(self, angle: ca.SX, chain: Chain) -> ca.SX:
-        """(n,) zeros except `angle` at this effect's joint."""
-        angles = ca.SX.zeros(chain.links)
-        angles[self.joint_index] = angle
-        return angles
-
-    def at_frame(self, vector: ca.SX, chain: Chain) -> ca.SX:
-        """(3n,) zeros except `vector` (3,) at the frame of this effect's joint."""
-        at_frames = ca.SX.zeros(3 * chain.links)
-        at_frames[3 * self.joint_index : 3 * self.joint_index + 3] = vector
-        return at_frames
-
-    # -- what a subclass defines ------------------------------------------------------------------------------------
-    def define(self) -> tuple[Parameter, ...]:
-        """The parameters, in the order in which the hooks receive them."""
-        raise NotImplementedError
-
-    def payload(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """Added to the payload [kg], for all effects of gravity."""
-        return 0.0
-
-    def gravity_turn(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """Rotation of gravity [rad], for all effects of gravity; in space (3,), about the axes of the base."""
-        return 0.0
-
-    def payload_shift(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """(3,) in space what is added to the place of the payload in the tip's frame [mm]."""
-        return 0.0
-
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """(n,) added to the commanded joint angles [rad]."""
-        return 0.0
-
-    def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX | float:
-        """(n,) added to the link lengths [mm]."""
-        return 0.0
-
-    def bending(self, chain: Chain, values: ca.SX) -> tuple[ca.SX | float, ca.SX | float]:
-        """(n,) deflection of each link's end to its left [mm], and (n,) slope there [rad]."""
-        return 0.0, 0.0
-
-    def frame_errors(self, chain: Chain, values: ca.SX) -> tuple[ca.SX | float, ca.SX | float]:
-        """In space: (3n,) rotations [rad] and (3n,) translations [mm] of each joint's frame after its motion, about and
-        along its own x, y, z, joint by joint."""
-        return 0.0, 0.0
-
-    def tool(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """(d,) offset of the measured point in the frame of the last link [mm]."""
-        return 0.0
-
-    def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """Rotation of the arm about its base [rad]; in space (3,), about its x, y, z."""
-        return 0.0
-
-    def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """(d,) translation of the base [mm]."""
-        return 0.0
-
-    def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX | float:
-        """(d,) added by the instrument to the true position [mm]."""
-        return 0.0
-
-
-class JointAngle(Effect):
-    """An effect that adds one parameter times a `shape` to the angle of one joint.
-
-    number : short name, unit and typical size of the parameter;  lower : its lower bound
-    """
-
-    per_joint = "required"
-    number: ClassVar[tuple[str, str, float]]
-    lower: ClassVar[float] = -inf
-
-    def shape(self, chain: Chain) -> ca.SX:
-        """Factor of the parameter, a function of posture and conditions."""
-        raise NotImplementedError
-
-    def define(self) -> tuple[Parameter, ...]:
-        short, unit, typical = self.number
-        return (self.parameter(short, unit, scale=self.link_length, lower=self.lower, typical=typical),)
-
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * self.shape(chain), chain)
+    def at_joint(self, value: ca.SX, chain: Any = None) -> ca.SX:
+        """(n,) zeros except a value at this effect's joint, or (k n,) of a value (k,)."""
+        size = ca.SX(value).numel()
+        values = ca.SX.zeros(size * len(self.chain))
+        values[size * self.joint_index : size * (self.joint_index + 1)] = value
+        return values
 
 
 _LIBRARY: dict[str, type[Effect]] = {}
@@ -328,3 +278,13 @@ def register(cls: type[Effect]) -> type[Effect]:
         raise InputError(f"effect: the name {cls.name!r} is taken by the library, allowed: another name")
     _LIBRARY[cls.name] = cls
     return cls
+
+
+def add_effect(name: str, summary: str, text: str, numbers: Any = (), **members: Any) -> type[Effect]:
+    """Make an effect and add it to the library.
+
+    text : what it is and adds, for people;  numbers : its parameters, or the function of an effect that lists them
+    members : further class variables of `Effect`, and by its place the formula of what it adds there
+    """
+    members |= {"name": name, "summary": summary, "numbers": numbers, "__doc__": text, "__module__": OWN}
+    return register(type(name, (Effect,), members))

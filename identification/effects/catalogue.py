@@ -6,12 +6,12 @@ Everything is read off the classes, so that a user's own effects stand in the li
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification.effects import Effect, library, unknown_effect
+from identification.effects import library, unknown_effect
 from identification.effects.base import OWN, Setting
 from identification.kinematics.chain import IN_SPACE, planar_chain
 from identification.kinematics.parameters import Parameter
@@ -27,7 +27,7 @@ SUPPLY = {
     "session": "the column session in the measurements, or one file for each session",
     "commands": "columns commanded1_deg, commanded2_deg .. in the measurements, beside the angles that were read",
 }
-SPATIAL, PLANAR = 3, 2
+ARMS = {2: "planar", 3: "spatial"}
 GRAVITY = """\
 [gravity]
 acceleration_m_s2 = [0.0, -9.81]  # in space: [0.0, 0.0, -9.81]
@@ -36,16 +36,17 @@ center_of_mass = [0.5, 0.5, 0.5]  # from the joint, in link lengths
 payload_kg = 0.0  # at the tip"""  # block of an arm file, for three links
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(NamedTuple):
     """An effect of the library, as `armcal effects` lists it.
 
     summary, formula : one line, and the formula in words
     place : `each joint`, `one joint or all`, `each joint from 2`, `the whole arm`
     arms : `planar`, `spatial` or both;  needs : as `Effect.needs`, sorted
-    parameters : for an arm of three joints;  settings : name -> range allowed in an arm file
+    settings : name -> range allowed in an arm file
     kind : `looked for` by diagnose, `scatter`, `alias` of base parameters, `table` of values, `sessions`,
-        `commands`, `on request` of the arm file only;  alias : as `Effect.alias`;  own : defined by the user
+        `commands`, `on request` of the arm file only;  alias : as `Effect.alias`
+    parameters : for an arm of three joints;  supply : how to give what it needs, one sentence each
+    own : defined by the user
     """
 
     name: str
@@ -54,17 +55,12 @@ class Entry:
     place: str
     arms: tuple[str, ...]
     needs: tuple[str, ...]
-    parameters: tuple[Parameter, ...]
     settings: dict[str, str]
     kind: str
     alias: str | None
+    parameters: tuple[Parameter, ...]
+    supply: tuple[str, ...]
     own: bool
-
-    @property
-    def supply(self) -> tuple[str, ...]:
-        """How to supply what the effect needs, one sentence each."""
-        wanted = (*self.needs, *(["commands"] if self.kind == "commands" else []))
-        return tuple(dict.fromkeys(SUPPLY.get(need, need) for need in wanted))
 
     @property
     def example(self) -> str:
@@ -82,8 +78,8 @@ class Entry:
             {"key": p.toml_key, "unit": p.file_unit, "typical": None if p.typical is None else p.typical * p.to_file}
             for p in self.parameters
         ]
-        names = ("name", "summary", "formula", "place", "arms", "needs", "settings", "kind", "alias")
-        return {name: getattr(self, name) for name in names} | {"parameters": parameters, "supply": self.supply}
+        entry = self._asdict() | {"parameters": parameters}
+        return {key: value for key, value in entry.items() if key != "own"}
 
 
 def entries() -> list[Entry]:
@@ -98,33 +94,25 @@ def entry(name: str) -> Entry:
     cls = library()[name]
     settings = {key: Setting.of(value) for key, value in cls.settings.items()}
     chosen = {key: int(value.low) if value.whole else value.low for key, value in settings.items()}
-    joint = None if cls.per_joint == "none" else max(cls.first_joint, 1) if cls.per_joint == "required" else None
+    joint = max(cls.first_joint, 1) if cls.per_joint == "required" else None
     chain = planar_chain(np.ones(3))  # one parameter per joint is listed as the first
-    effect = cls(chain if PLANAR in cls.dimensions else replace(chain, axes=IN_SPACE), joint, chosen)
+    if chain.dimension not in cls.dimensions:
+        chain = replace(chain, axes=IN_SPACE)
+    each = "each joint" if cls.first_joint <= 1 else f"each joint from {cls.first_joint}"
+    kinds = {"table": cls.tabulated, "scatter": cls.scatter, "alias": cls.alias is not None}
+    kinds |= {"sessions": "session" in cls.needs, "on request": cls.nuisance, "commands": cls.of_commands}
+    wanted = (*sorted(cls.needs), *(["commands"] if cls.of_commands else []))
     return Entry(
         name=name,
         summary=cls.summary,
         formula=" ".join((inspect.getdoc(cls) or cls.summary).split("\n\n")[0].split()),
-        place=_place(cls),
-        arms=tuple(word for word, d in (("planar", PLANAR), ("spatial", SPATIAL)) if d in cls.dimensions),
+        place={"none": "the whole arm", "required": each}.get(cls.per_joint, "one joint or all"),
+        arms=tuple(word for dimension, word in ARMS.items() if dimension in cls.dimensions),
         needs=tuple(sorted(cls.needs)),
-        parameters=effect.parameters,
         settings={key: value.allowed for key, value in settings.items()},
-        kind=_kind(cls),
+        kind=next((kind for kind, is_this in kinds.items() if is_this), "looked for"),
         alias=cls.alias,
+        parameters=cls(chain, joint, chosen).parameters,
+        supply=tuple(dict.fromkeys(SUPPLY.get(need, need) for need in wanted)),
         own=not cls.__module__.startswith(OWN),
     )
-
-
-def _place(cls: type[Effect]) -> str:
-    if cls.per_joint == "none":
-        return "the whole arm"
-    each = "each joint" if cls.first_joint <= 1 else f"each joint from {cls.first_joint}"
-    return each if cls.per_joint == "required" else "one joint or all"
-
-
-def _kind(cls: type[Effect]) -> str:
-    kinds = {"table": cls.tabulated, "scatter": cls.scatter, "alias": cls.alias is not None}
-    kinds |= {"sessions": "session" in cls.needs, "on request": cls.nuisance}
-    kinds["commands"] = cls.of_commands
-    return next((kind for kind, true in kinds.items() if true), "looked for")

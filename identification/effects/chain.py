@@ -1,8 +1,14 @@
-"""The nominal arm at one posture in CasADi symbols, on which effects may depend: geometry, loads, gravity torques."""
+"""The nominal arm at one posture in CasADi symbols, on which effects may depend, and what they add at places along it.
+
+    loads -> joint angles -> links -> tool -> base -> instrument
+
+A contribution acts on the tip through the lever of its place, the derivative of the position with respect to what is
+added there. Levers depend on the fitted model only, so they serve all effects that might be missing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
@@ -13,27 +19,36 @@ import numpy as np
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
 from identification.conditions import REMEMBERED
+from identification.effects.base import Effect
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain, in_space, turned_about
 from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import REVOLUTE
+
+OF_LOAD = ("payload", "gravity_turn", "payload_shift")
+BY_JOINT = ("joint_angles", "extensions", "deflections", "slopes", "joint_turns", "joint_shifts")
+
+
+def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:
+    """Where each part of a vector stands, of parts in this order."""
+    ends = accumulate(sizes.values())
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
 def condition_slices(links: int, extra: Collection[str] = ()) -> dict[str, slice]:
     """Where each condition of a model stands among its columns: those of `Conditions.table`, and of these in order what
     the model has besides.
 
-    extra : `past` of the joints, if an effect has a memory; `marker`, where there are several; `orientation`, what was
-        measured, column by column, and 1 where there is none; `errors` of the joints by their curves, and the share of
-        the curves' geometry that is off
+    extra : `past` of the joints, if an effect has a memory; `marker`, where there are several; `reference`, measured
+        orientations column by column, and 1 where there is none; `errors` of the joints by their curves, and the share
+        of the curves' geometry that is off
     """
     sizes = {"payload": 1, "temperature": 1, "time": 1, "session": 1, "directions": links}
     sizes |= {"past": links * REMEMBERED} if "past" in extra else {}
     sizes |= {"marker": 1} if "marker" in extra else {}
-    sizes |= {"reference": 9, "missing": 1} if "orientation" in extra else {}
+    sizes |= {"reference": 9, "missing": 1} if "reference" in extra else {}
     sizes |= {"errors": links, "off": 1} if "errors" in extra else {}
-    ends = accumulate(sizes.values())
-    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+    return _slices(sizes)
 
 
 @dataclass(frozen=True)
@@ -68,10 +83,6 @@ class Chain:
     def previous(self) -> ca.SX:
         """(n,) the posture before [rad]; in the first row the posture itself."""
         return self.q if self.past is None else self.past[:, -1]
-
-    def loaded(self, payload: ca.SX, turn: ca.SX, shift: ca.SX) -> Chain:
-        """The same arm with another payload [kg], a rotation of gravity [rad] and, in space, a shift of the payload."""
-        return replace(self, payload=payload, turn=turn, shift=shift)
 
     @property
     def links(self) -> int:
@@ -142,3 +153,103 @@ class Chain:
         """(3,) force [N] of all loads on links >= `beyond`, from 0, in the axes of a joint's frame."""
         mass = sum((mass for mass, k, _ in self.loads if k >= beyond), ca.SX(0))
         return ca.mtimes(self.frames[joint + 1].axes.T, mass * self.acceleration)
+
+
+def widths(chain: KinematicChain) -> dict[str, int]:
+    """Place -> its number of elements, in the order of vectors over all places."""
+    n, d, turns = len(chain), chain.dimension, len(chain.turning)
+    loads = dict(zip(OF_LOAD, (1, turns, d), strict=True))
+    frame = {"tool": d, "base_rotation": turns, "base_translation": d, "instrument": d}
+    return {**loads, "joint_angles": n, "extensions": n, **chain.bends, **frame}
+
+
+def by_place(vector: ca.SX, chain: KinematicChain) -> dict[str, ca.SX]:
+    """Place -> its elements of a vector over all places."""
+    return {place: vector[where] for place, where in _slices(widths(chain)).items()}
+
+
+def state_slices(chain: KinematicChain) -> dict[str, slice]:
+    """Where the parts of the state stand, on which effects depend besides posture and conditions: payload [kg],
+    rotation of gravity [rad], in space shift of the payload [mm], link lengths (n) [mm] without extensions, and the tip
+    (d) [mm] before the instrument."""
+    sizes = widths(chain)
+    return _slices({place: sizes[place] for place in OF_LOAD} | {"lengths": len(chain), "tip": chain.dimension})
+
+
+def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) -> ca.SX:
+    """(d,) measured position [mm] (identification/README.md, "Effects"), with three further elements where orientations
+    are measured, see `Model.symbols`.
+
+    values : those of the geometry, then the parameters of the effects in order
+    """
+    return position_and_state(chain, effects, values)[0]
+
+
+def position_and_state(
+    chain: Chain, effects: Sequence[Effect], values: ca.SX, added: ca.SX | None = None
+) -> tuple[ca.SX, ca.SX]:
+    """(d,) measured position [mm], and the state (`state_slices`).
+
+    added : further contributions at all places, in the order of `widths`
+    """
+    start = values.numel() - sum(len(effect.parameters) for effect in effects)
+    geometry, parts = values[:start], []  # each effect with the values of its own parameters
+    for effect in effects:
+        parts.append((effect, values[start : start + len(effect.parameters)]))
+        start += len(effect.parameters)
+    drawn, sizes = chain.geometry, widths(chain.geometry)
+    additions = by_place(ca.SX.zeros(sum(sizes.values())) if added is None else added, drawn)
+
+    def add(places: Collection[str], chain: Chain, lengths: ca.SX | None = None, tip: ca.SX | None = None) -> None:
+        for effect, own in parts:
+            for place in places:
+                if hasattr(effect, place):
+                    additions[place] += contribution(effect, place, chain, own, lengths, tip)
+
+    add(OF_LOAD, chain)
+    additions["payload"] += chain.payload
+    loads, lengths = [additions[place] for place in OF_LOAD], drawn.link_lengths(geometry)
+    add([place for place in sizes if place not in (*OF_LOAD, "instrument")], _loaded(chain, *loads), lengths)
+    tip, turned = drawn.tip(chain.q + additions["joint_angles"], geometry, additions, chain.marker, chain.reference)
+    add(["instrument"], chain, tip=tip)
+    instrument = drawn.instrument
+    own = geometry[geometry.numel() - len(instrument.parameters) :]
+    target = ca.SX(0) if chain.marker is None else chain.marker
+    reading = instrument.reading(tip + additions["instrument"], own, target)
+    return ca.vertcat(reading, turned), ca.vertcat(*loads, lengths, tip)
+
+
+def contribution(
+    effect: Effect, place: str, chain: Chain, values: ca.SX, lengths: ca.SX | None = None, tip: ca.SX | None = None
+) -> ca.SX:
+    """What an effect adds at a place at which it has a formula, for all elements of the place."""
+    size = widths(effect.chain)[place]
+    more = (lengths,) if place == "extensions" else ()
+    value = ca.SX(getattr(effect, place)(tip if place == "instrument" else chain, values, *more))
+    if effect.joint is not None and place in BY_JOINT and value.numel() * len(effect.chain) == size:
+        return effect.at_joint(value)
+    return ca.SX.zeros(size) + value
+
+
+def in_state(chain: Chain, state: ca.SX) -> Chain:
+    """The chain with the loads of a state, see `state_slices`."""
+    where = state_slices(chain.geometry)
+    return _loaded(chain, *(state[where[place]] for place in OF_LOAD))
+
+
+def _loaded(chain: Chain, payload: ca.SX, turn: ca.SX, shift: ca.SX) -> Chain:
+    return replace(chain, payload=payload, turn=turn, shift=shift)
+
+
+def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, state: ca.SX) -> ca.SX:
+    """(P,) contributions of an effect at all places, given the state of the chain.
+
+    loaded : the chain `in_state`, shared by all effects as its torques are expensive to set up
+    """
+    where, parts = state_slices(chain.geometry), []
+    for place, size in widths(chain.geometry).items():
+        at = chain if place in OF_LOAD else loaded
+        has = hasattr(effect, place)
+        more = state[where["lengths"]], state[where["tip"]]
+        parts.append(contribution(effect, place, at, values, *more) if has else ca.SX.zeros(size))
+    return ca.vertcat(*parts)

@@ -4,14 +4,18 @@
 for many with a plan of its own each, and `without_outliers` repeats any fit until it explains every row that is left.
 """
 
-from identification.estimation.batch import BatchFit, estimate_batch, estimate_each
-from identification.estimation.estimate import estimate, estimate_with_prior, without_outliers
+from identification.estimation.estimate import (
+    estimate,
+    estimate_batch,
+    estimate_each,
+    estimate_with_prior,
+    without_outliers,
+)
 from identification.estimation.problem import METHODS
 from identification.estimation.result import Identification
 
 __all__ = [
     "METHODS",
-    "BatchFit",
     "Identification",
     "estimate",
     "estimate_batch",

@@ -1,43 +1,46 @@
-"""Arm files, reading: TOML in millimetres and degrees -> `Arm` in millimetres and radians (`arm_text` writes).
+"""Arm files: TOML in millimetres and degrees <-> `Arm` in millimetres and radians.
 
-The geometry is that of lengths of links, of a URDF file or of a Denavit-Hartenberg table. Keys of files end with their
-unit, names of our classes are the same without it: `in_api` reads `half_angle_deg` [deg] as `half_angle` [rad].
+Keys of files end with their unit, names of our classes are the same without it: `half_angle_deg` [deg] is `half_angle`
+[rad]. Effects and calibrations are written into a user's own text, whose comments and order stay as they are.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import tomllib
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import tomlkit
 from pydantic import BaseModel
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
 from identification.error_curve import ErrorCurve
-from identification.errors import InputError, nearest
+from identification.errors import InputError, JobError, nearest
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import (
+    CONSTRAINTS,
     ArmFile,
-    CalibrationTable,
     DHTable,
-    EffectTable,
+    GravityTable,
+    MachiningTable,
     PoseTable,
     require_count,
     validated_arm,
 )
-from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
+from identification.files.urdf import BASE_LINK, TIP, Urdf, parse_urdf, read_urdf, urdf_text, with_origins
 from identification.instruments import kinds
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
-from identification.kinematics.corrected import before_errors
+from identification.kinematics.corrected import before_errors, standing_in
 from identification.kinematics.counting import Counting, check_kinds
-from identification.kinematics.frames import from_own_axes, pose, rotation_to_z
+from identification.kinematics.frames import from_own_axes, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import (
     FILE_UNITS,
     GEOMETRY,
@@ -53,14 +56,86 @@ from identification.workspace import ColumnLimits, KeepOutCircle, KeepOutCylinde
 if TYPE_CHECKING:
     from identification.effects import Effect
 
-CURVE, CURVE_KEYS, GEOMETRY_KEY = "joint_error_curve", ("from_deg", "to_deg", "values_deg"), "geometry"
+Plain = dict[str, Any]
+Effects = list[tuple[EffectSpec, "Effect"]]
+Names = Mapping[str, tuple[str, float]]  # name in files -> API name, factor from API to file unit; or API name -> ...
+CURVE, CURVE_KEYS = "joint_error_curve", ("from_deg", "to_deg", "values_deg", "geometry")
 MARKER = re.compile(r"tool\[.*\]\.(r?)[xyz]")
-UNIT = re.compile(r"_(mm|deg|kg|m_s2)$")
-RENAMED = {"range_mm": "reach"}  # keys that are called otherwise in our classes
-CONSTRAINTS = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
-CONSTRAINTS["keep_out_sphere"] = KeepOutCircle
+HEADER = re.compile(r"\[\[?\s*([\w-]+)[\w.\"' -]*\]\]?\s*(#.*)?")  # of a table
+CLASSES = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
+CLASSES["keep_out_sphere"] = KeepOutCircle
 
 
+# -- keys and names: reading and writing -------------------------------------------------------------------------------
+def _field(key: str) -> tuple[str, float]:
+    """The name in our classes of a key of a file, and the factor from its unit to ours."""
+    name = "reach" if key == "range_mm" else re.sub(r"_(mm|deg|kg|m_s2)$", "", key)
+    return name, math.radians(1.0) if key.endswith("_deg") else 1.0
+
+
+def _in_api(table: BaseModel) -> Plain:
+    """What a table has, by the names of our classes, angles in radians, several numbers as a tuple."""
+    values = {}
+    for key, value in table.model_dump(exclude_none=True, exclude={"kind"}).items():
+        name, factor = _field(key)
+        scaled = value if factor == 1.0 else np.multiply(value, factor).tolist()
+        values[name] = tuple(scaled) if isinstance(scaled, list) else scaled
+    return values
+
+
+def _in_table(keys: Iterable[str], value: Any) -> Plain:
+    """What keys of a table say of one of our classes, the reverse of `_in_api`."""
+    fields = {key: _field(key) for key in keys}
+    numbers = {key: (getattr(value, name, None), factor) for key, (name, factor) in fields.items()}
+    return {key: _in_file(x, 1.0 / factor) for key, (x, factor) in numbers.items() if x is not None}
+
+
+def _in_file(values: Any, factor: float = 1.0) -> Any:
+    """A number or numbers in file units, to 15 significant digits where they are converted: 30 rather than
+    29.999999999999996, the same angle in radians to rounding."""
+    if np.ndim(values):
+        return [_in_file(value, factor) for value in values]
+    return float(values) if factor == 1.0 else float(f"{values * factor:.15g}")
+
+
+def _degrees(radians: Any) -> Any:
+    return _in_file(radians, math.degrees(1.0))
+
+
+def _names(geometry: Iterable[Parameter], effects: Effects) -> Names:
+    """All parameters of a calibration by their names in files: those of the geometry, then those of effects."""
+    names = {p.name: (p.name, p.to_file) for p in geometry}
+    for _, effect in effects:
+        names |= {f"{effect.key}.{p.toml_key}": (p.name, p.to_file) for p in effect.parameters}
+    return names
+
+
+def _by_api(names: Names) -> Names:
+    return {api: (file, factor) for file, (api, factor) in names.items()}
+
+
+def _named(names: Names, key: str, place: str, without: str = "", points: bool = False) -> tuple[str, float]:
+    """The parameter of this name. Raises `InputError` for another;  without : what is allowed where there are no names
+
+    points : measured points of any name are allowed, too
+    """
+    if key in names:
+        return names[key]
+    if points and (point := MARKER.fullmatch(key)):
+        return key, math.degrees(1.0) if point[1] else 1.0
+    raise InputError(f"{place}: unknown parameter {key!r}, {nearest(key, names) if names else without}")
+
+
+def _built(specs: Iterable[EffectSpec], chain: KinematicChain) -> Effects:
+    """Specs with their effects on an arm. Raises `InputError` for effects that it cannot have."""
+    if not (listed := list(specs)):
+        return []
+    from identification.effects import build_all  # imports CasADi: only arms with effects pay for it
+
+    return list(zip(listed, build_all(listed, chain), strict=True))
+
+
+# -- reading -----------------------------------------------------------------------------------------------------------
 def load_arm(path: PathLike) -> Arm:
     """The arm that a TOML file describes.
 
@@ -80,7 +155,7 @@ def load_arm(path: PathLike) -> Arm:
     return arm
 
 
-def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
+def arm_from_tables(tables: Plain, folder: PathLike = ".") -> Arm:
     """The arm of parsed TOML; raises `InputError` as `load_arm` does, without the file's name.
 
     folder : where the files are that the tables name
@@ -89,64 +164,35 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
     chain = _drawn_chain(file, folder)
     n = len(chain)
     file.require_counts(n)
-    constraints = [CONSTRAINTS[table.kind](**in_api(table, "kind")) for table in file.constraints]
     counting = None
     if file.joints is not None:  # what it leaves out is as usual
-        usual: dict[str, Any] = {"sign": (1,) * n, "coupled_to": (0,) * n, "zero": (0.0,) * n}
-        counting = Counting(**usual | in_api(file.joints))
+        usual: Plain = {"sign": (1,) * n, "coupled_to": (0,) * n, "zero": (0.0,) * n}
+        counting = Counting(**usual | _in_api(file.joints))
         check_kinds(counting, chain.joint_types)
     lower, upper, tied = _joint_limits(file, chain, counting)
-    effects = built([_spec(table, k, chain) for k, table in enumerate(file.effects, start=1)], chain)
-    state = f"an [instrument] of kind {chain.instrument.kind}" if file.instrument else "no [instrument] table"
-    for spec, effect in effects:
-        if effect.of_positions and file.instrument:
-            raise InputError(f"effects: {spec.key} is of measured positions, found {state}, allowed: without it")
-        if "distance" in effect.needs - chain.instrument.offers:
-            raise InputError(f"effects: {spec.key} needs measured distances, found {state}, allowed: kind distance")
-        if "gravity" in effect.needs and file.gravity is None:
-            raise InputError(f"effects: {spec.key} needs gravity torques, found no [gravity] table, allowed: with one")
+    effects = _effects(file, chain)
     if file.links_mm is None:  # so that they stand in its URDF file
         limits = zip(chain.joints, lower.tolist(), upper.tolist(), strict=True)
         chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in limits))
-    calibration = None
-    if (table := file.calibration) is not None:
-        if table.tools:  # which the file has where they are not known
-            chain = _with_tools(chain, table.tools)
-        calibration = _calibration(table, file_names(chain.parameters(), effects))
-        base, tools = None if table.base is None else _pose(table.base), dict(chain.tools) if table.tools else {}
-        axes = dict(chain.tool_axes) if tools and chain.angle_scale is not None else {}
-        calibration = replace(calibration, base=base, tools=tools, tool_axes=axes)
-        chain = before_errors(chain, calibration.values, base, tools, axes)
-    gravity = None if file.gravity is None else {"center_of_mass": (0.5,) * n} | in_api(file.gravity)
+    calibration, halves = None, Plain(center_of_mass=(0.5,) * n)
+    if file.calibration is not None:
+        calibration, chain = _calibration(file, chain, effects)
     return Arm(
         chain,
         lower=lower,
         upper=upper,
         sigma=None if file.measurement is None else file.measurement.sigma_mm,
         name=file.name,
-        gravity=None if gravity is None else Gravity(**gravity),
-        constraints=(*constraints, *tied),
-        effects=_with_geometry(effects, file.effects, chain.every_parameter),
+        gravity=None if file.gravity is None else Gravity(**{**halves, **_in_api(file.gravity)}),
+        constraints=(*(CLASSES[table.kind](**_in_api(table)) for table in file.constraints), *tied),
+        effects=tuple(spec for spec, _ in effects),
         calibration=calibration,
         gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
-        machining=Machining() if file.machining is None else Machining(**in_api(file.machining)),
+        machining=Machining() if file.machining is None else Machining(**_in_api(file.machining)),
         counting=counting,
     )
 
 
-def in_api(table: BaseModel, *without: str) -> dict[str, Any]:
-    """What a table has, by the names of our classes, angles in radians, several numbers as a tuple.
-
-    without : keys that are left out
-    """
-    values = {}
-    for key, value in table.model_dump(exclude_none=True, exclude=set(without)).items():
-        value = np.radians(value).tolist() if key.endswith("_deg") else value
-        values[RENAMED.get(key) or UNIT.sub("", key)] = tuple(value) if isinstance(value, list) else value
-    return values
-
-
-# -- geometry ----------------------------------------------------------------------------------------------------------
 def _drawn_chain(file: ArmFile, folder: PathLike) -> KinematicChain:
     """The geometry as drawn, with base and measured points where the file gives them; joint limits of the URDF.
 
@@ -166,23 +212,22 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> KinematicChain:
             if row.joint == PRISMATIC and file.joint_limits_mm is None:
                 missing = "a prismatic joint without limits"
                 raise InputError(f"dh[{k}]: {missing}, allowed: lower and upper in [joint_limits_mm]")
-        chain = chain_of(
-            [replace(_row(row), limits=(-np.pi, np.pi)) for row in file.dh], next(iter(conventions), STANDARD)
-        )
+        rows = [replace(_row(row), limits=(-np.pi, np.pi)) for row in file.dh]
+        chain = chain_of(rows, next(iter(conventions), STANDARD))
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
         chain = replace(_with_tools(chain, file.tool), settled=chain.settled | {TOOL})
     if (table := file.instrument) is None:
         sigma = file.measurement
-        if sigma is None or sigma.sigma_deg is None:
-            return replace(chain, angle_scale=None)
-        if sigma.sigma_mm is None:
-            unused = "orientations are not used; what a degree weighs against a millimetre is not known"
-            warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=2)
-            return replace(chain, angle_scale=None)
-        # residuals of orientations weigh as much as those of positions
-        return replace(chain, angle_scale=sigma.sigma_mm / float(np.radians(sigma.sigma_deg)))
+        scale: float | None = None
+        if sigma is not None and sigma.sigma_deg is not None:
+            if sigma.sigma_mm is None:
+                unused = "orientations are not used; what a degree weighs against a millimetre is not known"
+                warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=2)
+            else:  # residuals of orientations weigh as much as those of positions
+                scale = sigma.sigma_mm / math.radians(sigma.sigma_deg)
+        return replace(chain, angle_scale=scale)
     instrument = kinds(chain.axes)[table.kind].of_table(table.model_dump(exclude_none=True))
     if file.base is not None and instrument.own_targets:
         raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")
@@ -191,13 +236,6 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> KinematicChain:
         turn = rotation_to_z(normal / np.linalg.norm(normal)).T
         chain = replace(chain, base=pose(-turn @ np.array(table.center_mm), turn))
     return replace(chain, instrument=instrument)
-
-
-def _urdf(name: str, folder: PathLike) -> Urdf:
-    """The URDF file that an arm file names, or its text."""
-    if name.lstrip().startswith("<"):
-        return parse_urdf(name, "urdf")
-    return read_urdf(named_file(folder, name, "urdf", "the arm file"))
 
 
 def _row(table: DHTable) -> DHRow:
@@ -216,22 +254,151 @@ def _with_tools(chain: KinematicChain, tables: Mapping[str, PoseTable]) -> Kinem
     return replace(chain, tools=tools, tool_axes={name: readonly(matrix[:3, :3]) for name, matrix in poses.items()})
 
 
+def _joint_limits(
+    file: ArmFile, chain: KinematicChain, counting: Counting | None
+) -> tuple[Array, Array, list[ColumnLimits]]:
+    """(n,) lower and (n,) upper limits of the joints [rad, mm], and the controller's of joints that it couples.
+
+    Limits in tables of the file are the controller's, those of the chain, as of a URDF, are the joints' already.
+    """
+    types, limits = np.array(chain.joint_types), np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
+    written, tied = np.zeros(len(types), dtype=bool), []
+    for kind, table in ((REVOLUTE, file.joint_limits_deg), (PRISMATIC, file.joint_limits_mm)):
+        if table is not None:
+            joints, (unit, factor, _) = types == kind, FILE_UNITS[JOINT_UNITS[kind]]
+            for side, (name, values) in enumerate((("lower", table.lower), ("upper", table.upper))):
+                require_count(f"joint_limits_{unit}.{name}", values, int(joints.sum()), f"{kind} joints")
+                limits[side, joints] = np.array(values) / factor
+            for j in np.flatnonzero(joints & (limits[0] >= limits[1])).tolist():
+                order = f"joint {j + 1} has lower {limits[0, j] * factor:g} >= upper {limits[1, j] * factor:g}"
+                raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
+            written |= joints
+    if counting is not None:
+        for j in filter(written.__getitem__, counting.coupled):
+            ends = sorted((counting.sign[j] * (limits[:, j] - counting.zero[j])).tolist())
+            tied.append(ColumnLimits(j + 1, tuple(counting.sums[j].tolist()), *ends))
+        limits = np.where(written, counting.joint_limits(*limits), limits)
+    return limits[0], limits[1], tied
+
+
+def _effects(file: ArmFile, chain: KinematicChain) -> Effects:
+    """The entries of `[[effects]]`, values in API units. Raises `InputError` for what arm or instrument do not have."""
+    if not file.effects:
+        return []
+    from identification.effects import build, library
+
+    specs = []
+    for k, table in enumerate(file.effects, start=1):
+        place, curve, given = f"effects[{k}]", None, dict(table.__pydantic_extra__)
+        for key in CURVE_KEYS:
+            missing = getattr(table, key) is None
+            if table.name != CURVE and not missing:
+                raise InputError(f"{place}.{key}: unknown key of {table.name}, allowed: for {CURVE} only")
+            if table.name == CURVE and missing and key != "geometry":
+                raise InputError(f"{place}.{key}: is missing, allowed: as `armcal diagnose --out` writes it")
+        if table.from_deg is not None and table.to_deg is not None and table.values_deg is not None:
+            try:
+                ends = math.radians(table.from_deg), math.radians(table.to_deg)
+                curve = ErrorCurve(*ends, np.radians(table.values_deg))
+            except InputError as error:
+                raise InputError(f"{place}.{error}") from None
+        settings = getattr(library().get(table.name), "settings", {})
+        values = {key: given.pop(key) for key in list(given) if key in settings}
+        effect = build(EffectSpec(table.name, table.joint, MappingProxyType(values), curve), chain)
+        parameters = {p.toml_key: p for p in effect.parameters}
+        for key, value in given.items():
+            if (parameter := parameters.get(key)) is None:
+                hint = nearest(key, ["name", "joint", *parameters, *settings])
+                raise InputError(f"{place}.{key}: unknown key of {table.name}, {hint}")
+            low, high = parameter.lower * parameter.to_file, parameter.upper * parameter.to_file
+            if not low <= value <= high:
+                allowed = f">= {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
+                raise InputError(f"{place}.{key}: found {value:g}, allowed: a number {allowed}")
+            values[parameter.short] = value / parameter.to_file
+        specs.append(EffectSpec(table.name, table.joint, MappingProxyType(values), curve))
+    effects = _built(specs, chain)
+    names, state = _names(chain.every_parameter, effects), "no [instrument] table"
+    if file.instrument:
+        state = f"an [instrument] of kind {chain.instrument.kind}"
+    for k, ((spec, effect), table) in enumerate(zip(effects, file.effects, strict=True), start=1):
+        for wrong, sentence in (
+            (effect.of_positions and file.instrument, f"is of measured positions, found {state}, allowed: without it"),
+            (
+                "distance" in effect.needs - chain.instrument.offers,
+                f"needs measured distances, found {state}, allowed: kind distance",
+            ),
+            (
+                "gravity" in effect.needs and file.gravity is None,
+                "needs gravity torques, found no [gravity] table, allowed: with one",
+            ),
+        ):
+            if wrong:
+                raise InputError(f"effects: {spec.key} {sentence}")
+        if spec.curve is not None and table.geometry:  # that was fitted with it
+            known = {key: _named(names, key, f"effects[{k}].geometry", points=True) for key in table.geometry}
+            values = {api: table.geometry[key] / factor for key, (api, factor) in known.items()}
+            effects[k - 1] = replace(spec, curve=replace(spec.curve, geometry=values)), effect
+    return effects
+
+
+def _calibration(file: ArmFile, chain: KinematicChain, effects: Effects) -> tuple[Calibration, KinematicChain]:
+    """In API units, and the chain whose errors it has. Raises `InputError` for parameters that arm and effects do not
+    have."""
+    table = file.calibration
+    assert table is not None
+    if table.tools:  # which the file has where they are not known
+        chain = _with_tools(chain, table.tools)
+    names = _names(chain.parameters(), effects)
+    geometry = {key: name for key, name in names.items() if GEOMETRY.fullmatch(key)}
+    lists = ((LENGTH_ERROR, table.length_errors_mm), (JOINT_OFFSET, table.joint_offsets_deg))
+    of_links = {f"{kind}:{j}": value for kind, list_ in lists for j, value in enumerate(list_ or (), start=1)}
+    values = {}
+    for place, entries, allowed in (
+        ("values", of_links | (table.values or {}), geometry),
+        ("effects", table.effects, {key: name for key, name in names.items() if key not in geometry}),
+    ):
+        for key, value in entries.items():
+            without = "allowed: parameters of effects that the file has under [[effects]]"
+            api, factor = _named(allowed, key, f"calibration.{place}", without)
+            values[api] = value / factor
+    order = [_named(names, key, "calibration.parameters") for key in table.parameters or ()]
+    factors = np.array([factor for _, factor in order])
+    matrix = None if table.covariance is None else np.array(table.covariance).reshape(len(order), len(order))
+    base, tools = None if table.base is None else _pose(table.base), dict(chain.tools) if table.tools else {}
+    calibration = Calibration(
+        values,
+        tuple(api for api, _ in order),
+        None if matrix is None else matrix / np.outer(factors, factors),
+        MappingProxyType(table.provenance.model_dump(exclude_unset=True)),
+        base,
+        tools,
+        dict(chain.tool_axes) if tools and chain.angle_scale is not None else {},
+    )
+    return calibration, before_errors(chain, values, base, tools, calibration.tool_axes)
+
+
+# -- the drawing that a file names -------------------------------------------------------------------------------------
+def _urdf(name: str, folder: PathLike) -> Urdf:
+    """The URDF file that an arm file names, or its text."""
+    if name.lstrip().startswith("<"):
+        return parse_urdf(name, "urdf")
+    return read_urdf(named_file(folder, name, "urdf", "the arm file"))
+
+
 def urdf_masses(path: PathLike) -> tuple[float, ...] | None:
     """[kg] of the links, from the URDF file that an arm file names; None without one, or where it gives no mass."""
-    tables = read_toml(path)
-    if not isinstance(name := tables.get("urdf"), str):
+    if not isinstance(name := (tables := read_toml(path)).get("urdf"), str):
         return None
-    masses = _urdf(name, Path(path).parent).masses(str(tables["base_link"]), str(tables["tip_link"]))
+    masses = _urdf(name, Path(path).parent).masses(tables["base_link"], tables["tip_link"])
     return masses if any(masses) else None
 
 
 def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
     """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
-    tables = read_toml(path)
-    if not isinstance(name := tables.get("urdf"), str):
+    if not isinstance(name := (tables := read_toml(path)).get("urdf"), str):
         return urdf_text(chain, str(tables.get("name", "arm")))
-    urdf, ends = _urdf(name, Path(path).parent), (str(tables["base_link"]), str(tables["tip_link"]))
-    return with_origins(urdf, *ends, [joint.origin for joint in chain.joints])
+    urdf = _urdf(name, Path(path).parent)
+    return with_origins(urdf, tables["base_link"], tables["tip_link"], [joint.origin for joint in chain.joints])
 
 
 def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
@@ -241,157 +408,219 @@ def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
     return [_row(table) for table in tables], next((table.convention for table in tables if table.convention), STANDARD)
 
 
-# -- joints ------------------------------------------------------------------------------------------------------------
-def _joint_limits(
-    file: ArmFile, chain: KinematicChain, counting: Counting | None
-) -> tuple[Array, Array, list[ColumnLimits]]:
-    """(n,) lower and (n,) upper limits of the joints [rad, mm], and the controller's of joints that it couples.
+def urdf_beside(path: PathLike, out: PathLike | None) -> dict[PathLike, bytes]:
+    """The URDF file that has to be written for a copy at `out` of the arm file at `path`: none if it is there."""
+    name = read_toml(path).get("urdf")
+    if out is None or name is None or name.lstrip().startswith("<"):
+        return {}
+    source, copy = Path(path).parent / name, Path(out).parent / name
+    return {} if copy.exists() and copy.read_bytes() == source.read_bytes() else {copy: source.read_bytes()}
 
-    Limits in tables of the file are the controller's, those of the chain, as of a URDF, are the joints' already.
+
+# -- writing -----------------------------------------------------------------------------------------------------------
+def dump_arm(arm: Arm) -> str:
+    """The text of an arm file for `arm`; `load_arm` reads the same arm from it, to rounding (1e-14).
+
+    That of a spatial arm has its drawing in it, as the text of a URDF file.
+    Raises `InputError` for a spatial arm with a chosen set of parameters, which no file can say.
     """
-    kinds, drawn = chain.joint_types, np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
-    limits, written, tied = drawn.copy(), np.zeros(len(kinds), dtype=bool), []
-    for kind, table in ((REVOLUTE, file.joint_limits_deg), (PRISMATIC, file.joint_limits_mm)):
-        if table is not None:
-            joints = np.array([other == kind for other in kinds])
-            unit, factor, _ = FILE_UNITS[JOINT_UNITS[kind]]
-            for side, values in enumerate((table.lower, table.upper)):
-                key = f"joint_limits_{unit}.{('lower', 'upper')[side]}"
-                require_count(key, values, int(joints.sum()), whose=f"{kind} joints")
-                limits[side, joints] = np.array(values) / factor
-            written |= joints
-    if counting is not None:
-        for j, (low, high) in enumerate(limits.T):
-            if low >= high:
-                unit, factor, _ = FILE_UNITS[JOINT_UNITS[kinds[j]]]
-                order = f"joint {j + 1} has lower {low * factor:g} >= upper {high * factor:g}"
-                raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
-        for j in filter(written.__getitem__, counting.coupled):
-            ends = sorted((counting.sign[j] * (limits[:, j] - counting.zero[j])).tolist())
-            tied.append(ColumnLimits(j + 1, tuple(counting.sums[j].tolist()), *ends))
-        limits = np.where(written, counting.joint_limits(*limits), limits)
-    return limits[0], limits[1], tied
-
-
-# -- effects -----------------------------------------------------------------------------------------------------------
-class FileName(NamedTuple):
-    """How a parameter is called in files: API name, name in the file, and the factor from API to file unit."""
-
-    api: str
-    file: str
-    factor: float
-
-
-def built(specs: Iterable[EffectSpec], chain: KinematicChain) -> list[tuple[EffectSpec, Effect]]:
-    """Specs with their effects on an arm. Raises `InputError` for effects that it cannot have."""
-    if not (listed := list(specs)):
-        return []
-    from identification.effects import build_all  # imports CasADi: only arms with effects pay for it
-
-    return list(zip(listed, build_all(listed, chain), strict=True))
-
-
-def file_names(geometry: Iterable[Parameter], effects: Iterable[tuple[EffectSpec, Effect]]) -> list[FileName]:
-    """All parameters of a calibration: those of the geometry (`joint_offset:1` in deg), then those of effects."""
-    names = [FileName(p.name, p.name, p.to_file) for p in geometry]
-    for _, effect in effects:
-        names += [FileName(p.name, f"{effect.key}.{p.toml_key}", p.to_file) for p in effect.parameters]
-    return names
-
-
-def curve_name(key: str, names: Mapping[str, FileName], place: str) -> FileName:
-    """Of a parameter in the geometry of a curve: one of `names`, or of a measured point of any name."""
-    if key not in names and (point := MARKER.fullmatch(key)):
-        return FileName(key, key, math.degrees(1.0) if point[1] else 1.0)
-    return _named(names, key, place)
-
-
-def _named(names: Mapping[str, FileName], key: str, place: str, without: str = "") -> FileName:
-    """The parameter of this name. Raises `InputError` for another;  without : what is allowed without any names."""
-    if key not in names:
-        raise InputError(f"{place}: unknown parameter {key!r}, {nearest(key, names) if names else without}")
-    return names[key]
-
-
-def _spec(table: EffectTable, k: int, chain: KinematicChain) -> EffectSpec:
-    """An entry of `[[effects]]`, the k-th from 1; values in API units."""
-    from identification.effects import build, library
-
-    place = f"effects[{k}]"
-    settings = getattr(library().get(table.name), "settings", {})
-    curve = _curve(table, place)
-    values = {key: value for key, value in table.parameters.items() if key in settings}
-    effect = build(EffectSpec(table.name, table.joint, MappingProxyType(values), curve), chain)
-    parameters = {p.toml_key: p for p in effect.parameters}
-    for key in table.parameters.keys() - settings.keys():
-        if key not in parameters:
-            hint = nearest(key, ["name", "joint", *parameters, *settings])
-            raise InputError(f"{place}.{key}: unknown key of {table.name}, {hint}")
-        value, parameter = table.parameters[key], parameters[key]
-        low, high = parameter.lower * parameter.to_file, parameter.upper * parameter.to_file
-        if not low <= value <= high:
-            allowed = f">= {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
-            raise InputError(f"{place}.{key}: found {value:g}, allowed: a number {allowed}")
-        values[parameter.short] = value / parameter.to_file
-    return EffectSpec(table.name, table.joint, MappingProxyType(values), curve)
-
-
-def _curve(table: EffectTable, place: str) -> ErrorCurve | None:
-    """The table of values of a `joint_error_curve`; raises `InputError` for one of another effect, or a part of one."""
-    for key in (*CURVE_KEYS, GEOMETRY_KEY):
-        value = getattr(table, key)
-        if value is not None and table.name != CURVE:
-            raise InputError(f"{place}.{key}: unknown key of {table.name}, allowed: for {CURVE} only")
-        if value is None and table.name == CURVE and key != GEOMETRY_KEY:
-            raise InputError(f"{place}.{key}: is missing, allowed: as `armcal diagnose --out` writes it")
-    if table.from_deg is None or table.to_deg is None or table.values_deg is None:
-        return None
-    try:
-        return ErrorCurve(math.radians(table.from_deg), math.radians(table.to_deg), np.radians(table.values_deg))
-    except InputError as error:
-        raise InputError(f"{place}.{error}") from None
-
-
-def _with_geometry(
-    effects: Sequence[tuple[EffectSpec, Effect]], tables: Sequence[EffectTable], geometry: Iterable[Parameter]
-) -> tuple[EffectSpec, ...]:
-    """The specs of a file's effects, curves with the geometry that was fitted with them, in API units.
-
-    geometry : parameters of the chain. Raises `InputError` for names that are none of a parameter
-    """
-    by_file, specs = {name.file: name for name in file_names(geometry, effects)}, []
-    for k, ((spec, _), table) in enumerate(zip(effects, tables, strict=True), start=1):
-        if spec.curve is not None and table.geometry:
-            names = {key: curve_name(key, by_file, f"effects[{k}].{GEOMETRY_KEY}") for key in table.geometry}
-            values = {name.api: table.geometry[key] / name.factor for key, name in names.items()}
-            spec = replace(spec, curve=replace(spec.curve, geometry=values))
-        specs.append(spec)
-    return tuple(specs)
-
-
-# -- calibration -------------------------------------------------------------------------------------------------------
-def _calibration(table: CalibrationTable, names: Sequence[FileName]) -> Calibration:
-    """In API units; raises `InputError` for parameters that the file's arm and effects do not have."""
-    by_file = {name.file: name for name in names}
-    geometry = {key: name for key, name in by_file.items() if GEOMETRY.fullmatch(key)}
-    effects = {key: name for key, name in by_file.items() if key not in geometry}
-    lists = ((LENGTH_ERROR, table.length_errors_mm), (JOINT_OFFSET, table.joint_offsets_deg))
-    of_links = {f"{kind}:{j}": value for kind, list_ in lists for j, value in enumerate(list_ or (), start=1)}
-    values = {}
-    without = "allowed: parameters of effects that the file has under [[effects]]"
-    for place, entries, allowed in (
-        ("values", of_links | (table.values or {}), geometry),
-        ("effects", table.effects, effects),
-    ):
-        for key, value in entries.items():
-            name = _named(allowed, key, f"calibration.{place}", without)
-            values[name.api] = value / name.factor
-    order = [_named(by_file, key, "calibration.parameters") for key in table.parameters or ()]
-    factors = np.array([name.factor for name in order])
-    matrix = None if table.covariance is None else np.array(table.covariance).reshape(len(order), len(order))
-    return Calibration(
-        values,
-        tuple(name.api for name in order),
-        None if matrix is None else matrix / np.outer(factors, factors),
-        MappingProxyType(dict(table.provenance)),
+    chain, calibration, tables = arm.chain, arm.calibration, Plain(name=arm.name)
+    limits, sliding = np.stack(arm.column_limits), np.array(arm.joint_types) == PRISMATIC
+    if chain.planar:
+        if not np.all(np.isfinite(limits)) and np.any(np.abs([arm.lower, arm.upper]) != np.pi):
+            tied = "limits of coupled joints, none of which is the controller's"
+            raise InputError(f"arm {arm.name}: found {tied}, allowed: with a constraint ColumnLimits for each")
+        tables["links_mm"] = _in_file(arm.lengths)
+    elif chain.fixed:
+        chosen = "has a chosen set of parameters"
+        raise InputError(f"arm {arm.name}: {chosen}, allowed: all of them; a file has no such key")
+    else:
+        drawing = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
+        tables |= {"kind": "spatial", "urdf": drawing, "base_link": BASE_LINK, "tip_link": TIP}
+        tables |= {"base": pose_table(chain.base)} if BASE in chain.settled else {}
+        tables |= {"tool": tool_tables(chain.tools, chain.tool_axes)} if TOOL in chain.settled else {}
+        if chain.angle_scale is not None and arm.sigma is not None:
+            tables["measurement"] = {"sigma_deg": _degrees(arm.sigma / chain.angle_scale)}
+    tables |= {"instrument": chain.instrument.table()} if chain.instrument.kind else {}
+    for unit, joints, factor in (("deg", ~sliding, math.degrees(1.0)), ("mm", sliding, 1.0)):
+        if joints.any() and np.all(np.isfinite(limits[:, joints])):  # else those of the drawing
+            tables[f"joint_limits_{unit}"] = dict(
+                zip(("lower", "upper"), _in_file(limits[:, joints], factor), strict=True)
+            )
+    if (counting := arm.counting) is not None:
+        signs = {"sign": list(counting.sign), "coupled_to": list(counting.coupled_to)}
+        tables["joints"] = signs | {"zero_deg": _degrees(counting.zero)}
+    tables |= {} if arm.gear_ratios is None else {"gear_ratio": _in_file(arm.gear_ratios)}
+    if arm.sigma is not None:
+        tables.setdefault("measurement", {})["sigma_mm"] = float(arm.sigma)
+    if arm.machining != Machining():
+        tables["machining"] = _in_table(MachiningTable.model_fields, arm.machining)
+    if arm.gravity is not None:
+        tables["gravity"] = _in_table(GravityTable.model_fields, arm.gravity)
+    for constraint in (each for each in arm.constraints if not isinstance(each, ColumnLimits)):
+        sphere = isinstance(constraint, KeepOutCircle) and not chain.planar
+        kind = "keep_out_sphere" if sphere else constraint.kind
+        entries = _in_table(CONSTRAINTS[kind][arm.dimension].replace("?", "").split(), constraint)
+        if "facing" not in entries:
+            entries.pop("acceptance_deg", None)
+        tables.setdefault("constraints", []).append({"kind": kind, **entries})
+    # where base and measured points are if they are somewhere without being known
+    somewhere = BASE not in chain.settled and not np.array_equal(chain.base, np.eye(4))
+    named = TOOL not in chain.settled and (
+        list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
     )
+    if somewhere or named:
+        calibration = calibration or Calibration({})
+        stands = standing_in(chain, calibration.values)
+        calibration = replace(calibration, base=stands.base) if somewhere else calibration
+        if named:
+            calibration = replace(calibration, tools=stands.tools, tool_axes=stands.tool_axes)
+    effects = _built(arm.effects, chain)
+    if effects:
+        tables["effects"] = _effect_tables(effects, _names(chain.every_parameter, effects))
+    if calibration is not None:
+        tables["calibration"] = _calibration_table(arm, effects, calibration)
+    return _toml(tables)
+
+
+def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".") -> str:
+    """`text` of an arm file with `[[effects]]` entries added for those of `specs` that it does not have yet.
+
+    Values of the specs (API units) are written in file units, and so become known. Comments and order of the text stay.
+    Raises `InputError` for effects that the arm cannot have.
+
+    folder : where the files are that the text names
+    """
+    text, _, arm, before = _parsed(text, folder)
+    labels = {effect.label for _, effect in before}
+    wanted = _built(specs, arm.chain)
+    new = [(spec, effect) for spec, effect in wanted if effect.label not in labels]
+    tables = _effect_tables(new, _names(arm.chain.every_parameter, [*before, *wanted]))
+    return _with_tables(text, "effects", tables) if tables else text
+
+
+def with_calibration(text: str, calibration: Calibration, folder: PathLike = ".") -> str:
+    """`text` of an arm file with its `[calibration]` replaced or added; comments and order of the rest stay.
+
+    Effects with estimated values must stand under `[[effects]]` of the text: see `with_effects`. Raises `InputError`
+    for a calibration of another number of links, or of effects the text does not have.
+
+    folder : where the files are that the text names
+    """
+    text, tables, arm, effects = _parsed(text, folder)
+    table = _calibration_table(arm, effects, calibration)
+    arm_from_tables({**tables, "calibration": table}, folder)  # nothing is written that could not be read again
+    return _with_tables(text, "calibration", table)
+
+
+def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm, Effects]:
+    """The text without a byte-order mark, its tables, and the arm that they describe without a calibration."""
+    text = text.removeprefix("\ufeff")
+    tables = tomllib.loads(text)
+    arm = arm_from_tables({key: value for key, value in tables.items() if key != "calibration"}, folder)
+    return text, tables, arm, _built(arm.effects, arm.chain)
+
+
+def _effect_tables(effects: Effects, names: Names) -> list[Plain]:
+    """Entries of `[[effects]]`;  names : of all parameters"""
+    tables = []
+    for spec, effect in effects:
+        table: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
+        parameters = {p.short: p for p in effect.parameters}
+        for short, value in spec.values.items():
+            if (parameter := parameters.get(short)) is not None:
+                table[parameter.toml_key] = _in_file(value, parameter.to_file)
+            else:  # a setting
+                table[short] = int(value) if value == int(value) else float(value)
+        if (curve := spec.curve) is not None:
+            table |= dict(zip(CURVE_KEYS, map(_degrees, (curve.start, curve.stop, curve.values)), strict=False))
+            of_api = {api: _named(_by_api(names), api, spec.key, points=True) for api in curve.geometry}
+            geometry = {file: _in_file(curve.geometry[api], factor) for api, (file, factor) in of_api.items()}
+            table |= {"geometry": geometry} if geometry else {}
+        tables.append(table)
+    return tables
+
+
+def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> Plain:
+    chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
+    names = _by_api(_names(chain.parameters(), effects))
+    values = calibration.effects if chain.planar else calibration.values
+    in_file, order = {}, [_named(names, name, "calibration") for name in calibration.parameter_names]
+    for api, value in values.items():
+        file, factor = _named(names, api, "calibration")
+        in_file[file] = _in_file(value, factor)
+    if chain.planar:
+        held = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
+        errors, offsets = _in_file(held.length_errors), _degrees(held.joint_offsets)
+        table: Plain = {"length_errors_mm": errors, "joint_offsets_deg": offsets}
+    else:
+        table = {"values": {name: value for name, value in in_file.items() if GEOMETRY.fullmatch(name)}}
+    if calibration.base is not None:
+        table["base"] = pose_table(calibration.base)
+    if calibration.tools:
+        table["tools"] = tool_tables(calibration.tools, calibration.tool_axes)
+    if order:
+        table["parameters"] = [file for file, _ in order]
+    if calibration.covariance is not None:
+        factors = [factor for _, factor in order]
+        rows = zip(factors, calibration.covariance, strict=True)
+        table["covariance"] = [[_in_file(v, row * f) for f, v in zip(factors, line, strict=True)] for row, line in rows]
+    if calibration.effects:
+        table["effects"] = {file: value for file, value in in_file.items() if not GEOMETRY.fullmatch(file)}
+    if calibration.provenance:
+        table["provenance"] = _plain(calibration.provenance)
+    return table
+
+
+def _plain(value: Any) -> Any:
+    """`value` in TOML's types, without entries that TOML cannot express (None) or that are not allowed (NaN)."""
+    if isinstance(value, Mapping):
+        items = {str(key): _plain(item) for key, item in value.items()}
+        return {key: item for key, item in items.items() if item is not None}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [item for item in map(_plain, value) if item is not None]
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _toml(tables: Plain) -> str:
+    """The text of tables, a row of a matrix on each line."""
+    text = tomlkit.dumps(tables).strip("\n") + "\n"
+    matrix, rows = re.compile(r"^((?:covariance|joint_range_\w+) = \[)(\[.*\])\]$", re.MULTILINE), "],\n    ["
+    return matrix.sub(lambda line: "".join([line[1], "\n    ", line[2].replace("], [", rows), ",\n]"]), text)
+
+
+def _with_tables(text: str, key: str, entry: Plain | list[Plain]) -> str:
+    """`text` with its table `[key]` replaced where it stands, or with entries added behind its others `[[key]]`; at the
+    end where it has none. Blank lines and comments before the header that follows stay there.
+
+    A second parser has then read exactly the intended tables: a user's file is never damaged.
+    """
+    tables, new = tomllib.loads(text), _toml({key: entry})
+    wanted = tables | {key: entry if isinstance(entry, dict) else [*tables.get(key, ()), *entry]}
+    lines = [f"{line}\n" for line in text.removesuffix("\n").split("\n")]
+    headers = {k: header[1] for k, line in enumerate(lines) if (header := HEADER.fullmatch(line.strip()))}
+    start = end = len(lines)
+    if own := [k for k, name in headers.items() if name == key]:
+        start, end = own[0], next((k for k in headers if k > own[-1]), len(lines))
+        while not lines[end - 1].strip() or lines[end - 1].lstrip().startswith("#"):
+            end -= 1
+    if isinstance(entry, list) or not own:
+        start, new = end, f"\n{new}"
+    spliced = "".join([*lines[:start], new, *lines[end:]])
+    try:
+        if tomllib.loads(spliced) == wanted:
+            return spliced
+    except tomllib.TOMLDecodeError:  # it stands in one line, or in several places
+        pass
+    document = tomlkit.parse(text)
+    if isinstance(entry, list):
+        document[key].extend(entry)
+    else:
+        document.remove(key)
+        document[key] = entry
+    if tomllib.loads(rewritten := tomlkit.dumps(document)) != wanted:
+        message = "write its tables as [table] and [[table]], each in one place"
+        raise JobError(f"the TOML file's layout is too unusual to be extended: {message}")
+    return rewritten

@@ -7,9 +7,9 @@ import csv
 import hashlib
 import io
 import re
+import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,12 +21,10 @@ from identification.errors import InputError, close_names, suggestion
 from identification.files.io import PathLike, decode, read_bytes
 
 FINITE = "a finite number"
-PARQUET = b"PAR1"  # first bytes of every such file
-SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # of .xlsx and .ods, and of .xls
+SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes of .xlsx and .ods, and of .xls
 QUOTED = "cells without quotation marks, or in a pair of them"
 WITH_COMMA, WITH_POINT = r"^[+-]?\d+,\d+([eE][+-]?\d+)?$", r"^[+-]?\d*\.\d*([eE][+-]?\d+)?$"
 THOUSANDS = r"^[+-]?[1-9]\d{0,2},\d{3}$"
-WHOLE = re.compile(r"\s*[+-]?\d+\s*")
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 NAMES = ("session", "marker", "surface", "cup")  # columns of texts
 # columns that mean something by themselves: none of them is a misspelling of another
@@ -34,9 +32,7 @@ KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
     r"|marker|surface|cup|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
 )
-FIT = re.compile(r"#\s*fit\s*:\s*(.*)")
 FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal identify`
-Test = Callable[[Array], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True)
@@ -46,17 +42,19 @@ class Table:
     With semicolons or tabs a number may have a decimal comma; with commas if it is in quotation marks, as all are then.
 
     frame : the columns, all of them strings; an empty cell is null
-    lines : (m,) line number of every row in the file, from 1; the header is line 1; empty: a table without lines
+    lines : (m,) line number of every row in the file, from 1; empty: a table without lines
     sha256 : of the file's bytes; empty: no file
     fit : what a comment `# fit: library-prior` above the header says, as options of `armcal identify`; empty: nothing
+    used : columns that were asked for
     """
 
     path: str
     frame: pl.DataFrame
     lines: NDArray[np.int64]
-    sha256: str
+    sha256: str = ""
     decimal_commas: bool = False
     fit: str = ""
+    used: set[str] = field(default_factory=set)
 
     def __len__(self) -> int:
         return self.frame.height
@@ -69,11 +67,6 @@ class Table:
         """Names of the columns, in the order of the file."""
         return tuple(self.frame.columns)
 
-    @property
-    def file_name(self) -> str:
-        """Name of the file without its folder, for provenance."""
-        return Path(self.path).name
-
     def require(self, columns: Iterable[str]) -> None:
         """Raises `InputError` naming the first of `columns` that is missing, and a column that may be meant."""
         for column in columns:
@@ -85,13 +78,20 @@ class Table:
                 hint = suggestion(close[:1]).replace("did you mean", "did you mean to rename")
                 state = f"column {column!r} is missing, found: {', '.join(self.columns)}"
                 raise InputError(f"{self.path}: {state}; {hint}allowed: a column of that name")
+            self.used.add(column)
 
     def place(self, row: int, column: str) -> str:
         """`data.csv: row 3 (line 4), column x_mm`; `row` counts from 0."""
         line = f" (line {self.lines[row]})" if len(self.lines) else ""
         return f"{self.path}: row {row + 1}{line}, column {column}"
 
-    def floats(self, column: str, allowed: str = FINITE, test: Test | None = None, empty: float | None = None) -> Array:
+    def floats(
+        self,
+        column: str,
+        allowed: str = FINITE,
+        test: Callable[[Array], NDArray[np.bool_]] = np.isfinite,
+        empty: float | None = None,
+    ) -> Array:
         """(m,) the column as finite numbers for which `test` (vectorised) holds.
 
         empty : what an empty cell, or a NaN of a frame, stands for; None: for nothing
@@ -99,36 +99,44 @@ class Table:
         Raises `InputError` naming the first row that has anything else; `allowed` says in words what `test` wants.
         """
         self.require([column])
-        text = self.frame[column]
-        values = _numbers(text.str.replace(",", ".", literal=True) if self.decimal_commas else text)
-        good = np.isfinite(values)
-        if test is not None:
-            good &= test(values)
+        text = self.frame[column].str.strip_chars()
+        points = text.str.replace(",", ".", literal=True) if self.decimal_commas else text
+        values = points.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
+        good = np.isfinite(values) & test(values)
         if empty is not None:
             blank = (text.fill_null("nan").str.to_lowercase() == "nan").to_numpy()
             values, good = np.where(blank, empty, values), good | blank
-        if not good.all():
-            row = int(np.argmin(good))
-            cell = "an empty cell" if text[row] is None else repr(text[row])
-            raise InputError(f"{self.place(row, column)}: found {cell}, allowed: {allowed}")
+        self._require_good(good, column, allowed)
         return values
 
     def texts(self, column: str) -> NDArray[np.str_]:
         """(m,) the column as texts, spaces around them cut off. Raises `InputError` naming the first empty row."""
         self.require([column])
         text = self.frame[column].str.strip_chars().fill_null("")
-        empty = (text == "").to_numpy()
-        if empty.any():
-            raise InputError(f"{self.place(int(np.argmax(empty)), column)}: found an empty cell, allowed: a name")
+        self._require_good((text != "").to_numpy(), column, "a name")
         return np.array(text.to_list(), dtype=np.str_)
 
+    def _require_good(self, good: NDArray[np.bool_], column: str, allowed: str) -> None:
+        """Raises `InputError` naming the first row that is not."""
+        if not good.all():
+            text = self.frame[column][row := int(np.argmin(good))]
+            cell = repr(text) if text and text.strip() else "an empty cell"
+            raise InputError(f"{self.place(row, column)}: found {cell}, allowed: {allowed}")
 
-def _numbers(text: pl.Series) -> Array:
-    """(m,) floats, NaN where the text is no number."""
-    numbers = text.cast(pl.Float64, strict=False)
-    if numbers.null_count() > text.null_count():  # spaces around a number are fine, and rare
-        numbers = text.str.strip_chars().cast(pl.Float64, strict=False)
-    return numbers.fill_null(np.nan).to_numpy()
+    def warn_unused(self, known: Iterable[str] = (), hint: str = "") -> None:
+        """One `UserWarning` for all columns that were not asked for, with the nearest `known` one where there is one;
+        these may be there without a word.
+
+        hint : what else to say
+        """
+        free, unused = [column for column in known if column not in self], []
+        for column in (column for column in self.columns if column not in {*self.used, *known}):
+            near = "" if KNOWN.fullmatch(column) else suggestion(close_names(column, free)).strip()
+            unused.append(f"{column!r} ({near})" if near else f"{column!r}")
+        if unused:
+            columns = "column is" if len(unused) == 1 else "columns are"
+            message = "; ".join(filter(None, [f"{columns} not used: {', '.join(unused)}", hint]))
+            warnings.warn(f"{self.path}: {message}", UserWarning, stacklevel=3)
 
 
 def read_table(path: PathLike) -> Table:
@@ -143,16 +151,25 @@ def read_table(path: PathLike) -> Table:
     """
     content = read_bytes(path)
     sha256 = hashlib.sha256(content).hexdigest()
-    if content.startswith(PARQUET):
+    if content.startswith(b"PAR1"):
         try:
             frame = pl.read_parquet(io.BytesIO(content))
         except (pl.exceptions.PolarsError, OSError):
             raise InputError(f"{path}: not a whole Parquet file, allowed: CSV or Parquet") from None
-        return replace(table_of_frame(frame, str(path)), sha256=sha256)
+        return table_of_frame(frame, str(path), sha256)
     if content.startswith(SPREADSHEETS):
         raise InputError(f"{path}: found a spreadsheet, allowed: CSV or Parquet; save it as CSV")
-    content, above, fit = _without_comments(path, content)
-    separator, header = _header(path, content, above)
+    content, above, fit = content.removeprefix(codecs.BOM_UTF8), 0, ""
+    # a spreadsheet makes cells of a comment: it may come back in quotation marks and with separators at its end
+    while content.lstrip(b'"').startswith(b"#"):
+        comment, _, content = content.partition(b"\n")
+        above += 1
+        if asked := re.match(r"#\s*fit\s*:\s*(.*)", decode(path, comment).strip('"\r,;\t ')):
+            fit = " ".join(asked[1].split())
+            if not FITS.fullmatch(fit):
+                allowed = "library-prior, or library-prior --missing NAMES"
+                raise InputError(f"{path}: line {above}: fit {fit!r}, allowed: {allowed}")
+    separator, header = _header(path, content, f"line {above + 1}")
     try:
         frame = pl.read_csv(io.BytesIO(content), infer_schema=False, separator=separator)
     except pl.exceptions.PolarsError as error:
@@ -162,9 +179,8 @@ def read_table(path: PathLike) -> Table:
     if frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
         _raise_for_ragged_row(path, content, above, len(header), separator)
     frame.columns = [name or f"\n{k}" for k, name in enumerate(header)]  # a name that no header can have
-    lines = pl.arange(above + 2, above + frame.height + 2, eager=True, dtype=pl.Int64)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
-    frame, lines = frame.filter(filled), lines.filter(filled)
+    frame, lines = frame.filter(filled), np.flatnonzero(filled.to_numpy()) + above + 2
     if frame.height == 0:
         raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
     for k in (k for k, name in enumerate(header) if not name):  # empty ones are what spreadsheets leave behind
@@ -172,61 +188,43 @@ def read_table(path: PathLike) -> Table:
             raise InputError(f"{path}: column {k + 1} has no name in line {above + 1}, allowed: a name")
         frame = frame.drop(f"\n{k}")
     commas = separator != "," or (b'"' in content and _decimal_commas(path, frame))
-    return Table(str(path), frame, lines.to_numpy(), sha256, decimal_commas=commas, fit=fit)
+    return Table(str(path), frame, lines, sha256, decimal_commas=commas, fit=fit)
 
 
-def table_of_frame(frame: Any, name: str = "frame") -> Table:
+def table_of_frame(frame: Any, name: str = "frame", sha256: str = "") -> Table:
     """A data frame of polars or pandas, or a mapping of names to columns, as a table; numbers keep all their digits.
 
     Raises `InputError` for what is no such frame, no rows, and columns of different lengths.
     """
     if not hasattr(frame, "keys") and not hasattr(frame, "columns"):
         raise InputError(f"{name}: {type(frame).__name__}, allowed: a data frame of polars or pandas")
-    names = list(frame.columns if hasattr(frame, "columns") else frame.keys())
     series = []
-    for column in names:  # numbers by `repr`, which loses no digit
+    for column in list(frame.columns if hasattr(frame, "columns") else frame.keys()):
         cells = frame[column].to_list() if hasattr(frame[column], "to_list") else np.asarray(frame[column]).tolist()
-        missing = (cell is None or cell != cell or str(cell) == "<NA>" for cell in cells)
-        texts = [None if gone else str(cell) for gone, cell in zip(missing, cells, strict=True)]
+        # numbers by `repr`, which loses no digit
+        texts = [None if cell is None or cell != cell or str(cell) == "<NA>" else str(cell) for cell in cells]
         series.append(pl.Series(str(column), texts, dtype=pl.String))
     if len({len(each) for each in series}) > 1:
         raise InputError(f"{name}: found columns of different lengths, allowed: one length")
     if not series or not len(series[0]):
         raise InputError(f"{name}: there are no rows, allowed: at least 1 row")
-    return Table(name, pl.DataFrame(series), np.zeros(0, dtype=np.int64), "")
+    return Table(name, pl.DataFrame(series), np.zeros(0, dtype=np.int64), sha256)
 
 
-def _without_comments(path: PathLike, content: bytes) -> tuple[bytes, int, str]:
-    """What follows the comments, how many lines these are, and `Table.fit`.
-
-    A spreadsheet makes cells of a line: it may come back in quotation marks and with separators at its end. Raises
-    `InputError` for a fit that is not known.
-    """
-    rest, above, fit = content.removeprefix(codecs.BOM_UTF8), 0, ""
-    while rest.lstrip(b'"').startswith(b"#"):
-        line, _, rest = rest.partition(b"\n")
-        above += 1
-        if asked := FIT.match(decode(path, line).rstrip("\r,;\t ").strip('"')):
-            fit = " ".join(asked[1].split())
-            if not FITS.fullmatch(fit):
-                allowed = "library-prior, or library-prior --missing NAMES"
-                raise InputError(f"{path}: line {above}: fit {fit!r}, allowed: {allowed}")
-    return (rest, above, fit) if above else (content, 0, "")
-
-
-def _header(path: PathLike, content: bytes, above: int) -> tuple[str, list[str]]:
-    """The separator of the columns, and their names;  above : lines of comments before."""
-    line = f"line {above + 1}"
+def _header(path: PathLike, content: bytes, line: str) -> tuple[str, list[str]]:
+    """The separator of the columns, and their names."""
     first = decode(path, content.split(b"\n", 1)[0]).rstrip("\r")
     if "\r" in first:
         raise InputError(f"{path}: lines end with a bare carriage return, allowed: line feeds (LF or CRLF)")
-    if not first.strip():
-        raise InputError(f"{path}: {line} is blank, allowed: the names of the columns")
     separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
     try:
         header = [cell.strip() for cell in next(csv.reader([first], delimiter=separator, strict=True))]
     except csv.Error as error:  # a quotation mark that never ends, a name of 131,072 characters
         raise InputError(f"{path}: {line}: {error}, allowed: the names of the columns, {QUOTED}") from None
+    except StopIteration:
+        header = []
+    if not any(header):
+        raise InputError(f"{path}: {line} is blank, allowed: the names of the columns")
     cells = pl.Series(header, dtype=pl.String)
     for cell in cells.filter(cells.cast(pl.Float64, strict=False).is_not_null()):
         raise InputError(f"{path}: {line} has the number {cell!r}, allowed: the names of the columns")
@@ -246,11 +244,10 @@ def _raise_for_ragged_row(path: PathLike, content: bytes, above: int, columns: i
             if len(cells) == columns:
                 continue
             hint = ""
-            if others := [
-                s for s in SEPARATORS if s != separator and sum(c.count(s) for c in cells) >= columns - 1 > 0
-            ]:
+            others = [s for s in SEPARATORS if s != separator and sum(c.count(s) for c in cells) >= columns - 1 > 0]
+            if others:
                 hint = f"; the header is separated by {SEPARATORS[separator]}, this row by {SEPARATORS[others[0]]}"
-            if separator == "," and len(cells) > columns and all(WHOLE.fullmatch(cell) for cell in cells):
+            elif separator == "," and len(cells) > columns and all(re.fullmatch(r"\s*[+-]?\d+\s*", c) for c in cells):
                 hint = "; with decimal commas separate the columns by semicolons"
             allowed = f"{columns}, as in the header{hint}"
             raise InputError(f"{path}: row {row} (line {line}): found {len(cells)} cells, allowed: {allowed}")
@@ -270,3 +267,18 @@ def _decimal_commas(path: PathLike, frame: pl.DataFrame) -> bool:
         allowed = "decimal points, or semicolons between the columns"
         raise InputError(f"{path}: found {commas[0]!r}, a decimal comma or one of thousands, allowed: {allowed}")
     return True
+
+
+# -- writing -----------------------------------------------------------------------------------------------------------
+def csv_text(columns: dict[str, NDArray[np.generic]], fit: str = "") -> str:
+    """CSV of columns of one length; whole floats that only count (`order`, directions) lose their `.0`.
+
+    NaN is an empty cell;  fit : `Table.fit`, for the comment above the header
+    """
+    series = []
+    for name, values in columns.items():
+        column = pl.Series(name, values.tolist() if values.dtype.kind == "U" else np.ascontiguousarray(values))
+        if (name == "order" and np.all(np.abs(values) < 2.0**53)) or re.fullmatch(r"direction\d+", name):
+            column = column.fill_nan(None).cast(pl.Int64)
+        series.append(column)
+    return (f"# fit: {fit}\n" if fit else "") + pl.DataFrame(series).fill_nan(None).write_csv()

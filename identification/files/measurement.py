@@ -1,52 +1,106 @@
-"""Files of measurements, plans, targets and commands: CSV or Parquet in millimetres and degrees <-> arrays in
-millimetres and radians."""
+"""Files of measurements, plans, targets and commands: columns in millimetres and degrees <-> arrays in millimetres and
+radians. `identification.measurements` makes `Measurements` of them."""
 
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Arm
+from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array
+from identification.conditions import gaps_of
 from identification.errors import InputError
-from identification.files.csv import read_table
+from identification.files.csv import Table, csv_text, read_table
 from identification.files.io import PathLike
-from identification.files.measurement_columns import (
-    JointTypes,
-    angle_columns,
-    csv_text,
-    joint_columns,
-    measurement_columns,
-    measurement_fields,
-    orientation_columns_of,
-    posture_columns,
-    read_conditions,
-    read_orientations,
-    read_positions,
-    read_postures,
-    warn_unknown,
-)
-from identification.measurements import Measurements
+from identification.kinematics.chain import planar_chain
+from identification.kinematics.counting import counting_in, in_columns, in_joints
+from identification.kinematics.parameters import PRISMATIC
 
 if TYPE_CHECKING:
     from identification.instruments import Instrument
+    from identification.measurements import Measurements
 
+Columns = dict[str, NDArray[np.generic]]
+JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that turn; None: as many as the table has
+LENGTH, ANGLE, PIXEL = "length", "angle", "pixel"
+# units that a column may have, the one to write first -> factor to [mm] or [rad]; and the largest value then
+UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}, PIXEL: {"px": 1.0}}
+MOST = {LENGTH: LARGEST_LENGTH, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST_LENGTH}
+# optional columns of one number: field of `Measurements`, what is allowed, and a test
+OPTIONAL = {
+    "temperature_C": ("temperature", "a number >= -273.15 [deg C]", lambda v: v >= -273.15),
+    "payload_kg": (
+        "payload",
+        f"a number >= 0 [kg], up to {LARGEST_MASS:g}",
+        lambda v: (v >= 0.0) & (v <= LARGEST_MASS),
+    ),
+    "posture": ("repeats", "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < 2.0**53)),
+}
+QUATERNION = ("qw", "qx", "qy", "qz")
 DECIMAL = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
 
 
-def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measurements:
-    """The measurements of a CSV or Parquet file, of an arm with `links` links if given.
+# -- measurements ------------------------------------------------------------------------------------------------------
+def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str, Any]:
+    """The arguments of `Measurements` that a table has, of an arm with `links` links if given, or of an arm.
 
-    links : or the arm itself: a spatial one has positions of three coordinates, markers, and may have sliding joints
-
-    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
+    Raises `InputError`, one line naming row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
-    return Measurements(**measurement_fields(read_table(path), links))
+    types: JointTypes = links.joint_types if isinstance(links, Arm) else links
+    chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
+    instrument, in_space, poses = chain.instrument, not chain.planar, chain.angle_scale is not None
+    postures = read_postures(table, types)
+    n = postures.shape[1]
+    names = {name: table.texts(name) for name in ("session", instrument.target) if name and name in table}
+    # each target that is touched has a place of its own, as each session has
+    places = np.array(["/".join(parts) for parts in zip(*names.values(), strict=True)]) if names else None
+    session, marker = places, table.texts("marker") if in_space and "marker" in table else None
+    if instrument.own_targets:
+        session, marker = names.get("session"), places
+    if instrument.contact:
+        positions = np.full((len(table), instrument.dimension), instrument.touched)
+    elif instrument.reads_positions:
+        positions = _read_points(table, chain.axes)
+    else:
+        bounds = {True: LENGTH_RANGE, False: None}
+        read = [read_column(table, name, kind, bounds[positive]) for name, kind, positive in instrument.coordinates]
+        positions = np.column_stack(read)
+    has_sigma = any(f"sigma_{unit}" in table for unit in UNITS[LENGTH])
+    has_commands = any(re.match(r"commanded[1-9]", column) for column in table.columns)
+    fields: dict[str, Any] = {
+        "postures": postures,
+        "positions": positions,
+        **_order_fields(table, session),
+        **_conditions(table, n if types is None else types, [*OPTIONAL]),
+        "sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if has_sigma else None,
+        "session": session,
+        "marker": marker,
+        "orientations": read_orientations(table) if poses else None,
+        "commanded": _read_joints(table, "commanded", n, types) if has_commands else None,
+        "fit": table.fit,
+        "provenance": MappingProxyType({"file": Path(table.path).name, "sha256": table.sha256}),
+    }
+    fields["repeats"] = None if fields["repeats"] is None else fields["repeats"].astype(np.int64)
+    hint = ""
+    if not instrument.reads_positions and "x_mm" in table:
+        hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"
+    elif in_space and instrument.reads_positions and not poses and orientation_columns(table):
+        hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
+    known = ["run", "sigma_mm", "order", "time_s", *OPTIONAL, "session", *(f"direction{j + 1}" for j in range(n))]
+    known += [each for each in (instrument.target, "marker" if in_space and not instrument.own_targets else "") if each]
+    table.warn_unused(known, hint)
+    if instrument.contact and "run" in table and "order" not in table:
+        planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
+        warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
+    return fields
 
 
 def measurement_text(
@@ -57,6 +111,215 @@ def measurement_text(
     instrument : that measured; None: one of positions or lengths
     """
     return csv_text(measurement_columns(measurements, joint_types, instrument), measurements.fit)
+
+
+def measurement_columns(
+    measurements: Measurements, joint_types: JointTypes = None, instrument: Instrument | None = None
+) -> Columns:
+    """The columns of a measurement table; `measurement_fields` reads the same from it, to rounding (1e-14 rad).
+
+    instrument : that measured; None: one of positions or lengths
+    Raises `InputError` for positions that a file cannot have.
+    """
+    if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST_LENGTH:
+        raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST_LENGTH:g}")
+    names = ["distance_mm"] if measurements.dimension == 1 else ["x_mm", "y_mm", "z_mm"]
+    session, marker, target = "session", "marker", measurements.marker
+    if instrument is not None and not instrument.reads_positions:
+        names = [f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in instrument.coordinates]
+        if instrument.own_targets:
+            marker = instrument.target or session
+            if instrument.target and target is not None:
+                target = np.array([name.rpartition("/")[2] for name in target.tolist()])
+        else:
+            session = instrument.target or session
+    columns = posture_columns(measurements.postures, joint_types)
+    columns |= dict(zip(names, measurements.positions.T, strict=False))
+    if measurements.commanded is not None:
+        columns |= posture_columns(measurements.commanded, joint_types, "commanded")
+    columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
+    columns |= _order_columns(measurements)
+    directions, counting = measurements.directions, counting_in(joint_types)
+    if directions is not None and counting is not None:
+        directions = counting.signs_of_columns(directions)
+    optional = {
+        "temperature_C": measurements.temperature,
+        "payload_kg": measurements.payload,
+        **{f"direction{j}": column for j, column in enumerate(() if directions is None else directions.T, start=1)},
+        "posture": measurements.repeats,
+        marker: target,
+        **({} if marker == session and target is not None else {session: measurements.session}),
+        "sigma_mm": measurements.sigma,
+    }
+    return columns | {name: values for name, values in optional.items() if values is not None}
+
+
+# -- reading columns ---------------------------------------------------------------------------------------------------
+def read_column(table: Table, name: str, kind: str, bounds: tuple[float, float] | None = None) -> Array:
+    """(m,) lengths [mm] or angles [rad] of a column `name` in one of the `UNITS` of its kind.
+
+    bounds : smallest and largest value, in [mm] or [rad]; None: any that is finite, up to `MOST`
+    """
+    columns = [f"{name}_{unit}" for unit in UNITS[kind]]
+    present = [column for column in columns if column in table] or columns[:1]
+    if len(present) > 1:
+        raise InputError(f"{table.path}: found both {' and '.join(columns)}, allowed: one of them")
+    unit = present[0].removeprefix(f"{name}_")
+    factor = UNITS[kind][unit]
+    low, high = bounds or (-MOST[kind], MOST[kind])
+    allowed = f"a finite {kind}, up to {high / factor:g}"
+    if bounds is not None:
+        allowed = f"a number > 0 [{unit}], {low / factor:g} to {high / factor:g}"
+    return table.floats(present[0], allowed, lambda v: (v * factor >= low) & (v * factor <= high)) * factor
+
+
+def _read_points(table: Table, axes: str) -> Array:
+    """(m, d) [mm] of columns `x_mm`, or `x_m` converted, ..."""
+    return np.column_stack([read_column(table, axis, LENGTH) for axis in axes])
+
+
+def _joint_columns(table: Table, types: JointTypes) -> dict[int, str]:
+    """Joint, from 1 -> a column of its positions that a table has."""
+    columns = {}
+    for column in table.columns:
+        name = re.fullmatch(r"q([1-9]\d*)_(\w+)", column)
+        if name and name[2] in UNITS[_kind(types, int(name[1]))]:
+            columns[int(name[1])] = column
+    return columns
+
+
+def _kind(types: JointTypes, joint: int) -> str:
+    """What the column of a joint, counted from 1, holds."""
+    slides = isinstance(types, Sequence) and joint <= len(types) and types[joint - 1] == PRISMATIC
+    return LENGTH if slides else ANGLE
+
+
+def read_postures(table: Table, types: JointTypes = None) -> Array:
+    """(m, n) joint positions [rad, mm] of the columns, which are as the controller counts (`JointKinds`); n as `types`
+    say, or what the table has. Raises `InputError` for anything else."""
+    columns = _joint_columns(table, types)
+    last = max(columns, default=1)
+    n = min(last, MAX_LINKS) if types is None else types if isinstance(types, int) else len(types)
+    if last > n:
+        allowed = " to ".join(f"q{j}_{next(iter(UNITS[_kind(types, j)]))}" for j in (1, n))
+        whose = "" if types is None else f", but the arm has {n} links"
+        raise InputError(f"{table.path}: found column {columns[last]}{whose}, allowed: {allowed}")
+    return _read_joints(table, "q", n, types)
+
+
+def _read_joints(table: Table, name: str, n: int, types: JointTypes) -> Array:
+    """(m, n) [rad, mm] of columns `name` 1 to n."""
+    columns = [read_column(table, f"{name}{joint}", _kind(types, joint)) for joint in range(1, n + 1)]
+    return in_joints(np.column_stack(columns), types)
+
+
+def orientation_columns(table: Table) -> list[str]:
+    """The columns of an orientation that a table has."""
+    return [column for column in table.columns if re.fullmatch(r"r[xyz]_(deg|rad)|q[wxyz]", column)]
+
+
+def read_orientations(table: Table) -> Array | None:
+    """(m, 3, 3) axes of the measured frame, from `rx_deg, ry_deg, rz_deg` (about own axes, x, then y, then z; or in
+    `_rad`) or from a quaternion `qw, qx, qy, qz`; None if the table has none of these columns."""
+    if not (columns := orientation_columns(table)):
+        return None
+    from identification.kinematics.frames import from_angles, from_quaternions  # CasADi, which few files need
+
+    if len({column[0] + column[2:] if column[0] == "r" else "q" for column in columns}) > 1:
+        state = f"found {', '.join(columns)}"
+        raise InputError(f"{table.path}: {state}, allowed: three angles of one unit, or a quaternion")
+    if columns[0].startswith("r"):
+        table.require(f"r{axis}_{columns[0].partition('_')[2]}" for axis in "xyz")
+        return from_angles(np.column_stack([read_column(table, f"r{axis}", ANGLE) for axis in "xyz"]))
+    table.require(QUATERNION)
+    quaternions = np.column_stack([table.floats(name) for name in QUATERNION])
+    lengths = np.linalg.norm(quaternions, axis=1)
+    if (bad := np.abs(lengths - 1.0) > 0.01).any():  # files have few digits
+        row = int(np.argmax(bad))
+        state = f"found a quaternion of length {lengths[row]:.4g}, allowed: length 1 to 0.01"
+        raise InputError(f"{table.place(row, 'qw..qz')}: {state}")
+    return from_quaternions(quaternions)
+
+
+def _conditions(table: Table, types: int | Sequence[str], optional: Sequence[str]) -> dict[str, Any]:
+    """Those of the `OPTIONAL` columns, (m,), and `directions` (m, n) of the joints: +1 or -1, NaN where the cell is
+    empty or coupled joints leave it open; None where the table has none."""
+    fields: dict[str, Any] = {}
+    for column in optional:
+        key, allowed, test = OPTIONAL[column]
+        fields[key] = table.floats(column, allowed, test) if column in table else None
+    n, counting = types if isinstance(types, int) else len(types), counting_in(types)
+    wanted = [f"direction{j}" for j in range(1, n + 1)]
+    present = [column for column in table.columns if re.fullmatch(r"direction[1-9]\d*", column)]
+    fields["directions"] = None
+    if present:
+        table.require(wanted)
+        if beyond := [column for column in present if column not in wanted]:
+            state = f"found column {beyond[0]}, but there are {n} joints"
+            raise InputError(f"{table.path}: {state}, allowed: direction1 to direction{n}")
+        allowed = "+1 or -1, empty: unknown"
+        signs = [table.floats(column, allowed, lambda v: np.abs(v) == 1.0, empty=np.nan) for column in wanted]
+        directions = np.column_stack(signs)
+        fields["directions"] = directions if counting is None else counting.signs_of_joints(directions)
+    return fields
+
+
+def _order_fields(table: Table, session: NDArray[np.str_] | None) -> dict[str, Any]:
+    """`order` (m,), of which `time_s` says more if it says the same, and `gaps` (m,), True where whole numbers of the
+    column `order` are left out, in each session; None where nothing is, or nothing counts."""
+    order, time = (table.floats(column) if column in table else None for column in ("order", "time_s"))
+    if order is None:
+        return {"order": time, "gaps": None}
+    if time is not None:
+        by_order, by_time = np.argsort(order, kind="stable"), np.argsort(time, kind="stable")
+        if not np.array_equal(by_order, by_time):
+            place = table.place(int(by_time[np.argmax(by_order != by_time)]), "time_s")
+            state = "order and time_s put the rows in different orders"
+            raise InputError(f"{place}: {state}, allowed: the same order, or one column")
+    gaps = np.zeros(len(order), dtype=bool)
+    if np.all(order == np.round(order)):
+        for name in np.unique(session) if session is not None else [None]:
+            rows = np.ones(len(order), dtype=bool) if session is None else session == name
+            gaps[rows] = gaps_of(order[rows])
+    return {"order": order if time is None else time, "gaps": gaps if gaps.any() else None}
+
+
+# -- writing columns ---------------------------------------------------------------------------------------------------
+def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") -> Columns:
+    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) joint positions [rad, mm]; `q1_mm` for a prismatic
+    joint.
+
+    name : `q`, or `commanded`
+    """
+    columns: Columns = {}
+    for j, column in enumerate(in_columns(postures, types).T, start=1):
+        unit = next(iter(UNITS[_kind(types, j)]))
+        # 30 rather than 29.999999999999996; 12 decimals are 2e-14 rad;  + 0: no -0
+        columns[f"{name}{j}_{unit}"] = (np.round(np.degrees(column), 12) if unit == "deg" else column) + 0.0
+    return columns
+
+
+def angle_columns(orientations: Array) -> Columns:
+    """Columns `rx_deg, ry_deg, rz_deg` of orientations (m, 3, 3)."""
+    from identification.kinematics.frames import to_angles
+
+    angles = np.round(np.degrees(to_angles(orientations)), 12) + 0.0
+    return {f"r{axis}_deg": column for axis, column in zip("xyz", angles.T, strict=True)}
+
+
+def _order_columns(measurements: Measurements) -> Columns:
+    """`order` or `time_s`; both where the order, read again, would not have the same gaps."""
+    if (order := measurements.order) is None:
+        return {}
+    gaps = np.zeros(len(order)) if measurements.gaps is None else measurements.gaps
+    again, counts = np.zeros(len(order), dtype=bool), np.empty(len(order))
+    for rows in measurements.session_rows:
+        again[rows] = gaps_of(order[rows])
+        sequence = rows[np.argsort(order[rows], kind="stable")]
+        counts[sequence] = np.arange(len(rows)) + np.cumsum(gaps[sequence])
+    if np.all(order == np.round(order)) and np.array_equal(again, gaps > 0.0):
+        return {"order": order}
+    return {"time_s": order, "order": counts} if gaps.any() else {"time_s": order}
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
@@ -89,22 +352,22 @@ def read_plan(
     once about columns that are not used.
     """
     table = read_table(path)
-    postures = read_postures(table, joints)
+    postures, weights = read_postures(table, joints), None
     n = postures.shape[1]
-    weights = None
     if not carried_out:
-        further = ["weight", "payload_kg", "temperature_C", "cup", *(f"direction{j}" for j in range(1, n + 1))]
-        warn_unknown(table, ["run", *joint_columns(table, joints), *further])
         if "weight" in table:
             weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
             if abs((total := float(np.sum(weights))) - 1.0) > 1e-6:
                 wrong = f"found a sum of {total:.9g}, allowed: 1 (within 1e-06)"
                 raise InputError(f"{table.path}: column weight: {wrong}")
+        further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
+        table.warn_unused(further)
     cells = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
     if table.decimal_commas:
         for texts in cells.values():
             texts[:] = [text.replace(",", ".") if DECIMAL.fullmatch(text) else text for text in texts]
-    rows = read_conditions(table, n if joints is None else joints) if conditions else {}
+    wanted = ("payload_kg", "temperature_C")
+    rows = _conditions(table, n if joints is None else joints, wanted) if conditions else {}
     return PlanFile(postures, weights, table.fit, cells, rows)
 
 
@@ -119,7 +382,7 @@ def plan_file_text(
 
     further : columns of names, (m,) each
     """
-    columns = {"run": np.arange(1, len(postures) + 1), **posture_columns(postures, joint_types)}
+    columns: Columns = {"run": np.arange(1, len(postures) + 1), **posture_columns(postures, joint_types)}
     columns |= {name: np.array(texts, dtype=np.str_) for name, texts in (further or {}).items()}
     return csv_text(columns if weights is None else columns | {"weight": weights}, fit)
 
@@ -146,18 +409,18 @@ def load_targets(path: PathLike, links: int | Arm) -> Targets:
     """
     table = read_table(path)
     types, axes = (links.joint_types, "xyz"[: links.dimension]) if isinstance(links, Arm) else (links, "xy")
-    lengths = [f"{axis}_{unit}" for axis in axes for unit in ("mm", "m")]
-    has_positions, joints = any(column in table for column in lengths), joint_columns(table, types)
+    has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
+    joints = _joint_columns(table, types)
     if not has_positions and not joints:
         count = types if isinstance(types, int) else len(types)
         columns = " and ".join(", ".join(f"{axis}_mm" for axis in axes).rsplit(", ", 1))
         allowed = f"{columns}, or q1_deg..q{count}_deg"
         raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
-    positions = read_positions(table, axes) if has_positions else None
+    positions = _read_points(table, axes) if has_positions else None
     postures = read_postures(table, types) if joints else None
-    poses = has_positions and len(axes) == 3
-    warn_unknown(table, ["run", *lengths, *joints, *(orientation_columns_of(table) if poses else ())])
-    return Targets(positions, postures, read_orientations(table) if poses else None)
+    orientations = read_orientations(table) if has_positions and len(axes) == 3 else None
+    table.warn_unused(["run"])
+    return Targets(positions, postures, orientations)
 
 
 def commands_text(
@@ -178,9 +441,8 @@ def commands_text(
     """
     wanted = {f"{axis}_mm": column for axis, column in zip("xyz", targets.T, strict=False)}
     wanted |= {} if orientations is None else angle_columns(orientations)
-    left = {"error_mm": errors} | ({} if angles is None else {"error_deg": np.degrees(angles)})
-    if reached is not None:
-        left["reachable"] = reached.astype(int)
-    if any(messages):
-        left["message"] = np.array(messages)
+    left: Columns = {"error_mm": errors}
+    left |= {} if angles is None else {"error_deg": np.degrees(angles)}
+    left |= {} if reached is None else {"reachable": reached.astype(int)}
+    left |= {"message": np.array(messages)} if any(messages) else {}
     return csv_text({**posture_columns(commands, joint_types), **wanted, **left})

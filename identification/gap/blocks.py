@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.linalg import block_diag
 
 from identification.arrays import Array
-from identification.effects.places import widths
+from identification.effects.chain import widths
 from identification.gap.columns import Basis, Where, times
 from identification.gap.evidence import SIZES, Products
 from identification.gap.fit import Fit, Rows

@@ -20,8 +20,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Effect, Setting
-from identification.effects.chain import Chain, condition_slices
-from identification.effects.places import contributions, in_state, state_size
+from identification.effects.chain import Chain, condition_slices, contributions, in_state, state_slices
 from identification.error_curve import ErrorCurve, local_splines
 from identification.model import Model
 from identification.vectorize import vectorize
@@ -39,7 +38,10 @@ class Symbols:
 
     def __init__(self, arm: Arm, remembers: bool) -> None:
         n, self.arm, self.remembers = arm.links, arm, remembers
-        self.q, self.state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(arm.chain))
+        self.q, self.state = (
+            ca.SX.sym("q", n),
+            ca.SX.sym("state", max(place.stop for place in state_slices(arm.chain).values())),
+        )
         extra = ("past",) if remembers else ()
         self.c = ca.SX.sym("c", max(place.stop for place in condition_slices(n, extra).values()))
         self.chain = Chain.of(arm, self.q, self.c, extra)

@@ -20,7 +20,7 @@ from scipy.special import ndtri, softmax, stdtrit
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.estimation.grouped import GROUPS, Groups, Mean, groups_of, mean_of
+from identification.estimation.uncertainty import GROUPS, Groups, Mean, groups_of, mean_of
 from identification.gap.average import PredictingModel
 from identification.gap.detectability import LEVEL, POWER
 from identification.gap.fit import Fit

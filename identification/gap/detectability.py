@@ -20,7 +20,7 @@ from identification.arrays import Array, readonly
 from identification.document import Document
 from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
-from identification.estimation.grouped import LEVEL
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import Linearized, linearized
 from identification.gap.evidence import SIZES, Index
 from identification.gap.fit import Fit, Rows, fit

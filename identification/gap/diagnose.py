@@ -14,8 +14,8 @@ from identification.arrays import rows_in_words
 from identification.documents.diagnosis import untested
 from identification.errors import InputError
 from identification.estimation.doubts import another_frame, copied_rows, far_off, flipped, misread, outside_limits
-from identification.estimation.outlying import outlying, together
 from identification.estimation.problem import check_measurements
+from identification.estimation.uncertainty import outlying, together
 from identification.gap.average import PredictingModel, averaged
 from identification.gap.blocks import REST
 from identification.gap.confirmation import (

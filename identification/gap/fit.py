@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.estimation.doubts import FAR
-from identification.estimation.levenberg_marquardt import Index, levenberg_marquardt
+from identification.estimation.levenberg_marquardt import Index
 from identification.estimation.problem import Problem, starts
 from identification.information import column_space, spectrum
 from identification.measurements import Conditions, Measurements, repeats_of, rms_distance
@@ -246,7 +246,7 @@ def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> F
     if values is None or left(values) > FAR * model.reach:  # with a base offset the closed form holds in any frame
         closed = starts(problem)[0]
         values = closed if values is None or left(closed) < left(values) else values
-    solution = levenberg_marquardt(replace(problem.least_squares, linearize=linearize), values[None])
+    solution = problem.minimized(values[None], linearize)
     values = solution.parameters[0]
     residual, jacobian = linearize(values[None], np.arange(1))
     triangle = np.asarray(np.linalg.qr(jacobian[0], mode="r"))

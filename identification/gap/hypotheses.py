@@ -21,7 +21,7 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
-from identification.effects.rare import RARE
+from identification.effects.formulas import RARE
 from identification.gap.columns import Basis, Bundle, Where, bundles
 from identification.gap.fit import Fit, Rows
 from identification.information import column_space
@@ -224,7 +224,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
         whole: list[int | None] = [] if cls.per_joint == "required" else [None]
         for joint in whole + (joints if cls.per_joint != "none" else []):
             spec = EffectSpec(name, joint)
-            if joint in unseen and cls.joint_angles is not Effect.joint_angles:
+            if joint in unseen and hasattr(cls, "joint_angles"):
                 skipped[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)

@@ -27,8 +27,9 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, library, unknown_effect
+from identification.effects.chain import contribution
 from identification.errors import InputError
-from identification.estimation.prior import Prior
+from identification.estimation.problem import Prior
 from identification.gap.hypotheses import EFFECT, ORDER, Hypothesis, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
@@ -151,9 +152,10 @@ def given_by(measurements: Measurements) -> frozenset[str]:
 
 def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
     """Whether an effect adds to the angle of a joint (from 0) a function of that angle alone."""
-    if effect.joint != joint + 1 or type(effect).joint_angles is Effect.joint_angles:
+    if effect.joint != joint + 1 or not hasattr(effect, "joint_angles"):
         return False
     q, c, _, _ = model.symbols
-    angle = ca.SX(effect.joint_angles(model.expressions.chain(q, c), ca.SX.sym("v", len(effect.parameters))))[joint]
+    values = ca.SX.sym("v", len(effect.parameters))
+    angle = contribution(effect, "joint_angles", model.chain_at(q, c), values)[joint]
     others = ca.vertcat(*(q[k] for k in range(model.joints) if k != joint), c)
     return bool(ca.depends_on(angle, q[joint])) and not bool(ca.depends_on(angle, others))

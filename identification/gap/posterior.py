@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from identification.arrays import Array
-from identification.estimation.outlying import together
+from identification.estimation.uncertainty import together
 from identification.gap.blocks import Linearized, linearized
 from identification.gap.detectability import LEVEL
 from identification.gap.evidence import State

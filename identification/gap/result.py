@@ -38,7 +38,7 @@ from identification.model import Model
 from identification.model.minimal import placed_calibration
 
 if TYPE_CHECKING:
-    from identification.validate.validation import Offered
+    from identification.validate import Offered
 
 
 class Estimate(NamedTuple):

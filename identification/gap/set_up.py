@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from identification.arrays import Array
-from identification.effects.places import widths
+from identification.effects.chain import widths
 from identification.estimation.doubts import FALL
 from identification.gap.average import PredictingModel
 from identification.gap.fit import Fit

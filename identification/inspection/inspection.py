@@ -25,19 +25,21 @@ from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import (
     FAR_ZERO,
+    FEW,
     SPARE,
+    TOGETHER,
+    UNUSUAL,
     another_frame,
     beyond_limits,
     copied_rows,
     far_rows,
     far_zeros,
+    hardly_determined,
+    left_out_residuals,
     limited,
     outside_limits,
 )
-from identification.estimation.estimate import UNUSUAL
-from identification.estimation.expected_tip import FEW, TOGETHER, hardly_determined, left_out_residuals
-from identification.estimation.grouped import gained_squares
-from identification.estimation.uncertainty import LEVEL
+from identification.estimation.uncertainty import LEVEL, gained_squares
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.data_checks import DRAWN, data_warnings, gap_notes, wrong_units
 from identification.inspection.readings import (

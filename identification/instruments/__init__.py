@@ -13,7 +13,7 @@ from identification.instruments.base import (
     kinds,
     register_instrument,
 )
-from identification.instruments.distance import Distance
+from identification.instruments.distance import Distance, distance_to_center
 from identification.instruments.planar_distance import PlanarDistance
 from identification.instruments.plane import Plane
 from identification.instruments.search import Placement, Unplaced
@@ -37,6 +37,7 @@ __all__ = [
     "Sphere",
     "Tracker",
     "Unplaced",
+    "distance_to_center",
     "kinds",
     "register_instrument",
 ]

@@ -147,7 +147,7 @@ class KinematicChain(ByValue):
 
     @property
     def bends(self) -> dict[str, int]:
-        """How effects bend it: place (identification/effects/places.py) -> its number of elements. In the plane each
+        """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In the plane each
         link's end to its left; in space each joint's frame after it moved, by three turns and three shifts."""
         n = len(self)
         return {"deflections": n, "slopes": n} if self.planar else {"joint_turns": 3 * n, "joint_shifts": 3 * n}
@@ -291,7 +291,7 @@ class KinematicChain(ByValue):
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
 
         q : (n,) positions of the joints [rad, mm];  values : parameter name -> value, zero where missing
-        added : what effects add at each place of the chain (identification/effects/places.py)
+        added : what effects add at each place of the chain (identification/effects/chain.py)
         """
         frame = self._placed_base(values, added)
         placed = [frame]

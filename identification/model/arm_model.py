@@ -5,14 +5,19 @@
 Parameters are the length errors dl_j [mm], the joint offsets dq_j [rad] and those of the effects. The derivative with
 respect to the ORIENTATION offset dtheta_k touches link k only (eq. 8); that with respect to the joint offset dq_k sums
 over links k..n, which is what eq. 4 prints. For arms in space see identification/kinematics/chain.py.
+
+A model has two stages. Symbols: chain, effects and instrument make one expression of posture q, conditions c and
+parameters p, and its derivatives. Numbers: a compiled function of these runs on arrays of postures. Both cost more than
+most uses, and searches ask for hundreds of models, so models that have the same symbols share them: the first of these
+(`expressions`) keeps what any of them needed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -21,12 +26,30 @@ from numpy.typing import ArrayLike
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import Conditions
-from identification.effects import Chain, Effect, build_all
+from identification.effects import Chain, Effect, build_all, measured_position
+from identification.effects.chain import by_place, condition_slices, position_and_state, widths
+from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.kinematics.closed_form import PlanarClosedForm
+from identification.kinematics.frames import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
-from identification.model.expressions import Expressions, shared
+from identification.vectorize import Evaluate, vectorize
+
+T = TypeVar("T")
+
+
+class _Shared(cached_property[T]):
+    """A cached property that models with the same symbols have in common."""
+
+    def __get__(self, model: Any, owner: Any = None) -> Any:
+        return super().__get__(None if model is None else model.expressions, owner)
+
+
+@lru_cache(maxsize=128)  # effort: models set up
+def _first(key: Hashable) -> list[Model]:
+    """The first model with these symbols, once it is in the list."""
+    return []
 
 
 @dataclass(frozen=True)
@@ -52,17 +75,17 @@ class Model:
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """The arm's effects on the mean, ready for the chain; `simulate` handles those on scatter and commands."""
-        return tuple(effect for effect, _ in self._built if not (effect.scatter or effect.of_commands))
+        return tuple(effect for effect, _ in self._built)
 
     @cached_property
-    def _built(self) -> tuple[tuple[Effect, EffectSpec], ...]:
-        effects = build_all(self.arm.effects, self.arm.chain)
-        return tuple(zip(effects, self.arm.effects, strict=True))
+    def _built(self) -> list[tuple[Effect, EffectSpec]]:
+        effects = zip(build_all(self.arm.effects, self.arm.chain), self.arm.effects, strict=True)
+        return [(effect, spec) for effect, spec in effects if not (effect.scatter or effect.of_commands)]
 
     @cached_property
     def geometry_parameters(self) -> ParameterSet:
         """Those of the geometry, estimated or known."""
-        return self.arm.chain.parameters(self._calibrated() | dict(self.held or {}))
+        return self.arm.chain.parameters(self._calibrated | dict(self.held or {}))
 
     @cached_property
     def all_parameters(self) -> ParameterSet:
@@ -72,10 +95,9 @@ class Model:
     @cached_property
     def fixed(self) -> Mapping[str, float]:
         """Name -> value of the parameters that are known."""
-        values = {name: self._calibrated().get(name, 0.0) for name in self.arm.chain.held} | dict(self.held or {})
+        values = {name: self._calibrated.get(name, 0.0) for name in self.arm.chain.held} | dict(self.held or {})
         for effect, spec in self._built:
-            if not (effect.scatter or effect.of_commands):
-                values |= {p.name: float(spec.values[p.short]) for p in effect.parameters if p.short in spec.values}
+            values |= {p.name: float(spec.values[p.short]) for p in effect.parameters if p.short in spec.values}
         return values
 
     @cached_property
@@ -99,9 +121,19 @@ class Model:
         return self.parameters.names
 
     @property
+    def scales(self) -> Array:
+        """(p,) length per unit of each parameter [mm/unit]; column k of the Jacobian divided by it is about one."""
+        return self.parameters.scales
+
+    @property
     def dimension(self) -> int:
         """d, measured coordinates per posture: 2, 3, 6 of a pose, or 1 of a length."""
         return self.arm.chain.coordinates
+
+    @property
+    def dimensions(self) -> tuple[int, ...]:
+        """Coordinates that measurements may have: of poses also those of points alone."""
+        return tuple(sorted({min(self.arm.dimension, self.dimension), self.dimension}))
 
     @property
     def joints(self) -> int:
@@ -123,21 +155,17 @@ class Model:
         """Length of the stretched nominal arm [mm]."""
         return self.arm.reach
 
-    @property
-    def scales(self) -> Array:
-        """(p,) length per unit of each parameter [mm/unit]; column k of the Jacobian divided by it is about one."""
-        return self.parameters.scales
-
     @cached_property
     def values(self) -> Array:
         """(p,) best known values: the calibration's where the arm has one, else zero."""
-        return self.parameters.vector(self._calibrated())
+        return self.parameters.vector(self._calibrated)
 
     @property
     def best_known(self) -> dict[str, float]:
         """Name -> best known value of every parameter, estimated or known."""
         return self.parameters.mapping(self.values) | dict(self.fixed)
 
+    @property
     def _calibrated(self) -> dict[str, float]:
         return {} if self.arm.calibration is None else dict(self.arm.calibration.values)
 
@@ -167,31 +195,129 @@ class Model:
 
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property
-    def expressions(self) -> Expressions:
-        """The model in CasADi symbols, shared with models that have the same."""
-        curved = any(effect.curve is not None for effect in self.effects)
-        chain = self.arm.chain
-        several = max(len(chain.tools), len(chain.instrument.targets)) > 1  # reflectors, or targets
-        oriented = chain.angle_scale is not None
-        extra = {"past": self.remembers, "marker": several, "orientation": oriented, "errors": curved}
-        has = tuple(name for name, there_is in extra.items() if there_is)
-        parts = (self.effects, self.all_parameters, self.parameters, self.fixed, has, self.best_known)
-        return shared(Expressions(self.arm, *parts))
+    def expressions(self) -> Model:
+        """The first model with all that is in these symbols: limits, sigma and the name of an arm, say, are not; of
+        effects the class is, as users can redefine one, and what it was made with."""
+        effects = ((type(e), e.joint, e.tagged, e.curve, *e.chosen.items()) for e in self.effects)
+        names = self.all_parameters.names, self.names, *self.fixed.items()
+        best = tuple(self.best_known.items()) if "missing" in self._columns else ()
+        alike = _first((self.arm.chain, self.arm.gravity, *effects, names, tuple(self._columns), best))
+        alike += [] if alike else [self]
+        return alike[0]
 
-    @property
+    @cached_property
+    def _columns(self) -> dict[str, slice]:
+        """Where each condition stands among the columns of the table."""
+        chain, extra = self.arm.chain, {"past": self.remembers, "errors": bool(self._curves)}
+        extra["marker"] = max(len(chain.tools), len(chain.instrument.targets)) > 1  # reflectors, or targets
+        extra["reference"] = chain.angle_scale is not None
+        return condition_slices(self.arm.links, [name for name, there_is in extra.items() if there_is])
+
+    @cached_property
+    def _curves(self) -> list[tuple[int, ErrorCurve]]:
+        """Error curves, each with its joint from 0."""
+        return [(effect.joint_index, effect.curve) for effect in self.effects if effect.curve is not None]
+
+    @cached_property
+    def _tied(self) -> dict[str, float]:
+        """Parameter name -> the part of its value that was fitted with error curves."""
+        fitted: dict[str, float] = {}
+        for name, value in (item for _, curve in self._curves for item in curve.geometry.items()):
+            fitted[name] = fitted.get(name, 0.0) + value
+        return fitted
+
+    @_Shared
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """SX of postures q (n), conditions c (see `condition_table`), parameters (p) and position (d)."""
-        return self.expressions.symbols
+        """SX of postures q (n), conditions c (see `condition_table`), parameters (p) and position (d): of a pose the
+        point, and the rotation vector by which the computed orientation is turned against the measured one, times
+        `angle_scale` [mm]."""
+        width = max(place.stop for place in self._columns.values())
+        q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.parameters))
+        return q, c, p, measured_position(self.chain_at(q, c), self.effects, self.values_at(c, p))
 
-    @property
+    def chain_at(self, q: ca.SX, c: ca.SX) -> Chain:
+        """The nominal chain at the symbols of a posture and its conditions."""
+        chain = Chain.of(self.arm, q, c, self._columns)
+        if chain.reference is None:
+            return chain
+        best = self.arm.chain.orientation(q, self.best_known, chain.marker)
+        return replace(chain, reference=chain.reference + c[self._columns["missing"]] * best)
+
+    def values_at(self, c: ca.SX, p: ca.SX) -> ca.SX:
+        """Values of every parameter, where p has those of the estimated ones; where error curves do not hold, without
+        the geometry of these."""
+        slot = {name: p[k] for k, name in enumerate(self.names)}
+        values = {name: slot.get(name, self.fixed.get(name, 0.0)) for name in self.all_parameters.names}
+        if not self._tied:
+            return ca.vertcat(*values.values())
+        off = {**self._tied, **self.arm.chain.along_base(self._tied, values)}
+        return ca.vertcat(*(value - c[-1] * off.get(name, 0.0) for name, value in values.items()))
+
+    def _function(self, name: str, outputs: list[ca.SX], more: tuple[ca.SX, ...] = ()) -> ca.Function:
+        return ca.Function(name, [*self.symbols[:3], *more], ca.cse(outputs))
+
+    @_Shared
     def position_function(self) -> ca.Function:
         """CasADi (q, c, p) -> position (d) [mm]."""
-        return self.expressions.position_function
+        return self._function("position", [self.symbols[3]])
 
-    @property
+    @_Shared
     def jacobian_function(self) -> ca.Function:
         """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
-        return self.expressions.jacobian_function
+        _, _, p, position = self.symbols
+        return self._function("jacobian", [position, ca.jacobian(position, p)])
+
+    @_Shared
+    def _position(self) -> Evaluate:
+        return vectorize(self.position_function)
+
+    @_Shared
+    def _jacobian(self) -> Evaluate:
+        return vectorize(self.jacobian_function)
+
+    @_Shared
+    def residual_gradient(self) -> Evaluate:
+        """Of arrays (q, c, p, measured y): J^T (y - position) (p) by reverse mode, and |y - position|^2."""
+        _, _, p, position = self.symbols
+        y = ca.SX.sym("y", position.numel())
+        outputs = [ca.jtimes(position, p, y - position, True), ca.sumsqr(y - position)]
+        return vectorize(self._function("gradient", outputs, (y,)))
+
+    @_Shared
+    def posture_jacobian(self) -> Evaluate:
+        """Of arrays (q, c, p): position and its derivative with respect to the posture, (d, n)."""
+        q, _, _, position = self.symbols
+        return vectorize(self._function("kinematics", [position, ca.jacobian(position, q)]))
+
+    @_Shared
+    def _with_added(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """What is added at all places, the position with it, and the state."""
+        q, c, p, _ = self.symbols
+        added = ca.SX.sym("added", sum(widths(self.arm.chain).values()))
+        return added, *position_and_state(self.chain_at(q, c), self.effects, self.values_at(c, p), added)
+
+    def _at_zero(self, *expressions: ca.SX) -> Evaluate:
+        """The expressions where nothing is added."""
+        added = self._with_added[0]
+        return vectorize(self._function("levers", ca.substitute([*expressions], [added], [ca.SX.zeros(added.numel())])))
+
+    @_Shared
+    def _joint_levers(self) -> Evaluate:
+        added, position, _ = self._with_added
+        return self._at_zero(ca.jacobian(position, by_place(added, self.arm.chain)["joint_angles"]))
+
+    @_Shared
+    def _place_levers(self) -> Evaluate:
+        added, position, state = self._with_added
+        return self._at_zero(ca.jacobian(position, added), state)
+
+    @_Shared
+    def _best_orientation(self) -> Evaluate:
+        """Of arrays (q, marker): the orientation of the arm as best known, (9,) by columns."""
+        q, marker = ca.SX.sym("q", self.arm.links), ca.SX.sym("marker")
+        several = "marker" in self._columns
+        orientation = self.arm.chain.orientation(q, self.best_known, marker if several else None)
+        return vectorize(ca.Function("orientation", [q, marker], [ca.cse(ca.densify(orientation))]))
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
         """Points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
@@ -202,11 +328,6 @@ class Model:
         """Best known values of `geometry_parameters`."""
         return self.geometry_parameters.vector(self.best_known)
 
-    @property
-    def dimensions(self) -> tuple[int, ...]:
-        """Coordinates that measurements may have: of poses also those of points alone."""
-        return tuple(sorted({min(self.arm.dimension, self.dimension), self.dimension}))
-
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
@@ -215,11 +336,14 @@ class Model:
 
         Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
         """
-        return self.expressions.position(*self._arguments(postures, parameters, conditions))[0][..., 0]
+        return self._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
-    def orientations(self, postures: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """(m, 3, 3) orientations of the measured frame for the instrument, as best known."""
-        return self.expressions.orientations(*self._arguments(postures, None, conditions))
+    def linearize(
+        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
+    ) -> tuple[Array, Array]:
+        """Positions (..., m, d) and Jacobians (..., m, d, p) in one pass."""
+        position, jacobian = self._jacobian(*self._arguments(postures, parameters, conditions))
+        return position[..., 0], jacobian
 
     def jacobian(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
@@ -227,12 +351,15 @@ class Model:
         """(m, d, p) exact derivative of position with respect to parameters; (K, m, d, p) for (K, p) parameter sets."""
         return self.linearize(postures, parameters, conditions)[1]
 
-    def linearize(
-        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
-    ) -> tuple[Array, Array]:
-        """Positions (..., m, d) and Jacobians (..., m, d, p) in one pass."""
-        position, jacobian = self.expressions.jacobian(*self._arguments(postures, parameters, conditions))
-        return position[..., 0], jacobian
+    def orientations(self, postures: ArrayLike, conditions: Conditions | None = None) -> Array:
+        """(m, 3, 3) orientations of the measured frame for the instrument, as best known, whatever orientations the
+        conditions have; raises `InputError` where none is measured."""
+        if (scale := self.arm.chain.angle_scale) is None:
+            raise InputError("orientations: the arm measures none, allowed: with sigma_mm and sigma_deg in its file")
+        arguments = self._arguments(postures, None, conditions)
+        columns = arguments[1][..., self._columns["reference"]]
+        nominal = np.swapaxes(columns.reshape(*columns.shape[:-1], 3, 3), -1, -2)
+        return turned(self._position(*arguments)[0][..., 3:, 0] / scale) @ nominal
 
     def joint_levers(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
@@ -241,15 +368,15 @@ class Model:
         estimated or not; (K, m, d, n) for (K, p) parameter sets."""
         offsets = self.parameters.indices(JOINT_OFFSET)
         if len(offsets) == self.joints:  # compiled already: they are columns of the Jacobian
-            return self.jacobian(postures, parameters, conditions)[..., offsets]
-        return self.expressions.joint_levers(*self._arguments(postures, parameters, conditions))[0]
+            return self.linearize(postures, parameters, conditions)[1][..., offsets]
+        return self._joint_levers(*self._arguments(postures, parameters, conditions))[0]
 
     def place_levers(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
         """What effects act through: (m, d, P) derivative of the positions by what is added at each place of the chain,
-        and (m, S) the state that it may depend on (effects/places.py)."""
-        levers, state = self.expressions.place_levers(*self._arguments(postures, parameters, conditions))
+        and (m, S) the state that it may depend on (effects/chain.py)."""
+        levers, state = self._place_levers(*self._arguments(postures, parameters, conditions))
         return levers, state[..., 0]
 
     def points(self, postures: ArrayLike) -> Array:
@@ -262,14 +389,19 @@ class Model:
 
     def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
         """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""
-        evaluate = self.expressions.on_chain(expression)
+        q, c = self.symbols[:2]
+        value = ca.cse(ca.densify(expression(self.chain_at(q, c))))
+        evaluate = vectorize(ca.Function("expression", [q, c], [value]))
         return lambda postures, conditions: evaluate(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
 
     @property
     def neutral_conditions(self) -> Array:
         """(4+n,) conditions where nothing is said: the arm's payload, mean temperature, the middle of session 1,
         approach +1; with a memory, of zero angles; of several markers the first; no orientation measured."""
-        return self.expressions.neutral
+        row = self.condition_table(np.zeros((1, self.joints)), Conditions())[0]
+        for name in {"reference", "missing", "errors", "off"} & set(self._columns):
+            row[self._columns[name]] = float(name == "missing")
+        return row
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
@@ -287,5 +419,30 @@ class Model:
         return q, self.condition_table(q, conditions or Conditions()), p[..., None, :]
 
     def condition_table(self, postures: Array, conditions: Conditions) -> Array:
-        """(..., m, 4 + n) values of the symbols for conditions, see `Expressions.table`."""
-        return self.expressions.table(postures, conditions)
+        """(..., m, C) values of the symbols for conditions, in the columns of `condition_slices`."""
+        arm, has = self.arm, self._columns
+        payload = 0.0 if arm.gravity is None else arm.gravity.payload
+        shape, past = postures.shape[:-1], postures if "past" in has else None
+        columns = [conditions.table(shape, arm.links, payload, past)]
+        unsaid = arm.chain.instrument.unsaid if conditions.marker is None else conditions.marker
+        marker = np.broadcast_to(unsaid, shape)[..., None]
+        if "marker" in has:
+            columns.append(marker)
+        if "reference" in has:  # orientations by columns, None: those of the arm as best known
+            if (orientation := conditions.orientation) is not None:
+                reference = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)
+            else:
+                reference = self._best_orientation(postures, marker)[0][..., 0]
+            columns += [np.broadcast_to(reference, (*shape, 9)), np.zeros((*shape, 1))]
+        if "errors" in has:  # tables are looked up here: as formulas they would be thousands of terms
+            errors = np.zeros(
+                (*shape, arm.links + 1)
+            )  # of the joints [rad], and the share of their geometry that is off
+            for joint, curve in self._curves:
+                errors[..., joint] = curve.at(postures[..., joint])
+            if self._tied:  # they hold together
+                hold = all_hold(self._curves, postures)
+                errors *= hold[..., None]
+                errors[..., -1] = 1.0 - hold
+            columns.append(errors)
+        return np.concatenate(columns, axis=-1)

@@ -21,7 +21,7 @@ def led_to_contact(
     # effort: Newton's method doubles the digits once it is near
     for _ in range(30):
         conditions = model.condition_table(q, Conditions(marker=target))
-        reading, slopes = model.expressions.posture_jacobian(q, conditions, model.values[None])
+        reading, slopes = model.posture_jacobian(q, conditions, model.values[None])
         slopes = slopes * units
         across = slopes @ np.swapaxes(slopes, 1, 2)
         sizes = np.einsum("mdd->m", across)[:, None, None]

@@ -25,9 +25,9 @@ import pytest
 
 from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
-from doe.studies.blind import cells, hidden_effects, simulator
+from doe.studies.blind import cells, simulator
 from doe.studies.blind.simulator import TrueArm, column
-from identification.effects.rare import RARE
+from identification.effects.formulas import RARE
 from identification.gap.search import log_odds_of_count
 from identification.model import Model
 
@@ -39,7 +39,7 @@ SIZES = 4.0 * 1.5 ** np.arange(6)  # 4 to 30, evenly on a logarithmic scale: wha
 FAR = 25.0
 PAIRS = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab", "transmission_ripple": "ab"}
 SAGGING = ("joint_compliance", "gravity_backlash", "link_bending")  # of one sign only
-NAMES = hidden_effects.LIBRARY_JOINT + hidden_effects.LIBRARY_WHOLE
+NAMES = cells.LIBRARY_JOINT + cells.LIBRARY_WHOLE
 ONE = {"payload_error": {"d": 1.0}, "gravity_tilt": {"angle": 1.0}}  # wrong loads, of one parameter
 CELLS = [
     "one, lambda 6, m=50",
@@ -81,22 +81,21 @@ def directions(bare: TrueArm, run: simulator.RowConditions, name: str, j: int | 
             both = [probe({c: float(c == one) for c in PAIRS[name]} | order) for one in PAIRS[name]]
             yield np.column_stack(both) @ CIRCLE
     elif name in ("base_offset", "base_drift"):
-        yield hidden_effects.probed(bare, run, name, None) @ CIRCLE
+        yield cells.probed(bare, run, name, None) @ CIRCLE
     elif name == "joint_compliance*":
         each = [column(bare, run, ("joint_compliance", i + 1, {"c": 1.0})) for i in range(bare.n)]
         yield np.column_stack(each) @ np.random.default_rng(1).uniform(0.5, 1.5, (bare.n, STIFFNESSES))
     else:
-        one = probe(hidden_effects.directions(bare, name, j, np.random.default_rng(0)))[:, None]
+        one = probe(cells.directions(bare, name, j, np.random.default_rng(0)))[:, None]
         yield one if name in SAGGING else np.hstack([one, -one])
 
 
 @cache
 def planned(cell: str, seed: int) -> np.ndarray | None:
     """The plan that the sets of a block share; None where postures are random."""
-    asked = cells.to_be_planned(cell, seed)
-    if asked is None:
+    if not cells.CELLS[cell].designed:
         return None
-    arm, runs = asked
+    arm, runs = cells.to_be_planned(cell, seed)
     return discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
 
 
@@ -123,14 +122,14 @@ def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, True
 
     found = []
     for name in (*NAMES, *(ONE if spec.rare else ())):
-        whole = name in (*hidden_effects.LIBRARY_WHOLE, *ONE)
+        whole = name in (*cells.LIBRARY_WHOLE, *ONE)
         joints = [None] if whole else list(range(2 if name == "joint_coupling" else 1, truth.n + 1))
         for j in joints:
             columns = np.hstack([_unit(part, off) for part in directions(bare, run, name, j)])
             effect = (name.rstrip("*"), j, {})
             prior = -np.log(len(NAMES)) - np.log(len(joints))
             if columns.shape[1]:
-                found.append(Possible(hidden_effects.key(effect), hidden_effects.family(effect), float(prior), columns))
+                found.append(Possible(cells.key(effect), cells.family(effect), float(prior), columns))
     return off(miss.ravel()), found, spec.lam, truth
 
 
@@ -206,7 +205,7 @@ def test_ceiling(cell: str) -> None:
     for seed in range(COUNT):
         found, truth = posterior(cell, seed)
         names = {tuple(sorted(one.key for one in effects)): value for effects, value in found.items()}
-        hidden = tuple(sorted(map(hidden_effects.key, truth.effects)))
+        hidden = tuple(sorted(map(cells.key, truth.effects)))
         best = max(names, key=lambda name: names[name])
         families: dict[tuple[str, ...], float] = {}
         for effects, value in found.items():
@@ -215,8 +214,7 @@ def test_ceiling(cell: str) -> None:
         near = [name for name, value in names.items() if value > names[best] - 3.0]  # odds of 20
         exact.append(best == hidden)
         classes.append(
-            max(families, key=lambda family: families[family])
-            == tuple(sorted(map(hidden_effects.family, truth.effects)))
+            max(families, key=lambda family: families[family]) == tuple(sorted(map(cells.family, truth.effects)))
         )
         inside.append(hidden in near)
         sizes.append(len(near))
@@ -241,7 +239,7 @@ def test_ceiling_of_two_effects_with_what_is_known() -> None:
 def with_less(seed: int) -> Iterator[tuple[dict[tuple[Possible, ...], float], set[str]]]:
     """Log posteriors of a set of two effects: sizes and number known, number known, neither; and what is hidden."""
     residual, possible, lam, truth = drawn("two, lambda 8", seed)
-    hidden = set(map(hidden_effects.key, truth.effects))
+    hidden = set(map(cells.key, truth.effects))
     known = among(residual, possible, lam, 2)
     averaged = of_any_size(known, residual, lam)
     yield from ((found, hidden) for found in (known, averaged, of_any_number(averaged, residual, possible)))

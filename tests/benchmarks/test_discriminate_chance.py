@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from doe.discrimination.t_optimal import discriminate
 from identification.arm import Arm
-from identification.files.measurement import load_measurements
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 
 DATA = Path(__file__).parents[1] / "data/ur10_planar/measurements.csv"
 ARM = Arm(np.array([612.0, 572.3, 115.7]))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from doe.bounds.column_generation import column_generation, relax
-from doe.jobs.running import call
+from doe.jobs import call
 from doe.problem.postures import PostureList
 from doe.solvers import solve
 from identification.arm import Arm

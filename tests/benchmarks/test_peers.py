@@ -20,8 +20,8 @@ import pytest
 from doe.bounds.column_generation import continuous_design
 from doe.problem.problem import DesignProblem
 from identification.files.arm import load_arm
-from identification.files.measurement import load_measurements
 from identification.gap.confirmation import split
+from identification.measurements import load_measurements
 from identification.model import Model
 from identification.model.minimal import minimal
 from tests.benchmarks.peers.approximate import grid

@@ -25,9 +25,8 @@ from doe.solvers import solve
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.estimation import estimate, estimate_with_prior
-from identification.files.measurement import load_measurements
 from identification.gap.library_prior import library_prior
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 from identification.model import Model
 
 DATA = Path(__file__).parents[3] / "shared/data/ur10_planar"

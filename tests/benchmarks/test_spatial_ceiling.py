@@ -17,9 +17,16 @@ import numpy as np
 import pytest
 
 from doe.studies.blind import cells
-from doe.studies.blind.cells import CELLS
-from doe.studies.blind.hidden_effects import EVERY_JOINT, SEEN, SPACE_JOINT, SPACE_WHOLE, directions, key
-from doe.studies.blind.simulator import OF_GRAVITY, RowConditions, TrueArm, base_jacobian, column, moments, position
+from doe.studies.blind.cells import CELLS, EVERY_JOINT, SEEN, SPACE_JOINT, SPACE_WHOLE, directions, key
+from doe.studies.blind.simulator import (
+    OF_GRAVITY,
+    RowConditions,
+    TrueArm,
+    base_jacobian,
+    column,
+    gravity_loads,
+    position,
+)
 from doe.studies.blind.simulator import session as session_of
 from tests.benchmarks.test_blind_ceiling import CIRCLE, log_mean
 
@@ -54,7 +61,7 @@ def of_gravity(
     """Type, joint and (3m, S) columns of every effect of gravity, for (S, 3) directions of gravity."""
     along = [replace(truth, gravity=axis) for axis in np.eye(3)]
     axes = truth.home[:-1, :3, 2]
-    torques = np.stack([np.einsum("mji,ji->mj", moments(one, run), axes) for one in along], axis=-1)
+    torques = np.stack([np.einsum("mji,ji->mj", gravity_loads(one, run)[0], axes) for one in along], axis=-1)
     whole = np.zeros((3 * len(run.q), len(directions)))
     stiffness = np.random.default_rng(1).uniform(0.5, 1.5, (truth.n, len(directions)))
     for j in range(1, truth.n + 1):

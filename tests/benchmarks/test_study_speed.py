@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import resource
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from doe.jobs.running import processes, serial
+from doe.jobs import SERIAL, processes
 from doe.plan.plan import Plan
-from doe.studies.monte_carlo import Fitted, Study, run_study
-from doe.studies.paper.study import LENGTHS
-from doe.studies.paper.tables import paper_arm, paper_truth
-from identification.arm import EffectSpec
+from doe.studies.monte_carlo import Study, run_study
+from doe.studies.paper import LENGTHS, paper_arm, paper_truth
 
 pytestmark = pytest.mark.benchmark
 LOOP = 100  # fits of the baseline
@@ -48,32 +45,35 @@ def seconds_per_general_fit() -> float:
 
 def test_studies_are_fast() -> None:
     arm, truth = paper_arm(), paper_truth()
-    table_3 = Study([arm], ["dft"], [20], truths=[truth], replications=10_000)
-    effects = (
-        EffectSpec("encoder_eccentricity", 2, {"a": 5e-4, "b": -2e-4}),
-        EffectSpec("base_offset", None, {"x0": 0.3, "y0": -0.2}),
-    )
+    effects = [
+        {"name": "encoder_eccentricity", "joint": 2, "a_deg": 0.03, "b_deg": -0.012},
+        {"name": "base_offset", "x0_mm": 0.3, "y0_mm": -0.2},
+    ]
     plan = Plan(np.random.default_rng(0).uniform(-np.pi, np.pi, (20, 4)))
-    fitted = Fitted("both", tuple(EffectSpec(e.name, e.joint) for e in effects))
-    two = Study(
-        [arm], [("plan", plan)], truths=[replace(truth, effects=effects)], models=[fitted], replications=100_000
-    )
-    run_study(replace(table_3, replications=10))  # imports
+    fitted = [{key: e[key] for key in ("name", "joint") if key in e} for e in effects]
+    models = {"truths": [truth | {"effects": effects}], "models": [{"name": "both", "effects": fitted}]}
+
+    def table_3(count: int) -> Study:
+        return Study.of([arm], ["dft"], runs=[20], truths=[truth], replications=count)
+
+    two = Study.of([arm], {"plan": plan}, replications=100_000, **models)
+    at_random = Study.of([arm], ["random"], runs=[20], replications=100_000, **models)
+    run_study(table_3(10))  # imports
     baseline = seconds_per_general_fit()
     print(f"\none general fit at a time: {1 / baseline:,.0f} fits/s")
     for name, study, workers, bar, ratio in (
-        ("Table III, 4 links, 20 points, 10,000", table_3, serial(), 0.5, 20.0),
-        ("closed form, 1,000,000", replace(table_3, replications=1_000_000), serial(), 5.0, 60.0),
+        ("Table III, 4 links, 20 points, 10,000", table_3(10_000), SERIAL, 0.5, 20.0),
+        ("closed form, 1,000,000", table_3(1_000_000), SERIAL, 5.0, 60.0),
         ("two effects, 100,000, two cores", two, processes(2), 20.0, 2.0),
         # new plans cost a Jacobian of their own, twice: for the fit and for the deviation that eq. 16 expects
-        ("the same on 100,000 random plans", replace(two, plans=["random"], runs=[20]), processes(2), 20.0, 0.5),
+        ("the same on 100,000 random plans", at_random, processes(2), 20.0, 0.5),
     ):
         began = time.perf_counter()
         result = run_study(study, None, workers)
         seconds = time.perf_counter() - began
-        gain = study.replications * baseline / seconds
+        gain = study.asked.replications * baseline / seconds
         print(f"{name:40s} {seconds:7.2f} s (bar {bar:g} s), {gain:6.0f} x one at a time (bar {ratio:g} x)")
-        assert result.cells["fits"][0] == study.replications
+        assert result.cells["fits"][0] == study.asked.replications
         assert gain >= ratio
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(f"peak memory {peak:.0f} MB (bar 2,000 MB)")

@@ -11,8 +11,7 @@ from doe.criteria import criterion
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification.arm import Arm, EffectSpec
-from identification.files.measurement import load_measurements
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 from identification.model import Model
 
 DATA = Path(__file__).parents[3] / "shared/data/ur10_planar/measurements.csv"

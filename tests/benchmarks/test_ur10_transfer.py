@@ -16,11 +16,10 @@ import pytest
 from identification.arm import Arm, EffectSpec
 from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.files.arm import load_arm
-from identification.files.measurement import load_measurements
 from identification.gap.confirmation import split
 from identification.gap.diagnose import diagnose
 from identification.gap.library_prior import given_by, library_prior
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 from identification.model import Model
 from identification.model.placed import placed_model
 from identification.validate import validate

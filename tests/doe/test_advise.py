@@ -17,7 +17,7 @@ from identification.document import Sheet, as_text
 from identification.errors import InputError
 from identification.for_design import with_scatter
 from identification.model import Model
-from identification.validate.reuse import only
+from identification.reuse import only
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
 from tests.doe.plan.test_addition import whole_information
 

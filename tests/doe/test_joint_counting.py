@@ -16,14 +16,12 @@ from identification.arm import Arm, Calibration
 from identification.compensate import compensate
 from identification.estimation import estimate
 from identification.estimation.doubts import outside_limits
-from identification.files.arm import load_arm
-from identification.files.arm_text import dump_arm
+from identification.files.arm import dump_arm, load_arm
 from identification.files.csv import read_table
-from identification.files.measurement import commands_text, load_measurements, load_targets, measurement_text, read_plan
-from identification.files.measurement_columns import read_postures
+from identification.files.measurement import commands_text, load_targets, measurement_text, read_plan, read_postures
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import Counting, JointKinds
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 from identification.model import Model
 from identification.simulate import simulate
 from tests.identification.kinematics.test_counting import countings

@@ -1,138 +1,163 @@
-"""Strategies of whole cases: a verb with options, right and wrong, and the files that it is given."""
+"""Strategies of whole cases: a verb with options, right and wrong, and the files that it is given.
+
+Some of these files are armcal's own: small campaigns of a planar arm, a spatial one and a ball bar, made once.
+"""
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 
 import click
+from click.testing import CliRunner
 from hypothesis import strategies as st
 
 from doe.cli import main
-from doe.cli.options import FilePath
-from tests.fuzz.arms import ArmText, arms
-from tests.fuzz.campaigns import campaigns
-from tests.fuzz.tables import measurements, plans, studies, targets
-from tests.fuzz.texts import mostly_valid, one_in, words
+from doe.cli.verb import FilePath
+from tests.fuzz.inputs import (
+    arms,
+    measurements,
+    mostly_valid,
+    one_in,
+    pick,
+    plans,
+    studies,
+    targets,
+    urdfs,
+    words,
+)
 
 LOOPS = {"loop": "pool", "pool": "loop"}  # links that lead in a circle, in every case's folder
 THERE = {"there.csv": "mine\n", "folder/mine.txt": "mine\n"}  # files of the user's, in every case's folder
-
-CAMPAIGN = ("calibrated.toml", "extended.toml", "arm.toml", "plan.csv", "data.csv")
-SAID = ("design", "score", "identify", "diagnose", "validate")
+WRITTEN_BY_ARMCAL = (
+    "calibrated.toml extended.toml arm.toml plan.csv data.csv design.json score.json identify.json diagnose.json "
+    "validate.json"
+)
 # of options and arguments: what makes sense, for some arm at least; of one verb: VERB.NAME
 VALUES = {
-    "design.runs": ["12", "8", "20", "4", "3", "1", "100000"],
-    "advise.runs": ["4:8", "10", "6:12", "30:31", "9:8"],
-    "compare.runs": ["8", "12", "3"],
-    "relax.runs": ["12", "20"],
-    "discriminate.runs": ["2", "4"],
-    "solver": ["exchange", "random", "fedorov", "ipopt", "analytic", "exchange_ipopt", "relaxation_rounding", "none"],
-    "relax.solver": ["column_generation", "clarabel", "scs", "multiplicative", "none"],
-    "solvers": ["random", "exchange,random", "none"],
-    "criterion": ["D", "A", "E", "I", "Ds", "Dstar", "d"],
-    "criteria": ["D", "A", "D,A", "none"],
-    "subset": ["length_error:1", "length_error:1,joint_offset:2", "joint_offset:1", "translation_x:2", "base.x"],
-    "missing": ["backlash,gear_ratio", "joint_compliance", "base_offset", "none_such"],
-    "order": ["given", "travel", "random", "best"],
-    "loss": ["0.05", "0.5", "2", "-1"],
-    "seconds": ["0.1", "0.3"],
-    "starts": ["1", "2"],
-    "draws": ["2", "1"],
-    "grid": ["2", "3", "9"],
-    "minimum_distance_deg": ["1", "30", "0", "1e4"],
-    "uncertain": ["average", "worst", "best"],
-    "target_mm": ["0.1", "0.02", "-1"],
-    "method": ["linear", "gauss_newton", "paper_steps", "none"],
-    "payloads": ["0,5", "0", "5,-1"],
-    "holdout": ["more.csv", "0.3", "2"],
-    "links": ["3", "1", "12", "13", "612,572.3", "0,1"],
-    "dh": ["6", "1", "12", "13"],
-    "base_link": ["link_0", "link_1", "none"],
-    "tip_link": ["link_1", "tool0", "none"],
-    "replications": ["1", "3"],
-    "repeats": ["1"],
-    "workers": ["1"],
-    "cluster": ["none", "tcp:/x"],
-    "name": ["backlash", "backlash:2", "none_such", "transmission_ripple"],
-    "topic": ["formats", "design", "help", "none"],
-    "arm": ["arm.toml"],
-    "arms": ["arm.toml"],
-    "model": ["arm.toml"],
-    "calibrated": ["arm.toml"],
-    "truth": ["truth.toml", "arm.toml"],
-    "plan": ["plan.csv"],
-    "data": ["data.csv", "data.csv", "data.csv", "more.csv"],
-    "targets": ["targets.csv", "plan.csv"],
-    "files": [
-        "calibrated.toml",
-        "extended.toml",
-        "arm.toml",
-        "plan.csv",
-        "data.csv",
-        *(f"{verb}.json" for verb in SAID),
-    ],
-    "prior_from": ["arm.toml"],
-    "only": ["lengths", "joint_offsets", "base", "tool", "effects", "joint_offset:2", "none"],
-    "study": ["study.toml"],
-    "keep": ["plan.csv", "data.csv"],
-    "candidates": ["candidates.csv", "plan.csv"],
-    "test_poses": ["plan.csv"],
-    "robot": ["robot.urdf"],
-    "seed": ["0", "7", "12", "-1", "99999999999999999999"],
+    "design.runs": "12 8 20 4 3 1 100000",
+    "advise.runs": "4:8 10 6:12 30:31 9:8",
+    "compare.runs": "8 12 3",
+    "relax.runs": "12 20",
+    "discriminate.runs": "2 4",
+    "solver": "exchange random fedorov ipopt analytic exchange_ipopt relaxation_rounding none",
+    "relax.solver": "column_generation clarabel scs multiplicative none",
+    "solvers": "random exchange,random none",
+    "criterion": "D A E I Ds Dstar d",
+    "criteria": "D A D,A none",
+    "subset": "length_error:1 length_error:1,joint_offset:2 joint_offset:1 translation_x:2 base.x",
+    "missing": "backlash,gear_ratio joint_compliance base_offset none_such",
+    "order": "given travel random best",
+    "loss": "0.05 0.5 2 -1",
+    "seconds": "0.1 0.3",
+    "starts": "1 2",
+    "draws": "2 1",
+    "grid": "2 3 9",
+    "minimum_distance_deg": "1 30 0 1e4",
+    "uncertain": "average worst best",
+    "target_mm": "0.1 0.02 -1",
+    "method": "linear gauss_newton paper_steps none",
+    "payloads": "0,5 0 5,-1",
+    "holdout": "more.csv 0.3 2",
+    "links": "3 1 12 13 612,572.3 0,1",
+    "dh": "6 1 12 13",
+    "base_link": "link_0 link_1 none",
+    "tip_link": "link_1 tool0 none",
+    "replications": "1 3",
+    "repeats": "1",
+    "workers": "1",
+    "cluster": "none tcp:/x",
+    "name": "backlash backlash:2 none_such transmission_ripple",
+    "topic": "formats design help none",
+    "truth": "truth.toml arm.toml",
+    "data": "data.csv data.csv data.csv more.csv",
+    "targets": "targets.csv plan.csv",
+    "files": WRITTEN_BY_ARMCAL,
+    "only": "lengths joint_offsets base tool effects joint_offset:2 none",
+    "study": "study.toml",
+    "keep": "plan.csv data.csv",
+    "candidates": "candidates.csv plan.csv",
+    "robot": "robot.urdf",
+    "seed": "0 7 12 -1 99999999999999999999",
+    **dict.fromkeys(("arm", "arms", "model", "calibrated", "prior_from"), "arm.toml"),
+    **dict.fromkeys(("plan", "test_poses"), "plan.csv"),
 }
 # options that another one asks for
 NEEDS = {
     "design.draws": ("--uncertain", "average"),
     "design.loss": ("--discriminating", ""),
-    "design.missing": ("--robust", ""),
-    "relax.missing": ("--robust", ""),
+    **dict.fromkeys(("design.missing", "relax.missing", "relax.runs", "score.missing"), ("--robust", "")),
     "relax.robust": ("--runs", "12"),
-    "relax.runs": ("--robust", ""),
-    "score.missing": ("--robust", ""),
     "subset": ("--criterion", "Ds"),
     "test_poses": ("--criterion", "I"),
     "identify.missing": ("--prior", ""),
-    "base_link": ("--urdf", "robot.urdf"),
-    "tip_link": ("--urdf", "robot.urdf"),
+    **dict.fromkeys(("base_link", "tip_link"), ("--urdf", "robot.urdf")),
     "resume": ("--out", "out"),
 }
 OF_SPATIAL = {"identify.urdf", "identify.parameters"}  # options of one kind of arm alone
 OF_PLANAR = {"design.discriminating"}
-RARE = {
-    "cluster": 100,
-    "resume": 12,
-    "seed": 12,
-    "robust": 12,
-    "uncertain": 20,
-    "missing": 20,
-    "minimum_distance_deg": 12,
-}
+RARE = {"cluster": 100, "uncertain": 20, "missing": 20}
+RARE |= dict.fromkeys(("resume", "seed", "robust", "minimum_distance_deg"), 12)
 PICTURES = ["out.png", "out.svg", "new.png", "out.pdf"]
 WRITTEN = ["out.csv", "out.toml", "out.urdf", "out.png", "out.html", "out.svg", "out"]
-NO_OUTPUT = [
-    "there.csv",
-    "folder",
-    "none/out.csv",
-    "loop",
-    "a" * 300,
-    "arm.toml",
-    "line\nbreak.csv",
-    "/dev/full",
-    "p.gif",
-]
+NO_OUTPUT = ["there.csv", "folder", "none/out.csv", "loop", "a" * 300, "arm.toml", "line\nbreak.csv", "/dev/full"]
+NO_OUTPUT += ["p.gif"]
 NO_INPUT = ["none.csv", "folder", "loop", "arm.toml", "plan.csv", "data.csv", "", "/dev/null", "there.csv"]
-ALWAYS = {
-    "seconds",
-    "workers",
-    "repeats.compare",
-    "solvers.compare",
-    "grid",
-    "starts",
-}  # budgets, so that a case takes little
-EXPENSIVE = {"demo": 1, "compare": 1, "study": 4, "discriminate": 2, "diagnose": 4, "advise": 3}
-CHEAP = {"init", "effects", "help", "simulate", "check", "identify", "compensate", "validate", "score"}
+# budgets, so that a case takes little
+ALWAYS = {"seconds", "workers", "compare.repeats", "compare.solvers", "grid", "starts"}
+WEIGHTS = {"demo": 1, "compare": 1, "study": 4, "discriminate": 2, "diagnose": 4, "advise": 3}
 MAKERS = {"plan.csv": plans, "candidates.csv": plans, "data.csv": measurements, "more.csv": measurements}
 MAKERS |= {"targets.csv": targets, "study.toml": studies}
+
+PLANAR = "links_mm = [260.0, 180.0]\n[measurement]\nsigma_mm = 0.1\n"
+SPATIAL = (
+    'kind = "spatial"\n[[dh]]\na_mm = 0.0\nalpha_deg = 90.0\nd_mm = 400.0\n'
+    "[[dh]]\na_mm = -600.0\nalpha_deg = 0.0\nd_mm = 0.0\n[tool]\nx_mm = 0.0\ny_mm = 60.0\nz_mm = 80.0\n"
+    "[measurement]\nsigma_mm = 0.1\n"
+)
+BAR = '[instrument]\nkind = "distance"\ncenter_mm = [500.0, -200.0, 300.0]\n'
+OFFSET = '[calibration]\nvalues = {"joint_offset:2" = 0.3}\n'
+CAMPAIGNS = {  # of each kind the file, and what its truth has besides
+    "planar": (PLANAR, "[calibration]\nlength_errors_mm = [0.5, -0.2]\njoint_offsets_deg = [0.1, 0.3]\n"),
+    "spatial": (SPATIAL, OFFSET),
+    "bar": (SPATIAL + BAR, OFFSET),
+}
+ECCENTRIC = '[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.08\nb_deg = 0.02\n'
+STEPS = (
+    "design arm.toml --runs 40 --starts 1 --seconds 1 --out plan.csv",
+    "simulate arm.toml plan.csv --truth truth.toml --out data.csv",
+    "score arm.toml plan.csv",
+    "identify arm.toml data.csv --out calibrated.toml",
+    "diagnose arm.toml data.csv --out extended.toml --force",
+    "validate calibrated.toml data.csv",
+)
+
+
+def files_by_armcal() -> dict[str, dict[str, str]]:
+    """Kind of arm -> name -> text of each file, and of what each verb says with --json."""
+    runner, campaigns = CliRunner(), {}
+    for kind, (arm, values) in CAMPAIGNS.items():
+        with runner.isolated_filesystem():
+            Path("arm.toml").write_text(arm)
+            Path("truth.toml").write_text(arm + values + ECCENTRIC)
+            for line in STEPS:
+                done = runner.invoke(main, [*line.split(), "--json", "--quiet"], catch_exceptions=False)
+                assert done.exit_code == 0, done.stderr
+                Path(f"{line.split()[0]}.json").write_text(done.stdout)
+            paths = (path for path in sorted(Path().iterdir()) if path.name in WRITTEN_BY_ARMCAL.split())
+            campaigns[kind] = {path.name: path.read_text() for path in paths}
+    return campaigns
+
+
+@cache
+def every_campaign() -> dict[str, dict[str, str]]:
+    """All of `files_by_armcal`, by one process of its own, as cases are forks of this one."""
+    done = subprocess.run([sys.executable, "-m", __name__], capture_output=True, check=True)
+    return dict(json.loads(done.stdout))
 
 
 @dataclass(frozen=True)
@@ -150,98 +175,72 @@ class Case:
 
 @st.composite
 def cases(draw: st.DrawFn, verbs: frozenset[str] = frozenset(main.commands)) -> Case:
-    """Of these verbs, and now and then of none."""
-    weighted = [verb for verb in sorted(verbs) for _ in range(EXPENSIVE.get(verb, 8))]
-    verb = draw(st.sampled_from(weighted))
+    """Of these verbs, and now and then of none; the files that the line or a study names, spoilt one in seven."""
+    verb = pick(draw, [verb for verb in sorted(verbs) for _ in range(WEIGHTS.get(verb, 8))])
     arm = draw(arms())
     line = [verb, *draw(arguments(verb, arm.spatial))]
     if one_in(draw, 50):
         line[draw(st.integers(0, len(line) - 1))] = draw(words)
-    if verb == "report" or one_in(draw, 6):  # what armcal itself wrote
-        written = draw(campaigns(frozenset(line)))
-        return Case(line, draw(files(frozenset(line), arm)) | written)
-    return Case(line, draw(files(frozenset(line), arm)))
-
-
-@st.composite
-def files(draw: st.DrawFn, line: frozenset[str], arm: ArmText) -> dict[str, str]:
-    """Those that a command line or a study names, spoilt one in seven."""
-    found = {"arm.toml": draw(mostly_valid(arm.text)), **dict(arm.files)}
-    if "init" in line and not one_in(draw, 6):  # which writes it
-        del found["arm.toml"]
-    if "robot.urdf" in line and "robot.urdf" not in found:
-        found["robot.urdf"] = draw(_urdf())
-    needed = {*line, *(("plan.csv",) if "study.toml" in line else ())}
-    for name, maker in MAKERS.items():
-        if name in needed:
-            found[name] = draw(mostly_valid(draw(maker(arm))))
+    files, needed = {}, {*line, *(("plan.csv",) if "study.toml" in line else ())}
+    if "init" not in line or one_in(draw, 6):  # which writes it
+        files["arm.toml"] = draw(mostly_valid(arm.text))
+    if arm.urdf or "robot.urdf" in line:
+        files["robot.urdf"] = arm.urdf or draw(mostly_valid(draw(urdfs(3))[0]))
+    for name in sorted(MAKERS.keys() & needed):
+        files[name] = draw(mostly_valid(draw(MAKERS[name](arm))))
     if "truth.toml" in needed:
-        found["truth.toml"] = draw(mostly_valid(truth(arm)))
-    return found
-
-
-@st.composite
-def _urdf(draw: st.DrawFn) -> str:
-    from tests.fuzz.arms import urdfs
-
-    return draw(mostly_valid(draw(urdfs(3))[0]))
-
-
-def truth(arm: ArmText) -> str:
-    """The arm with a calibration, where it has none."""
-    if "[calibration]" in arm.text or arm.spatial:
-        return arm.text
-    values = ", ".join(["0.0"] * len(arm.kinds))
-    return f"{arm.text}\n[calibration]\nlength_errors_mm = [{values}]\njoint_offsets_deg = [{values}]\n"
+        zeros = [0.0] * len(arm.kinds)
+        none = f"[calibration]\nlength_errors_mm = {zeros}\njoint_offsets_deg = {zeros}\n"
+        known = arm.spatial or "[calibration]" in arm.text
+        files["truth.toml"] = draw(mostly_valid(arm.text + ("" if known else none)))
+    if verb == "report" or one_in(draw, 6):  # what armcal itself wrote, a table of another arm now and then
+        own, other = (every_campaign()[kind] for kind in draw(st.permutations(list(CAMPAIGNS)))[:2])
+        for name in sorted(needed & own.keys()):
+            files[name] = other[name] if one_in(draw, 40) else draw(mostly_valid(own[name]))
+    return Case(line, files)
 
 
 @st.composite
 def arguments(draw: st.DrawFn, verb: str, spatial: bool) -> list[str]:
     """Words after the verb, for an arm of this kind."""
-    found: list[str] = []
+    line: list[str] = []
     needed: dict[str, str] = {}
     parameters = main.commands[verb].params
     seldom = 6 if len(parameters) < 15 else 12  # so that some of the longest lines make sense too
     for parameter in parameters:
-        name = str(parameter.name)
-        if f"{verb}.{name}" in (OF_PLANAR if spatial else OF_SPATIAL) and not one_in(draw, 20):
+        name, full = str(parameter.name), f"{verb}.{parameter.name}"
+        if full in (OF_PLANAR if spatial else OF_SPATIAL) and not one_in(draw, 20):
             continue
-        wanted = parameter.required or name in ALWAYS or f"{name}.{verb}" in ALWAYS
+        wanted = parameter.required or name in ALWAYS or full in ALWAYS
         if one_in(draw, 60) if wanted else not one_in(draw, RARE.get(name, seldom)):
             continue
-        option = isinstance(parameter, click.Option)
-        if (need := NEEDS.get(f"{verb}.{name}", NEEDS.get(name))) and not one_in(draw, 6):
+        if (need := NEEDS.get(full, NEEDS.get(name))) and not one_in(draw, 6):
             needed |= dict([need])
-        if option and parameter.is_flag:
-            found.append(draw(st.sampled_from([*parameter.opts, *parameter.secondary_opts])))
+        if isinstance(parameter, click.Option) and parameter.is_flag:
+            line.append(pick(draw, [*parameter.opts, *parameter.secondary_opts]))
             continue
         several = parameter.nargs == -1 and one_in(draw, 2 if name == "files" else 8)
         count = draw(st.integers(2, 6)) if several else 1
-        for value in dict.fromkeys(draw(value_of(verb, name, parameter)) for _ in range(count)):
-            found += [parameter.opts[0], value] if option else [value]
+        for value in dict.fromkeys(draw(value_of(full, parameter)) for _ in range(count)):
+            line += [parameter.opts[0], value] if isinstance(parameter, click.Option) else [value]
     for option, value in needed.items():
-        found = with_option(found, option, value)
-    if one_in(draw, 60):
-        found.append(draw(st.sampled_from(["--none", "--json", "extra", "--help", "-"])))
-    return found
-
-
-def with_option(line: list[str], option: str, value: str) -> list[str]:
-    """A line that has the option with this value; "": a flag."""
-    place = line.index(option) if option in line else len(line)
-    return [*line[:place], option, *([value] if value else []), *line[place + (2 if value else 1) :]]
-
-
-def value_of(verb: str, name: str, parameter: click.Parameter) -> st.SearchStrategy[str]:
-    """Mostly one that makes sense."""
-    if isinstance(parameter.type, FilePath) and parameter.type.written:
-        return mostly(st.sampled_from(PICTURES if parameter.type.picture else WRITTEN), st.sampled_from(NO_OUTPUT))
-    right = VALUES.get(f"{verb}.{name}", VALUES.get(name, list(getattr(parameter.type, "choices", ()))))
-    wrong = st.sampled_from(NO_INPUT) if isinstance(parameter.type, click.Path) or name == "study" else words
-    return mostly(st.sampled_from(right or ["1"]), wrong)
+        place = line.index(option) if option in line else len(line)
+        line[place : place + (2 if value else 1)] = [option, *([value] if value else [])]
+    return [*line, *([pick(draw, ["--none", "--json", "extra", "--help", "-"])] if one_in(draw, 60) else [])]
 
 
 @st.composite
-def mostly(draw: st.DrawFn, right: st.SearchStrategy[str], wrong: st.SearchStrategy[str]) -> str:
-    """One that makes no sense in one of thirty."""
-    return draw(wrong if one_in(draw, 30) else right)
+def value_of(draw: st.DrawFn, full: str, parameter: click.Parameter) -> str:
+    """One that makes sense for an option or argument VERB.NAME, but for one in thirty."""
+    name = full.rpartition(".")[2]
+    if isinstance(parameter.type, FilePath) and parameter.type.written:
+        return pick(draw, NO_OUTPUT if one_in(draw, 30) else PICTURES if parameter.type.picture else WRITTEN)
+    if one_in(draw, 30):
+        file = isinstance(parameter.type, click.Path) or name == "study"
+        return pick(draw, NO_INPUT) if file else draw(words)
+    known = VALUES.get(full, VALUES.get(name, "")).split()
+    return pick(draw, known or list(getattr(parameter.type, "choices", ())) or ["1"])
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(files_by_armcal()))

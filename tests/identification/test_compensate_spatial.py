@@ -10,8 +10,7 @@ import pytest
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
-from identification.compensate import compensate
-from identification.compensate.inverse_kinematics import TOLERANCE
+from identification.compensate import TOLERANCE, compensate
 from identification.documents.use import compensation_document
 from identification.errors import InputError
 from identification.files.measurement import commands_text, load_targets

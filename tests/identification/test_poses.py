@@ -11,12 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, Calibration
 from identification.estimation import estimate
-from identification.files.arm import load_arm
-from identification.files.arm_text import with_calibration
-from identification.files.measurement import load_measurements, measurement_text
+from identification.files.arm import load_arm, with_calibration
+from identification.files.measurement import measurement_text
 from identification.inspection.data_checks import data_warnings
 from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 from identification.model import Model
 from identification.model.minimal import minimal
 from identification.model.placed import placed_model

@@ -11,13 +11,11 @@ import pytest
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.compensate import compensate
 from identification.estimation import estimate
-from identification.files.arm import load_arm
-from identification.files.arm_text import with_effects
-from identification.files.measurement import load_measurements, measurement_text
-from identification.measurements import Measurements
+from identification.files.arm import load_arm, with_effects
+from identification.files.measurement import measurement_text
+from identification.measurements import Measurements, load_measurements
 from identification.model import Model
-from identification.servo import following_errors, servo_shift, with_servo_errors
-from identification.simulate import simulate
+from identification.simulate import following_errors, servo_shift, simulate, with_servo_errors
 
 ARM = Arm([300.0, 250.0], sigma=0.05)
 SLACK = {1: (2e-4, 5e-5), 2: (-3e-4, 8e-5)}

@@ -13,7 +13,7 @@ import numpy as np
 from identification.arm import MAX_LINKS
 from identification.errors import InputError, printable
 from identification.files.io import PathLike
-from identification.files.measurement_columns import UNITS
+from identification.files.measurement import UNITS
 from identification.files.schema import json_schema, validated_arm
 from identification.files.urdf import Urdf, read_urdf
 from identification.instruments import KINDS, TRACKER

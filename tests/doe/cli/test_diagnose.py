@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from identification.errors import InputError
-from identification.files import arm_text
+from identification.files import arm as arm_files
 from identification.files.arm import load_arm
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 
@@ -108,7 +108,7 @@ def test_the_diagnosis_is_shown_where_the_file_cannot_be_written(
     def refuse(*_: object) -> str:
         raise InputError("length_errors_mm: found -231.6 for link 3, allowed: a positive length")
 
-    monkeypatch.setattr(arm_text, "with_calibration", refuse)
+    monkeypatch.setattr(arm_files, "with_calibration", refuse)
     done = sessions.armcal(*WORDS, "--out", "extended.toml")
     assert done.code == 2
     assert "(encoder_eccentricity:2)" in done.out.splitlines()[0]

@@ -12,8 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli import main
-from doe.cli.common import check_outputs, verb
-from doe.cli.options import FOLDER, FilePath, WholeNumbers, written
+from doe.cli.plans import written
+from doe.cli.verb import FOLDER, FilePath, WholeNumbers, check_outputs, verb
 from identification.document import Answer
 from identification.errors import InputError
 from identification.workflow import Names

@@ -11,14 +11,14 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress as Bar
 
-from doe.cli.progress import Lines, bar_columns, lines, shown_progress
+from doe.cli.verb import Lines, bar_columns, lines, shown_progress
 from identification.progress import silent
 from tests.doe.cli.conftest import Folder
 
 
 def test_a_line_now_and_then_also_from_a_silent_job(capfd: pytest.CaptureFixture[str]) -> None:
-    with lines("design", interval=0.05) as report:
-        report(3, 10, "best -1.35")
+    with lines("design", interval=0.05) as told:
+        told.tell(3, 10, "best -1.35")
         time.sleep(0.3)
     said = capfd.readouterr().err.splitlines()
     assert len(said) >= 2
@@ -68,7 +68,7 @@ def test_the_times_are_whole_in_a_narrow_terminal(width: int) -> None:
 
 def test_every_verb_says_that_it_is_at_work(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also those that have no steps to tell: here with a line at once instead of every ten seconds."""
-    monkeypatch.setattr("doe.cli.progress.lines", partial(lines, interval=1e-4))
+    monkeypatch.setattr("doe.cli.verb.lines", partial(lines, interval=1e-4))
     folder.simulated()
     for words in (["score", "arm.toml", "plan.csv"], ["check", "arm.toml", "data.csv"]):
         assert f"armcal {words[0]}: 0 s" in folder.armcal(*words).err

@@ -15,7 +15,7 @@ from tests.doe.cli.conftest import Folder, without_progress
 
 ROOT = Path(__file__).parents[3]
 START = """
-import os, sys, tempfile, doe.cli.common as common
+import os, sys, tempfile, doe.cli.verb as common
 tempfile._candidate_tempdir_list = lambda: [os.environ.get("TMPDIR", "/dev/null/none")]
 common.SHARED_MEMORY = common.Path("/dev/null/none")
 from doe.cli import main

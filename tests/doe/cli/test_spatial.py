@@ -9,18 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.cli.common import with_collisions
+from doe.cli.plans import with_collisions
 from doe.problem.constraints import COLLISIONS
 from identification.document import Answer
 from identification.estimation import estimate
 from identification.files.arm import load_arm
-from identification.files.measurement import load_measurements
 from identification.files.urdf import read_urdf
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.corrected import corrected
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, rotation_about
 from identification.kinematics.parameters import PRISMATIC
-from identification.measurements import rms_distance
+from identification.measurements import load_measurements, rms_distance
 from identification.model import Model
 from tests.doe.cli.conftest import ARM as PLANAR
 from tests.doe.cli.conftest import Folder

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from doe.cli.stopping import stoppable, stopped_by
+from doe.cli.verb import stoppable, stopped_by
 
 
 class Ending:

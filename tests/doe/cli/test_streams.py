@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from doe.cli.common import verb
+from doe.cli.verb import verb
 from identification.document import Answer
 from tests.doe.cli.conftest import Folder, without_progress
 

@@ -15,9 +15,7 @@ from scipy.stats import chi2
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import Array
-from identification.compensate import compensate
-from identification.compensate.compensation import Compensation
-from identification.compensate.inverse_kinematics import TOLERANCE
+from identification.compensate import TOLERANCE, Compensation, compensate
 from identification.errors import InputError
 from identification.estimation import estimate
 from identification.files.measurement import commands_text

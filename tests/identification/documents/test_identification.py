@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from identification.arm import Arm, Calibration
-from identification.compensate.compensation import Compensation
+from identification.compensate import Compensation
 from identification.document import Sheet, as_text
 from identification.documents.identification import (
     corrected_section,
@@ -26,7 +26,7 @@ from identification.documents.use import (
     validation_verdict,
     without_command,
 )
-from identification.estimation.corrected_values import CorrectedValue
+from identification.estimation.result import CorrectedValue
 from identification.measurements import Measurements
 from identification.validate import validate
 

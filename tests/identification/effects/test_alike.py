@@ -12,8 +12,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
 from identification.errors import InputError
 from identification.estimation import estimate
-from identification.files.arm import load_arm
-from identification.files.arm_text import dump_arm, with_calibration, with_effects
+from identification.files.arm import dump_arm, load_arm, with_calibration, with_effects
 from identification.gap.hypotheses import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model

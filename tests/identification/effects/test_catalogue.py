@@ -13,7 +13,6 @@ from identification.arm import EffectSpec
 from identification.effects import build, library, register
 from identification.effects.base import _LIBRARY
 from identification.effects.catalogue import GRAVITY, SUPPLY, entries, entry
-from identification.effects.joint import Backlash
 from identification.files.arm import arm_from_tables
 from identification.kinematics.chain import planar_chain
 
@@ -65,7 +64,9 @@ def test_what_is_needed_says_how_to_give_it() -> None:
 
 def test_a_users_own_effect_is_in_the_list() -> None:
     own = type(
-        "Own", (Backlash,), {"name": "own_play", "summary": "my own play", "__module__": "mine", "__doc__": "Mine."}
+        "Own",
+        (library()["backlash"],),
+        {"name": "own_play", "summary": "my own play", "__module__": "mine", "__doc__": "Mine."},
     )
     register(own)
     try:

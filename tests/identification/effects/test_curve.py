@@ -15,8 +15,7 @@ from identification.effects import build
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.estimation.estimate import estimate
-from identification.files.arm import load_arm
-from identification.files.arm_text import dump_arm, with_calibration, with_effects
+from identification.files.arm import dump_arm, load_arm, with_calibration, with_effects
 from identification.kinematics.chain import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model

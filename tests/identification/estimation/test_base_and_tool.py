@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm
 from identification.estimation import Identification, estimate
-from identification.estimation.expected_tip import TOGETHER, flange_turns
+from identification.estimation.doubts import TOGETHER, flange_turns
 from identification.inspection.inspection import inspect
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_own_axes, pose

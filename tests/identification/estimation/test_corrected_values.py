@@ -18,16 +18,15 @@ from scipy.spatial.transform import Rotation
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.documents.identification import conventions, corrected_table
 from identification.estimation import Identification, estimate, estimate_with_prior
-from identification.estimation.corrected_values import (
+from identification.estimation.problem import Prior
+from identification.estimation.result import (
     Calibrated,
     CorrectedValue,
     corrected_values,
     dh_places,
     dh_values,
 )
-from identification.estimation.prior import Prior
-from identification.files.arm import load_arm
-from identification.files.arm_text import dump_arm
+from identification.files.arm import dump_arm, load_arm
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
 from identification.measurements import Measurements

@@ -16,9 +16,8 @@ from scipy import stats
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate, without_outliers
-from identification.files.measurement import load_measurements
 from identification.information import information_matrix
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 from identification.model import Model
 from identification.status import Status
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit

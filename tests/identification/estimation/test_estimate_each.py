@@ -8,7 +8,7 @@ import pytest
 from identification.arm import EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_each
-from identification.estimation.batch import sessions
+from identification.estimation.estimate import sessions
 from identification.information import covariance, covariances, full_rank
 from identification.measurements import Measurements
 from identification.model import Model

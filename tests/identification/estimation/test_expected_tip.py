@@ -10,10 +10,10 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch
-from identification.estimation.expected_tip import expected_tip, size_left_open
+from identification.estimation.doubts import expected_tip, size_left_open
 from identification.files.arm import load_arm
-from identification.files.measurement import load_measurements
 from identification.instruments import Distance, Instrument, Plane, Sphere
+from identification.measurements import load_measurements
 from identification.model import Model
 from tests.doe.six_axis import CHAIN
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth

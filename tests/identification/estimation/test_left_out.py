@@ -9,8 +9,8 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.expected_tip import left_out_rms
-from identification.estimation.prior import Prior
+from identification.estimation.doubts import left_out_rms
+from identification.estimation.problem import Prior
 from identification.measurements import Measurements
 from identification.model import Model
 

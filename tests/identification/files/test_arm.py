@@ -15,8 +15,7 @@ from hypothesis.extra.numpy import arrays
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import readonly
 from identification.errors import InputError
-from identification.files.arm import arm_from_tables, load_arm
-from identification.files.arm_text import dump_arm, with_calibration, with_effects
+from identification.files.arm import arm_from_tables, dump_arm, load_arm, with_calibration, with_effects
 from identification.files.io import read_text
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
@@ -188,7 +187,7 @@ BAD = [  # values that are of the right type
     (PLAIN + "[joints]\nzero_deg = [0, 1e9]", "joints.zero_deg"),
     (PLANAR.replace("[1, 1]", "[1]"), "gravity.link_masses_kg: found 1"),
     (PLANAR.replace("[1, 1]", "[1, -1]"), "gravity.link_masses_kg[2]: found -1"),
-    (PLANAR.replace("[0, -9.81]", "[0]"), "gravity.acceleration_m_s2: found 1"),
+    (PLANAR.replace("[0, -9.81]", "[0]"), "gravity.acceleration_m_s2: found [0]"),
     (PLANAR + "center_of_mass = [0.5, 1.5]", "gravity.center_of_mass[2]: found 1.5"),
     (PLANAR + "center_of_mass = [0.5]", "gravity.center_of_mass: found 1"),
     (PLANAR + "payload_kg = -1", "gravity.payload_kg: found -1"),
@@ -211,7 +210,7 @@ BAD = [  # values that are of the right type
     (PLAIN + CALIBRATION + "covariance = [[1]]", "calibration.parameters: is missing"),
     (PLAIN + TWO + "covariance = [[1, 0]]", "calibration.covariance: found 1 rows"),
     (PLAIN + TWO + "covariance = [[1], [2]]", "calibration.covariance: found 1 values"),
-    (PLAIN + TWO + "covariance = [[1, 0], [0, -2]]", "variance -2 of joint_offset:2"),
+    (PLAIN + TWO + "covariance = [[1, 0], [0, -2]]", "found -2 and -2 of joint_offset:2"),
     (PLAIN + TWO + "covariance = [[4, 1], [0, 1]]", "found 1 and 0 of length_error:1"),
     (PLAIN + TWO + "covariance = [[1, 2], [2, 1]]", "found 2 and 2 of length_error:1"),
     (PLAIN + TWO + "covariance = [[1, 1], [1, 0]]", "found 1 and 1 of length_error:1"),
@@ -223,11 +222,11 @@ BAD = [  # values that are of the right type
     # of what is kept of a fit, what the program itself reads again
     *(
         (f"{ORIGIN}rows = {value}", f"rows: found {said}")
-        for value, said in (("0", "0"), ('"many"', "'many'"), ("true", "True"))
+        for value, said in (("0", "0"), ('"many"', "'many'"), ("true", "true"))
     ),
     (ORIGIN + "joint_range_deg = [[0.0, 90.0], [90.0, -90.0]]", "joint_range_deg[2]: found [90.0, -90.0]"),
     (ORIGIN + "joint_range_deg = [[0.0, 90.0, 100.0]]", "joint_range_deg[1]: found [0.0, 90.0, 100.0]"),
-    (ORIGIN + "joint_range_deg = 5", "joint_range_deg[1]: found 5"),
+    (ORIGIN + "joint_range_deg = 5", "joint_range_deg: found 5"),
     (ORIGIN + "joint_range_mm = [[nan, 1.0]]", "joint_range_mm[1]: found [nan, 1.0]"),
 ]
 
@@ -282,7 +281,7 @@ def test_provenance_leaves_out_what_toml_cannot_say() -> None:
 
 
 def test_calibrations_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match=r"length_errors_mm: found 3 values for 2 links"):
+    with pytest.raises(InputError, match=r"length_errors_mm: found 3 values for 2 joints"):
         with_calibration(PLAIN, Calibration.of(readonly([1, 2, 3]), readonly([0, 0, 0])))
     with pytest.raises(
         InputError, match=r"calibration: found 3 length errors and 2 joint offsets, allowed: one of each"

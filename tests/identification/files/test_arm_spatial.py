@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from identification.arm import Arm, Machining
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.files.arm import load_arm
-from identification.files.arm_text import with_calibration
+from identification.files.arm import load_arm, with_calibration
 from identification.files.urdf import read_urdf
 from identification.kinematics.chain import BASE, TOOL, DHRow
 from identification.kinematics.frames import pose
@@ -273,8 +272,8 @@ BAD = [  # values that are of the right type: what to replace, by what, and what
     (BY_URDF, "lower = [-300.0]", "lower = [900.0]", "joint_limits_mm: joint 1"),
     (BY_URDF, "x_mm = 60.0", "w_mm = 60.0", "tool.left.w_mm: unknown key"),
     (BY_URDF, "rotation_deg = 0.2", "rotation_deg = -1.0", "machining.rotation_deg: found -1.0"),
-    (BY_URDF, "[0.0, 0.0, -9.81]", "[0.0, -9.81]", "gravity.acceleration_m_s2: found 2"),
-    (BY_URDF, "-20.0, 80.0]", "-20.0]", "gravity.payload_at_mm: found 2"),
+    (BY_URDF, "[0.0, 0.0, -9.81]", "[0.0, -9.81]", "gravity.acceleration_m_s2: found [0.0, -9.81]"),
+    (BY_URDF, "-20.0, 80.0]", "-20.0]", "gravity.payload_at_mm: found [10.0, -20.0]"),
     (BY_URDF, ", 1.0, 0.5]", ", 1.0]", "gravity.link_masses_kg: found 5"),
     (BY_URDF, "50.0, 0.0]\n\n[joint", "50.0]\n\n[joint", "gear_ratio: found 5"),
     (BY_URDF, "z_mm = [100.0, 2000.0]", "", "constraints[1].z_mm: is missing"),
@@ -282,7 +281,7 @@ BAD = [  # values that are of the right type: what to replace, by what, and what
     (BY_URDF, '"keep_out_sphere"', '"keep_out_circle"', "constraints[2].kind: found 'keep_out_circle'"),
     (BY_URDF, "end_mm = [350.0, 200.0, 900.0]", "end_mm = [350.0, 200.0, 0.0]", "constraints[3].end_mm: found"),
     (BY_URDF, "facing = [0.0, 0.0, 1.0]", "", "constraints[4].acceptance_deg: found without facing"),
-    (BY_URDF, "range_mm = [500.0, 5000.0]", "range_mm = [500.0]", "constraints[4].range_mm: found 1"),
+    (BY_URDF, "range_mm = [500.0, 5000.0]", "range_mm = [500.0]", "constraints[4].range_mm: found [500.0]"),
     (BY_URDF, "joint = 2", "joint = 7", "gear_ratio at joint 7"),
     (BY_URDF, 'name = "gear_ratio"', 'name = "link_thermal"', "'link_thermal'"),
     (BY_TABLE, 'joint = "prismatic"', 'joint = "slide"', "dh[3].joint: found 'slide'"),

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from doe.plan.plan import load_plan
-from doe.studies.monte_carlo.specification import StudyFile
+from doe.studies.monte_carlo import StudyFile
 from identification.files.arm import load_arm
-from identification.files.measurement import load_measurements, load_targets
+from identification.files.measurement import load_targets
+from identification.measurements import load_measurements
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "identification/files/README.md"

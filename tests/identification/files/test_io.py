@@ -206,7 +206,6 @@ def test_forms_of_a_csv_file(tmp_path: Path, content: bytes) -> None:
     assert read.columns == ("a", "b")
     np.testing.assert_array_equal([read.floats("a"), read.floats("b")], [[1, 3], [2, 4]])
     assert read.sha256 == hashlib.sha256(content).hexdigest()
-    assert read.file_name == "data.csv"
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ import pytest
 
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.files.arm import load_arm
-from identification.files.arm_text import dump_arm
-from identification.files.measurement import load_measurements, measurement_text
+from identification.files.arm import dump_arm, load_arm
+from identification.files.measurement import measurement_text
 from identification.instruments import Distance, PlanarDistance, Plane, Sphere
 from identification.kinematics.chain import DHRow, chain_of
+from identification.measurements import load_measurements
 
 CHAIN = chain_of([DHRow(300.0, 0.0, 10.0), DHRow(200.0, 1.0, 0.0)])
 BAR, BALL, FACE = (Arm(replace(CHAIN, instrument=one)) for one in (Distance(), Sphere(12.5), Plane()))
@@ -105,18 +105,21 @@ def test_arm_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ('kind = "tracker"', "instrument.kind: found 'tracker', allowed: distance, plane, socket or sphere"),
+        (
+            'kind = "tracker"',
+            "instrument.kind: found 'tracker' for a spatial arm, allowed: distance, plane, socket, sphere",
+        ),
         ('kind = "distance"\nradius_mm = 3.0', "instrument.radius_mm: found for kind distance, allowed: for sphere"),
         ('kind = "plane"\nradius_mm = 3.0', "instrument.radius_mm: found for kind plane"),
-        ('kind = "sphere"\nradius_mm = -3.0', "instrument.radius_mm: found -3.0, allowed: a number > 0"),
+        ('kind = "sphere"\nradius_mm = -3.0', "instrument.radius_mm: found -3.0, allowed: > 0"),
         ('kind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]', "instrument.normal: is missing beside center_mm"),
-        ('kind = "sphere"\nnormal = [1.0, 2.0, 3.0]', "instrument.normal: found, allowed: of a plane, with center_mm"),
-        ('kind = "plane"\nnormal = [1.0, 2.0, 3.0]', "instrument.normal: found, allowed: of a plane, with center_mm"),
+        ('kind = "sphere"\nnormal = [1.0, 2.0, 3.0]', "instrument.normal: found for kind sphere, allowed: for plane"),
+        ('kind = "plane"\nnormal = [1.0, 2.0, 3.0]', "instrument.center_mm: is missing beside normal"),
         (
             'kind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]\nnormal = [0, 0, 0]',
             "instrument.normal: found .0, 0, 0., allowed: a direction",
         ),
-        ('kind = "distance"\ncenter_mm = [1.0, 2.0]', "instrument.center_mm: found 2 values, allowed: three numbers"),
+        ('kind = "distance"\ncenter_mm = [1.0, 2.0]', "instrument.center_mm: found .1.0, 2.0., allowed: three numbers"),
         ('kind = "distance"\nmiddle_mm = 3.0', "instrument.middle_mm: unknown key"),
         ('kind = "distance"\ncenter_mm = [1.0, 2.0, 3.0]\n[base]\nx_mm = 1.0', "instrument.center_mm: found beside"),
         ('kind = "distance"\n[measurement]\nsigma_mm = 1.0\nsigma_deg = 1.0', "sigma_deg: found beside"),
@@ -151,7 +154,7 @@ def test_planar_arms_have_distances_alone(tmp_path: Path) -> None:
     assert replace(again, provenance=data.provenance) == data
     for lines, said in (
         ('kind = "sphere"\n', "instrument.kind: found 'sphere' for a planar arm, allowed: distance"),
-        ('kind = "distance"\ncenter_mm = [1.0, 2.0, 3.0]\n', "center_mm: found 3 values, allowed: two numbers"),
+        ('kind = "distance"\ncenter_mm = [1.0, 2.0, 3.0]\n', "center_mm: found .1.0, 2.0, 3.0., allowed: two numbers"),
         ('kind = "distance"\n[[effects]]\nname = "base_offset"\n', "base_offset is of measured positions, found an"),
     ):
         with pytest.raises(InputError, match=said):

@@ -13,9 +13,9 @@ from hypothesis.extra.numpy import arrays
 
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.files.measurement import load_measurements, measurement_text
+from identification.files.measurement import measurement_text
 from identification.inspection.data_checks import data_warnings
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 
 UR10 = Path(__file__).parents[4] / "shared/data/ur10_planar/measurements.csv"
 PLAIN = "q1_deg,q2_deg,x_mm,y_mm\n30,-60,1.5,2.5\n90,0,-3,4\n"
@@ -98,7 +98,7 @@ BAD = [
     ("q1_deg,q1_rad,x_mm,y_mm\n1,2,3,4\n", ["both q1_deg and q1_rad", "allowed: one"]),
     ("q1_deg,x_m,x_mm,y_mm\n1,2,3,4\n", ["both x_mm and x_m", "allowed: one"]),
     (with_columns(sigma_mm=(1, 1), sigma_m=(1, 1)), ["both sigma_mm and sigma_m", "allowed: one"]),
-    (",".join(f"q{j}_deg" for j in range(1, 14)) + "\n" + "0," * 12 + "0\n", ["q13_deg", "allowed: 1 to 12"]),
+    (",".join(f"q{j}_deg" for j in range(1, 14)) + "\n" + "0," * 12 + "0\n", ["q13_deg", "allowed: q1_deg to q12_deg"]),
     (PLAIN.replace("-3", "nan"), ["row 2 (line 3), column x_mm", "found 'nan'", "allowed: a finite length"]),
     (with_columns(payload_kg=(0, -1)), ["row 2 (line 3), column payload_kg", "found '-1'", "allowed: a number >= 0"]),
     (with_columns(sigma_mm=(0.1, 0)), ["row 2 (line 3), column sigma_mm", "found '0'", "allowed: a number > 0"]),

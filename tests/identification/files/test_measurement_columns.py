@@ -10,8 +10,8 @@ import pytest
 
 from identification.errors import InputError
 from identification.files.csv import table_of_frame
-from identification.files.measurement import load_measurements, measurement_text
-from identification.measurements import Measurements
+from identification.files.measurement import measurement_text
+from identification.measurements import Measurements, load_measurements
 
 M = 7
 

@@ -10,8 +10,9 @@ import pytest
 from doe.plan.plan import Plan, load_plan, plan_text
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.files.measurement import commands_text, load_measurements, load_targets, measurement_text
+from identification.files.measurement import commands_text, load_targets, measurement_text
 from identification.kinematics.chain import DHRow, chain_of
+from identification.measurements import load_measurements
 
 ARM = Arm(chain_of([DHRow(300.0, 0.0, 10.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))]))
 PLAIN = "q1_deg,q2_mm,x_mm,y_mm,z_mm,marker\n30,50,1,2,3,top\n-90,7.5,4,5,6,side\n"

@@ -10,10 +10,10 @@ import pytest
 
 from identification.effects.catalogue import entry
 from identification.errors import InputError
-from identification.files.measurement import load_measurements, measurement_text
+from identification.files.measurement import measurement_text
 from identification.gap.library_prior import given_by
 from identification.inspection.data_checks import gap_notes
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 from identification.sessions import pooled_sessions
 
 M = 30

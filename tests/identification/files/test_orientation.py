@@ -9,7 +9,7 @@ import pytest
 
 from identification.errors import InputError
 from identification.files.csv import read_table
-from identification.files.measurement_columns import angle_columns, orientation_columns_of, read_orientations
+from identification.files.measurement import angle_columns, orientation_columns, read_orientations
 from identification.kinematics.frames import from_own_axes
 
 ANGLES = np.array([[10.0, -20.0, 30.0], [0.0, 45.0, 170.0]])
@@ -28,7 +28,7 @@ def test_angles(tmp_path: Path, unit: str) -> None:
     found = read_orientations(read)
     assert found is not None
     np.testing.assert_allclose(found, MATRICES, atol=1e-14)
-    assert orientation_columns_of(read) == [f"r{axis}_{unit}" for axis in "xyz"]
+    assert orientation_columns(read) == [f"r{axis}_{unit}" for axis in "xyz"]
     written = angle_columns(found)
     np.testing.assert_allclose(np.column_stack([written[f"r{axis}_deg"] for axis in "xyz"]), ANGLES, atol=1e-11)
 

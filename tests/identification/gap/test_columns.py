@@ -14,10 +14,9 @@ import pytest
 from identification import effects
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import base, build, library
-from identification.effects.places import widths
+from identification.effects.chain import widths
 from identification.errors import InputError
-from identification.files.arm import load_arm
-from identification.files.arm_text import with_effects
+from identification.files.arm import load_arm, with_effects
 from identification.gap.columns import bundles
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows

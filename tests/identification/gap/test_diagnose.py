@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from doe.studies.blind import hidden_effects, simulator
+from doe.studies.blind import cells as hidden_effects
+from doe.studies.blind import simulator
 from doe.studies.blind.cells import random_truth
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
@@ -420,9 +421,8 @@ def test_one_link_lists_its_exact_aliases() -> None:
 
 def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     from identification.effects import base
-    from identification.effects.joint import GearRatio
 
-    class Square(GearRatio):
+    class Square(library()["gear_ratio"]):  # type: ignore[misc]
         name = "cable_square"
         family = "cable"
 

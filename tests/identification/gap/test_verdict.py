@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.studies.blind.score import contradictions
+from doe.studies.blind.study import contradictions
 from identification.arm import EffectSpec
 from identification.documents.diagnosis import SHORT
 from identification.gap.detectability import LEVEL

@@ -11,9 +11,8 @@ import pytest
 from identification.arm import Arm
 from identification.estimation import estimate
 from identification.files.arm import load_arm
-from identification.files.measurement import load_measurements
 from identification.inspection.inspection import Sag, sag
-from identification.measurements import Measurements
+from identification.measurements import Measurements, load_measurements
 from identification.model import Model
 from tests.small_arm import COMPLIANCE, MASSES, OTHERS, drawn_arm, measured, random_postures, small_arm
 

@@ -11,7 +11,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
-from identification.effects.places import position_and_state, widths
+from identification.effects.chain import position_and_state, widths
 from identification.error_curve import ErrorCurve
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, turned
@@ -83,10 +83,10 @@ def test_by_the_parameters(arm: Arm) -> None:
 def test_by_what_is_added_at_each_place(arm: Arm) -> None:
     """And the state, on which effects depend, is that of the expression that the levers come from."""
     model, sizes = Model(arm), widths(arm.chain)
-    symbols, table = model.expressions, model.condition_table(POSTURES, WARM)
-    q, c, p = symbols.symbols[:3]
+    table = model.condition_table(POSTURES, WARM)
+    q, c, p = model.symbols[:3]
     added = ca.SX.sym("added", sum(sizes.values()))
-    outputs = position_and_state(symbols.chain(q, c), symbols.effects, symbols.values(c, p), added)
+    outputs = position_and_state(model.chain_at(q, c), model.effects, model.values_at(c, p), added)
     at = ca.Function("at", [q, c, p, added], list(outputs))
     levers, state = model.place_levers(POSTURES, model.values, WARM)
     turning = {"gravity_turn", "joint_angles", "joint_turns", "base_rotation"}

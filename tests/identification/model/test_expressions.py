@@ -11,8 +11,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
-from identification.effects import Chain, base
-from identification.effects.joint import GearRatio
+from identification.effects import Chain, base, library
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import PRISMATIC
@@ -121,7 +120,7 @@ def test_an_effect_that_is_defined_anew_is_not_the_one_before(monkeypatch: pytes
     arm, found = Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 2),)), []
     for factor in (1.0, 2.0):
 
-        class Turned(GearRatio):
+        class Turned(library()["gear_ratio"]):  # type: ignore[misc]
             name = "gear_ratio"
             by = factor
 

@@ -11,12 +11,12 @@ import pytest
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.prior import Prior
+from identification.estimation.problem import Prior
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.reuse import earlier, only, with_base_doubt, with_held, words_of
 from identification.status import Status
-from identification.validate.reuse import earlier, only, with_base_doubt, with_held, words_of
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 LENGTHS, SIGMA = np.array([260.0, 180.0, 120.0]), 0.1

@@ -16,10 +16,10 @@ from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.reuse import with_mounting_doubt
 from identification.sessions import pooled_sessions, with_sessions
 from identification.status import Status
 from identification.validate import validate
-from identification.validate.reuse import with_mounting_doubt
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 

@@ -18,7 +18,6 @@ from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
 from identification.files.arm import load_arm
-from identification.files.measurement import load_measurements
 from identification.gap.diagnose import diagnose
 from identification.gap.library_prior import given_by, library_prior
 from identification.gap.result import Diagnosis
@@ -26,11 +25,10 @@ from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import joint_range
 from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.parameters import PRISMATIC
-from identification.measurements import Measurements, distances
+from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
-from identification.validate import Figures, validate
-from identification.validate.origin import mostly_outside, outside
-from identification.validate.validation import Offered, extrapolation, identified_geometry, judged, prior_judged
+from identification.origin import mostly_outside, outside
+from identification.validate import Figures, Offered, extrapolation, identified_geometry, judged, prior_judged, validate
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
 
 UR10 = Path(__file__).parents[2] / "data" / "ur10_planar"

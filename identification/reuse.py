@@ -22,7 +22,7 @@ from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
-from identification.estimation.prior import Earlier
+from identification.estimation.problem import Earlier
 from identification.estimation.uncertainty import LEVEL
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.corrected import composed_tools
@@ -31,10 +31,10 @@ from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ER
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import with_markers
+from identification.origin import HELD_FROM, comes_from, identified
 from identification.row_digests import ROW_DIGESTS, rows_shared, union
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import SESSIONS, with_base
-from identification.validate.origin import HELD_FROM, comes_from, identified
 
 HARDLY = 0.1  # of how far a point is moved: a standard deviation that adds hardly anything to it
 GAIN = 1.25  # of the sum of squares: a tenth of the RMS error; less is not worth another set of parameters

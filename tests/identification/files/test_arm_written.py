@@ -10,8 +10,7 @@ import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.errors import InputError
-from identification.files.arm import arm_from_tables
-from identification.files.arm_text import dump_arm
+from identification.files.arm import arm_from_tables, dump_arm
 from identification.kinematics.chain import BASE, TOOL, DHRow, Joint, chain_of
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE

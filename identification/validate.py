@@ -22,10 +22,9 @@ from identification.documents.identification import DRAWN
 from identification.documents.use import BY_CHANCE, FITTED, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
-from identification.estimation.expected_tip import left_out_residuals
-from identification.estimation.grouped import LEVEL, gained_squares
-from identification.estimation.levenberg_marquardt import levenberg_marquardt
+from identification.estimation.doubts import left_out_residuals
 from identification.estimation.problem import Problem
+from identification.estimation.uncertainty import LEVEL_95, gained_squares
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
@@ -34,9 +33,9 @@ from identification.kinematics.parameters import JOINT_OFFSET, of_effects
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
+from identification.origin import check_calibrated, comes_from, extrapolated, identified, outside
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import placing, start_at_bases, with_base_offset, with_sessions, without_sessions
-from identification.validate.origin import check_calibrated, comes_from, extrapolated, identified, outside
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.confirmation import Confirmation
@@ -240,7 +239,7 @@ def _refitted(
                 file = measurements.provenance.get("file", "measurements")
                 allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
                 raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
-            values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
+            values = problem.minimized(start[None]).parameters[0]
             left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
         residuals[rows] = problem.residuals(values)[0]
         refitted.append(placed_values(model.arm.chain, model.parameters.mapping(values)))
@@ -267,7 +266,7 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
     after, before = (distances(residuals) for residuals in (validation.residuals, validation.nominal_residuals))
     # where the squares saved are no more than groups of rows, by time or by region of posture, scatter by
     gained = gained_squares(before, after, measurements)
-    if gained.value > 0.0 and gained.p_above() > LEVEL / 2.0:
+    if gained.value > 0.0 and gained.p_above() > LEVEL_95 / 2.0:
         share = 100.0 * validation.model.rms / validation.nominal.rms
         of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
         yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell (p = {gained.p_above():.2g})"
@@ -345,7 +344,7 @@ class Offered:
     @property
     def better(self) -> bool:
         """Whether the model predicts better beyond chance, as `validate` judges it."""
-        return self.rms < self.rms_geometry and self.p_value <= LEVEL / 2.0
+        return self.rms < self.rms_geometry and self.p_value <= LEVEL_95 / 2.0
 
     @property
     def sentence(self) -> str:

@@ -1,0 +1,622 @@
+"""The verbs of plans, before and after the measurements, and the page of a campaign.
+
+Each is declared by its signature, its docstring and its example (doe/cli/verb.py); what they need is loaded when they
+are called, so that `armcal --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import click
+
+from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible
+from identification import InputError, Progress, load_sessions, nearest, silent
+from identification.document import Answer, Document, picture_bytes
+from identification.files.io import write_together
+from identification.workflow import Picture, Written
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from doe.problem.problem import DesignProblem
+    from identification import Arm
+
+UNLIKE_ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
+
+
+# -- from options to a problem, and from an answer to files ------------------------------------------------------------
+@dataclass(frozen=True)
+class CriterionOptions:
+    """The criterion, and whether the model may lack effects.
+
+    criterion : D, A, E, I, Ds or Dstar; left out: D, with --robust I.
+    test_poses : CSV of postures that matter, for criterion I.
+    subset : Parameters that matter, for Ds: length_error:1,joint_offset:2
+    robust : The arm may have effects of the library that its file does not name.
+    missing : Only these effects, for --robust: backlash,gear_ratio
+    """
+
+    criterion: str | None = None
+    test_poses: Path | None = None
+    subset: str | None = None
+    robust: bool = False
+    missing: Names | None = None
+
+
+def design_problem(
+    arm: Arm,
+    wanted: CriterionOptions,
+    seed: int = 0,
+    *,
+    keep: Path | None = None,
+    candidates: Path | None = None,
+    apart: float | None = None,
+    uncertain: str | None = None,
+    draws: int = 5,
+) -> DesignProblem:
+    """The problem that the options describe;  apart : smallest distance of two postures [rad], left out: the default
+
+    Raises `InputError` for files and names that do not fit.
+    """
+    import numpy as np
+
+    from doe.criteria import NAMES, criterion
+    from doe.plan.plan import load_plan
+    from doe.problem.postures import listed_candidates
+    from doe.problem.problem import DesignProblem
+    from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem, tip_jacobians
+    from identification import Model, read_plan
+
+    name = wanted.criterion or ("I" if wanted.robust else "D")
+    if wanted.missing is not None and not wanted.robust:
+        raise InputError("--missing: found without --robust, allowed: with --robust")
+    for option, value, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):
+        if value is not None and name in NAMES and name != needed:
+            raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
+    model, restrictions = Model(arm), dict[str, Any]()
+    if keep is not None:  # measurements, or a plan carried out
+        restrictions["kept"] = read_plan(keep, arm.joint_types, carried_out=True).postures
+    if candidates is not None:
+        choices = restrictions["choices"] = load_plan(candidates, arm.joint_types).postures
+        try:
+            listed_candidates(DesignProblem.of(model, choices=choices), choices)
+        except InputError as error:  # none is within limits and constraints
+            raise InputError(f"{candidates}: {error}") from None
+    if apart is not None:
+        restrictions["minimum_distance"] = apart
+    problem = DesignProblem.of(model, **restrictions)
+    if wanted.robust:
+        if uncertain is not None:
+            raise InputError("--uncertain: found with --robust, allowed: one of them")
+        missing = None if wanted.missing is None else words(wanted.missing)
+        fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
+        problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
+    if not wanted.robust or name != "I" or wanted.test_poses is not None:
+        poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, arm.joint_types).postures
+        names = problem.model.parameters.names
+        subset = None if wanted.subset is None else words(wanted.subset)
+        for word in subset or ():
+            if word not in names:
+                raise InputError(f"--subset: unknown parameter {word!r}, {nearest(word, names)}")
+        chosen = criterion(
+            name,
+            units=list(problem.model.parameters.units),
+            subset=None if subset is None else [names.index(word) for word in subset],
+            test_jacobians=None if poses is None else tip_jacobians(problem, poses),
+        )
+        problem = replace(problem, criterion=chosen)
+    if uncertain is None:
+        return problem
+    return ensemble_problem(problem, prior_draws(model, draws, np.random.default_rng(seed)), uncertain)
+
+
+def words(text: str) -> list[str]:
+    """`a, b` as ["a", "b"]."""
+    return [word.strip() for word in text.split(",")]
+
+
+def written(
+    contents: Mapping[Path | None, str | bytes | Callable[[], Figure]], force: bool, what: str = ""
+) -> list[str]:
+    """Write the files that were asked for, all or none, pictures among them; the lines that report the texts.
+
+    contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
+    """
+    wanted = {path: content for path, content in contents.items() if path is not None}
+    files = {path: picture_bytes(c(), path) if callable(c) else c for path, c in wanted.items()}
+    write_together(files, force=force)
+    return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
+
+
+def drawing(name: str, *of: Any) -> Callable[[], Figure]:
+    """What draws a picture of doe/report/figures.py: matplotlib takes longer to load than a small design."""
+
+    def draw() -> Figure:
+        from doe.report import figures
+
+        picture: Figure = getattr(figures, name)(*of)
+        return picture
+
+    return draw
+
+
+def with_collisions(answer: Answer, arm: Arm) -> Answer:
+    """The answer that has a plan of this arm, which in space says that collisions were not looked at."""
+    if not arm.chain.planar:
+        from doe.problem.constraints import COLLISIONS
+
+        answer.data["collisions_checked"] = False
+        answer.shown.append(COLLISIONS)
+    return answer
+
+
+# -- plans -------------------------------------------------------------------------------------------------------------
+def design_files(
+    arm: Path,
+    *,
+    runs: Annotated[int, range(1, 100_001)],
+    solver: str | None = None,
+    starts: Count | None = None,
+    seconds: Seconds | None = None,
+    discriminating: bool = False,
+    loss: float | None = None,
+    order: str | None = None,
+    criterion: CriterionOptions,
+    keep: Path | None = None,
+    candidates: Path | None = None,
+    repeats: bool = False,
+    minimum_distance_deg: float | None = None,
+    uncertain: str | None = None,
+    draws: Annotated[int, range(1, 51)] | None = None,
+    picture: Picture | None = None,
+    out: Written | None = None,
+    force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Answer:
+    """Choose the postures to measure, with a certificate.
+
+    The RUNS postures that calibrate the arm best, and how good they are.
+
+    runs : Number of (new) measurements m.
+    solver : Method; left out: the best for the problem.
+    starts : Number of starts.
+    seconds : Time budget [s]; left out: none up to 100 runs, 30 for more.
+    discriminating : Also make missing effects distinguishable (costs some D-efficiency).
+    loss : Largest loss of D-efficiency that --discriminating accepts; left out: 0.05.
+    order : given, travel (least joint travel) or random.
+    keep : Postures already measured; the plan complements them.
+    candidates : CSV of allowed postures to choose from.
+    repeats : A posture may be measured more than once.
+    minimum_distance_deg : Postures differ by this in some joint (1 deg).
+    uncertain : average or worst: a plan for an arm known only by a prior (default) or by its calibration covariance.
+    draws : Arms drawn for --uncertain; left out: 5.
+    picture : Draw the postures (.png, .svg, .pdf).
+    out : Write the plan (CSV).
+    force : Overwrite an existing file.
+    """
+    from doe.plan.accuracy import tip_beside_random
+    from doe.plan.order import check_order, ordered
+    from doe.plan.plan import plan_text
+    from doe.problem.model import offers
+    from doe.problem.uncertain import with_choices
+    from doe.report.design import design_document, discriminating_parts, missing_lines
+    from doe.solvers import solve
+    from identification import load_arm
+
+    for option, value, other, there in (
+        ("--loss", loss, "--discriminating", discriminating),
+        ("--draws", draws, "--uncertain", uncertain),
+    ):
+        if value is not None and not there:
+            raise InputError(f"{option}: found without {other}, allowed: with {other}")
+    if criterion.robust and discriminating:
+        raise InputError("--discriminating: found with --robust, allowed: one of them")
+    loaded = load_arm(arm)
+    check_order(order)
+    apart = 0.0 if repeats else None if minimum_distance_deg is None else math.radians(minimum_distance_deg)
+    known: dict[str, Any] = {"keep": keep, "candidates": candidates, "uncertain": uncertain}
+    problem = design_problem(loaded, criterion, seed, apart=apart, draws=draws or 5, **known)
+    if criterion.robust and solver in (None, "fedorov"):
+        problem = with_choices(problem)
+    effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
+    data = dict[str, Any]()
+    if discriminating:
+        from doe.discrimination.design import discrimination_design
+
+        accepted = 0.05 if loss is None else loss
+        chosen = discrimination_design(problem, loaded, runs, loss=accepted, progress=progress, **effort)
+        design, data, extra = chosen.design, chosen.to_json(), discriminating_parts(chosen)
+    else:
+        design = solve(problem, runs, progress=progress, **effort)
+        extra = [*missing_lines(design)]
+    expected = tip_beside_random(design.problem, design.plan.postures, seed)
+    data["expected_tip"] = None if expected is None else expected.to_json()
+    extra += [] if expected is None else [str(expected)]
+    if order is not None:
+        sequence = ordered(design.plan, order, seed=seed)
+        design = replace(design, plan=sequence.plan)
+        data["travel_deg"] = sequence.to_json()
+        before, after = (math.degrees(travel) for travel in (sequence.before, sequence.after))
+        extra.append(f"order {order}: joint travel {before:.0f} -> {after:.0f} deg ({sequence.saved:.0%} saved)")
+    model: Any = design.problem.model
+    columns = model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
+    text = plan_text(design.plan, loaded.joint_types, columns)
+    extra += written({out: text, picture: drawing("plan_figure", loaded, design.plan.postures)}, force, "plan")
+    first = "--out plan.csv writes this plan; " if out is None else ""
+    then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
+    extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
+    return with_collisions(Answer(design.to_json() | data, [design_document(design).plus(*extra)]), loaded)
+
+
+def score_files(
+    arm: Path,
+    plan: Path,
+    *,
+    aliases: Picture | None = None,
+    seconds: Seconds = 20.0,
+    robust: bool = False,
+    missing: Names | None = None,
+    picture: Picture | None = None,
+    force: bool = False,
+) -> Answer:
+    """Judge a plan of your own against the bound.
+
+    Efficiency against the bound, expected standard deviations, effects that the PLAN could show.
+
+    aliases : Draw which effects this plan can hardly distinguish.
+    seconds : Time budget of the bound [s], which may be cut.
+    robust : The arm may have effects of the library that its file does not name.
+    missing : Only these effects, for --robust: backlash,gear_ratio
+    picture : Draw the postures (.png, .svg, .pdf).
+    force : Overwrite an existing file.
+    """
+    from doe.design import score_plan
+    from doe.plan.accuracy import criterion_values, error_at_poses, observability
+    from doe.plan.plan import load_plan
+    from doe.problem.problem import DesignProblem
+    from doe.problem.uncertain import average_error, with_choices
+    from doe.report.design import criteria_lines, design_document
+    from identification import Model, detectability, load_arm, without_prior
+
+    loaded = load_arm(arm)
+    judged = load_plan(plan, loaded.joint_types)
+    bounded = design_problem(loaded, CriterionOptions(robust=robust, missing=missing))
+    if robust or bounded.choices is not None:
+        bounded = with_choices(bounded, judged.postures)
+    if len(judged) < bounded.fewest_runs:
+        need = f"allowed: at least {bounded.fewest_runs} for {bounded.parameters} parameters"
+        raise InputError(f"{plan}: {len(judged)} runs, {need}")
+    design = score_plan(bounded, judged, seconds=seconds)
+    if outside := design.outside:
+        counted = f"{len(outside)} of {len(judged)} runs are outside joint limits or constraints"
+        sentence = f"{plan}: {counted}, the first is run {outside[0]}: the bound does not apply"
+        warnings.warn(sentence, UserWarning, stacklevel=2)
+    pictures: dict[Path | None, Any] = {picture: drawing("plan_figure", loaded, judged.postures)}
+    sees = None
+    try:
+        sees = detectability(without_prior(loaded), judged.postures)
+        tables: list[Any] = [*sees.document().parts]
+        pictures[aliases] = sees.figure
+    except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
+        if aliases is not None:
+            raise InputError(f"--aliases: {plan}: {reason}") from reason
+        tables = [f"missing effects: {reason}"]
+    problem = DesignProblem.of(Model(loaded))
+    values, tip = criterion_values(problem, judged.postures), replace(problem, criterion=average_error(problem))
+    data = design.to_json() | {
+        "workspace_error_mm": None if values["I"] is None else error_at_poses(tip, values["I"], len(judged)),
+        "observability": observability(problem, judged.postures),
+        "criteria": values,
+        "preflight": None if sees is None else sees.to_json(),
+    }
+    meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
+    lines = [meant] if judged.fit and not robust else []
+    written(pictures, force)
+    document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
+    return with_collisions(Answer(data, [document]), loaded)
+
+
+def advise_files(
+    arm: Path,
+    *,
+    runs: Annotated[str, "A:B"] | None = None,
+    only: tuple[Names, ...] = (),
+    target_mm: float | None = None,
+    seconds: Seconds = 60.0,
+    picture: Picture | None = None,
+    force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Answer:
+    """How many measurements are needed?
+
+    Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy. With --only
+    how few postures are enough to find these parameters again, the others as in ARM, for `identify --only`.
+
+    runs : Numbers of runs, A to B; left out: 4:40, with --only from the fewest.
+    only : Estimate only these, as `identify --only`.
+    target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
+    seconds : Time budget of all numbers of runs together [s].
+    picture : Write the curve as .png, .svg or .pdf.
+    force : Overwrite an existing file.
+    """
+    from doe.advise import advise
+    from doe.problem.problem import DesignProblem
+    from doe.report.design import advice_document
+    from identification import Model, load_arm, with_scatter
+    from identification.reuse import only as only_these
+    from identification.reuse import words_of
+
+    (loaded, given_sigma), named = with_scatter(load_arm(arm)), words_of(only)
+    problem = DesignProblem.of(only_these(loaded, named) if named else Model(loaded))
+    fewest = problem.fewest_runs
+    text = runs or (f"{fewest}:40" if named else "4:40")
+    ends = text.split(":")
+    if not 1 <= len(ends) <= 2 or not all(re.fullmatch(r"\s*\d{1,6}\s*", part, re.ASCII) for part in ends):
+        raise InputError(f"--runs: {text!r}, allowed: A:B or A with whole numbers up to 999999, such as 4:40")
+    low, high = int(ends[0]), int(ends[-1])
+    if low > high or high < fewest:
+        raise InputError(f"--runs: {text!r}, allowed: A <= B, and B >= {fewest} for this arm")
+    numbers = range(max(low, fewest), high + 1)
+    advice = advise(problem, numbers, target=target_mm, seed=seed, seconds=seconds, progress=progress)
+    data, shown, doubts = advice.to_json(), list[Any](), [given_sigma] if given_sigma else []
+    if named:
+        data |= {"only": named, "fewest_runs": fewest}
+        enough = f"identifiable from {fewest} run{'s' * (fewest != 1)} or more at well-chosen postures"
+        shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
+    shown.append(advice_document(advice).plus(*doubts))
+    written({picture: drawing("advice_figure", advice)}, force)
+    return with_collisions(Answer(data, shown, warnings=doubts), loaded)
+
+
+def relax_files(
+    arm: Path,
+    *,
+    grid: Annotated[int, click.IntRange(min=2)] | None = None,
+    candidates: Path | None = None,
+    solver: str | None = None,
+    check: Annotated[bool, "--check/--no-check"] = True,
+    runs: Count | None = None,
+    seconds: Seconds | None = None,
+    criterion: CriterionOptions,
+    out: Written | None = None,
+    force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Answer:
+    """Optimal weights over candidate postures.
+
+    With a certificate that is recomputed from the weights, and a cross-check.
+
+    grid : Levels per joint; left out: about 10,000 in all.
+    candidates : CSV of allowed postures instead of a grid.
+    solver : clarabel, scs, multiplicative or column_generation; left out: the latter, with --robust multiplicative.
+    check : Cross-check by independent methods.
+    runs : Number of measurements m, for --robust and spatial arms.
+    seconds : Time budget [s]; left out: 40.
+    out : Write the plan with weights (CSV).
+    force : Overwrite an existing file.
+    """
+    from doe.bounds.column_generation import LARGEST, relax
+    from doe.cross_check import cross_check
+    from doe.plan.plan import load_plan, plan_text
+    from doe.problem.uncertain import with_choices
+    from doe.report.design import cross_check_table, relax_document
+    from identification import load_arm
+
+    loaded, robust = load_arm(arm), criterion.robust
+    if robust and runs is None:
+        raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
+    held = not loaded.chain.planar and loaded.sigma is not None  # by the prior of the machining
+    if runs is not None and not robust and not held:
+        raise InputError("--runs: found without --robust, allowed: with --robust")
+    problem = design_problem(loaded, criterion, candidates=candidates if robust else None)
+    problem = with_choices(problem) if robust and grid is None else problem
+    solver = solver or ("multiplicative" if robust else "column_generation")
+    if seconds is not None and solver in LARGEST:
+        reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
+        raise InputError(f"--seconds: {reason}, which cannot be stopped, allowed: with {allowed}")
+    if candidates is not None:
+        places: Any = load_plan(candidates, problem.model.joint_types).postures
+    elif problem.choices is not None:
+        places = problem.choices
+        if grid is not None:
+            raise InputError("--grid: found for contacts, whose postures are those that touch, allowed: without")
+    else:  # by default levels that give about ten thousand candidates
+        places = grid or max(2, min(181, round(10_000 ** (1.0 / max(len(problem.active_joints), 1)))))
+    progress(0, 2, "weights")
+    # of 40 s, a million candidates take a third of the first half
+    end = perf_counter() + (seconds or 40.0)
+    weighted = end - 0.5 * (seconds or 40.0) if check else end
+    new = runs or (problem.parameters if problem.deviations else None)
+    relaxation = relax(problem, places, solver, runs=new, stop=lambda: perf_counter() > weighted)
+    data, shown = relaxation.to_json(), list[Any]([relax_document(relaxation)])
+    if check:
+        progress(1, 2, "cross-check")
+        checked = with_choices(problem) if robust else problem
+        exact = runs or max(2 * loaded.links, problem.fewest_runs)
+        compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
+        data["cross_check"] = compared.rows()
+        shown.append(cross_check_table(compared))
+    text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
+    return with_collisions(Answer(data, [*shown, *written({out: text}, force, "plan with weights")]), loaded)
+
+
+def compare_files(
+    arms: Annotated[tuple[Path, ...], "ARM..."],
+    *,
+    runs: WholeNumbers,
+    solvers: str | None = None,
+    criteria: Annotated[str, "--criterion"] = "D",
+    starts: WholeNumbers | None = None,
+    repeats: Count = 5,
+    seconds: Seconds = 60.0,
+    job: JobOptions,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Answer:
+    """Compare design solvers side by side.
+
+    Each run, on the problems ARM x RUNS, is a process of its own. Every plan is evaluated on the stored problem,
+    independently of its solver. Hit rate: fraction of the runs that found the best known value; with --repeats 10
+    --starts 1, the fraction of good starts.
+
+    runs : Numbers of measurements m, as in 10,20.
+    solvers : Names, as in a,b; left out: all.
+    criteria : D, A, E or Dstar; several as in D,A.
+    starts : Starts of one run, as in 1,10; left out: the solver's own.
+    repeats : Repetitions of each search, with different seeds.
+    seconds : Limit of one run [s].
+    """
+    from doe.jobs import parquet, tables
+    from doe.report.studies import comparison_parts
+    from doe.solvers import available_solvers
+    from doe.solvers.solving import check_runs
+    from doe.studies.comparison import Comparison, compare, compared_problem, summary
+    from identification import load_arm
+
+    if job.resume and job.out is None:
+        raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
+    names = list(available_solvers()) if solvers is None else words(solvers)
+    loaded, chosen = [load_arm(arm) for arm in arms], words(criteria)
+    comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, chosen)
+    for arm, number in product(loaded, runs):
+        check_runs(compared_problem(arm, chosen[0]), number)
+    where = job.where(1)  # before the folder is made
+    alone = job.out is not None and job.out.suffix == ".parquet"
+    folder, name = (job.out.parent, job.out.name) if job.out is not None and alone else (job.out, "rows.parquet")
+    with interruptible(job.out), tables(folder, name, resume=job.resume, force=job.force) as (table,):
+        rows = compare(comparison, table, where, seed=seed, progress=progress)
+    shown, summed = comparison_parts(rows), summary(rows)
+    if job.out is not None and not alone:
+        from doe.report.page import svg
+        from doe.report.studies import profile_figure, time_figure
+
+        files: dict[Path, str | bytes] = {
+            job.out / "summary.parquet": parquet(summed),
+            job.out / "profile.svg": svg(profile_figure(rows)),
+            job.out / "time.svg": svg(time_figure(rows)),
+        }
+        write_together(files, force=True)
+        shown.append(f"rows, summary and pictures written to {job.out}")
+    return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
+
+
+# -- after measurements ------------------------------------------------------------------------------------------------
+def discriminate_files(
+    arm: Path,
+    data: tuple[Path, ...],
+    *,
+    runs: Count,
+    payloads: str | None = None,
+    seconds: Seconds = 30.0,
+    out: Written | None = None,
+    force: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Answer:
+    """Next postures for an ambiguous diagnosis.
+
+    The next RUNS postures, to distinguish its candidates, and their chance of success. Several files DATA are sessions
+    of one arm, as for `armcal diagnose`.
+
+    runs : Number of further measurements K.
+    payloads : Payloads to choose from [kg], as 0,5,10; left out: the arm's own.
+    seconds : Time budget of the choice, after the diagnosis [s].
+    out : Write the next postures (CSV).
+    force : Overwrite an existing file.
+    """
+    from doe.discrimination.t_optimal import discriminate
+    from doe.problem.problem import DesignProblem
+    from doe.report.design import missing_payload, next_document
+    from identification import LARGEST_MASS, Model, csv_text, diagnose, load_arm, refuse_contacts
+
+    loaded, masses = load_arm(arm), None
+    if payloads is not None:
+        try:
+            masses = tuple(float(word) for word in payloads.split(","))
+        except ValueError:
+            masses = (-1.0,)
+        if not all(0.0 <= mass <= LARGEST_MASS for mass in masses):
+            raise InputError(f"--payloads: {payloads!r}, allowed: numbers >= 0 [kg], as in 0,5,10")
+        if loaded.gravity is None:
+            raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
+    measurements = load_sessions(data, loaded)
+    refuse_contacts(loaded.chain)
+    postures, fewest = len(set(measurements.posture_numbers.tolist())), DesignProblem.of(Model(loaded)).fewest_runs
+    if postures < fewest:
+        counted = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
+        enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
+        raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
+    diagnosis = diagnose(loaded, measurements, seed=seed, progress=progress)
+    if diagnosis.verdict != "ambiguous":
+        sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"
+        return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
+    end = perf_counter() + seconds
+
+    def late() -> bool:
+        left = end - perf_counter()
+        progress(5, None, f"choosing the next postures, at most {max(left, 0.0):.0f} s left")
+        return left < 0.0
+
+    chosen = discriminate(loaded, diagnosis, measurements, runs, seed, masses, stop=late)
+    lines = written({out: csv_text(chosen.columns)}, force, "next postures")
+    lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
+    shown = [next_document(diagnosis, chosen), *lines, *missing_payload(loaded, measurements, chosen)]
+    keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
+    return with_collisions(Answer(keys | chosen.to_json(), shown), loaded)
+
+
+def report_files(
+    files: tuple[Path, ...],
+    *,
+    out: Written,
+    force: bool = False,
+    page: Callable[[Document, Sequence[Path]], str],
+) -> Answer:
+    """One page of a campaign's files.
+
+    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate), and what design,
+    score, identify, diagnose or validate said with --json. The page has the verdict (first the error on rows that no
+    fit has seen), what to do next, corrected values, errors with their sign, and plans that can be stepped through and
+    edited; it is one file that needs no network.
+
+    out : Write the page.
+    force : Overwrite an existing file.
+    """
+    from doe.report.campaign import PlannedCampaign
+    from doe.report.page import hashes
+
+    campaign = PlannedCampaign.of(files)
+    write_together({out: page(campaign.document(), files)}, force=force)
+    listed = [
+        {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
+        for name, size, digest in hashes(files)
+    ]
+    data = {"page": out, "verdict": campaign.verdict, "files": listed}
+    return Answer(data, [*campaign.verdict, f"page written to {out}"])
+
+
+# verb -> what it does, and an example of it
+VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = {
+    "design": (design_files, "armcal design arm.toml --runs 20 --out plan.csv"),
+    "score": (score_files, "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png"),
+    "advise": (advise_files, "armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png"),
+    "relax": (relax_files, "armcal relax arm.toml --grid 9 --solver clarabel"),
+    "compare": (compare_files, "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs"),
+    "discriminate": (
+        discriminate_files,
+        "armcal discriminate arm.toml data.csv --runs 4 --out next.csv",
+    ),
+    "report": (report_files, "armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html"),
+}

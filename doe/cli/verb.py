@@ -1,0 +1,517 @@
+"""A verb of `armcal`: a function whose signature and docstring declare arguments, options and help.
+
+Errors are one line on standard error and an exit code, answers one JSON object or what a terminal shows of a document.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import logging
+import math
+import os
+import re
+import shlex
+import signal
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
+
+import click
+
+from identification import ArmcalError, InputError, JobError, Progress, in_one_line, silent
+from identification.document import Answer, check_picture
+from identification.files.io import check_writable, provide_temporary_folder
+from identification.workflow import Folder, Picture, Written
+
+if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
+
+    from doe.jobs import Workers as Pool
+    from identification.document import Document
+
+SHARED_MEMORY = Path("/dev/shm")  # of Linux; may be written to where nothing else may
+PROVIDED = ("seed", "progress", "page", "constraints")  # parameters that are no options of their own
+UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))  # --force may overwrite the arm file
+INTERVAL = 10.0  # seconds between lines in a log
+
+
+# -- types of options --------------------------------------------------------------------------------------------------
+class FilePath(click.Path):
+    """The name of a file that is read or written, of a picture, or of a folder, which is the verb's own to check.
+
+    share : a number between 0 and 1 may stand in its place
+    """
+
+    def __init__(
+        self, name: str = "file", *, written: bool = False, picture: bool = False, share: bool = False
+    ) -> None:
+        super().__init__(path_type=Path)
+        self.name, self.written, self.picture, self.share = name, written, picture, share
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """A path or a float."""
+        try:
+            share = float(value) if self.share else None
+        except ValueError:
+            share = None
+        if share is None:
+            return super().convert(value, param, ctx)
+        if not 0.0 < share < 1.0:
+            self.fail(f"{value} is not in the range 0<x<1 (a file of this name: ./{value}).", param, ctx)
+        return share
+
+
+def seconds_above_zero(text: str) -> float:
+    """A time budget [s]; `nan` would be one that never ends."""
+    if (seconds := float(text)) > 0.0:
+        return seconds
+    raise click.BadParameter(f"{text} is not in the range x>0.")
+
+
+def whole_numbers(text: str) -> list[int]:
+    """`10,20` as [10, 20]; every number at least 1."""
+    numbers = [int(part) if part.strip().isdecimal() else 0 for part in text.split(",")]
+    if min(numbers) < 1:
+        raise click.BadParameter(f"found {text!r}, allowed: whole numbers >= 1, as in 10,20")
+    return numbers
+
+
+FOLDER = FilePath("dir", written=True)
+FILES: dict[Any, click.ParamType] = {
+    Path: FilePath(),
+    Written: FilePath(written=True),
+    Picture: FilePath(written=True, picture=True),
+    Folder: FOLDER,
+}
+Seconds = Annotated[float, seconds_above_zero, "SECONDS"]
+Workers = Annotated[int, range(1, 4097)]  # each is a process of about 100 MB
+Names = Annotated[str, "NAMES"]
+Count = Annotated[int, click.IntRange(min=1)]
+WholeNumbers = Annotated[list[int], whole_numbers, "M,.."]
+
+
+@dataclass(frozen=True)
+class JobOptions:
+    """Where tasks run, where their rows go, and whether earlier rows are kept or replaced.
+
+    workers : Tasks at the same time; left out: on all cores, of compare one.
+    cluster : Scheduler of a dask cluster, tcp://host:port.
+    out : Folder; left out: STUDY.results. Of compare also NAME.parquet: the rows only.
+    resume : Go on with an interrupted or extended run.
+    force : Overwrite an existing file.
+    """
+
+    workers: Workers | None = None
+    cluster: Annotated[str, "ADDRESS"] | None = None
+    out: Folder | None = None
+    resume: bool = False
+    force: bool = False
+
+    def where(self, workers: int | None = None) -> Pool:
+        """The workers asked for, left out: this many. Raises `InputError` if the cluster does not answer."""
+        from doe.jobs import chosen_workers
+
+        return chosen_workers(self.workers or workers, self.cluster)
+
+
+# -- from a signature to a command -------------------------------------------------------------------------------------
+def verb(example: str, name: str = "") -> Callable[[Callable[..., Answer]], click.Command]:
+    """Turn `function(argument, .., *, option, ..) -> Answer` into a click command of its module's name, or another.
+
+    Positional parameters are arguments, the others options, those of a dataclass a group of them. Their types are those
+    of Python, with `Written` and `Picture` for files to write and `Folder` for where, or `Annotated` with a type of
+    click or what makes the value of a word, words of the option (`--name`), a range of whole numbers, or what it stands
+    for in the help (`NAMES`). The docstring's first line stands in `armcal --help`; lines `name : ..` say what an
+    option is for.
+
+    Adds --json, --seed, --quiet and the example. A function with a parameter `seed`, `progress`, `page` or
+    `constraints` is given the seed, a callback for its progress, what makes a page of a document and of files that were
+    read, and what makes the constraints of a model.
+    """
+
+    def decorate(function: Callable[..., Answer]) -> click.Command:
+        called = name or function.__module__.rpartition(".")[2]
+        text, helps = documented(function)
+        hints, parameters = get_type_hints(function, include_extras=True), list[click.Parameter]()
+        groups: dict[str, Any] = {}
+        signature = inspect.signature(function).parameters
+        for each in signature.values():
+            hint, option = hints[each.name], each.kind is inspect.Parameter.KEYWORD_ONLY
+            if is_dataclass(hint):
+                groups[each.name] = hint
+                inner, of_group = get_type_hints(hint, include_extras=True), documented(hint)[1]
+                for one in fields(hint):
+                    default = inspect.Parameter.empty if one.default is MISSING else one.default
+                    parameters.append(declared(one.name, inner[one.name], default, of_group[one.name]))
+            elif each.name not in PROVIDED:
+                parameters.append(declared(each.name, hint, each.default, helps[each.name] if option else None))
+        parameters += [
+            click.Option(["--json", "as_json"], is_flag=True, help="One JSON object on standard output."),
+            declared("seed", Annotated[int, click.IntRange(min=0)], 0, "Random seed."),
+            declared("quiet", bool, False, "No progress and no warnings on standard error."),
+        ]
+
+        def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
+            for group, type_ in groups.items():
+                values[group] = type_(**{one.name: values.pop(one.name) for one in fields(type_)})
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
+            with warnings_as_lines(quiet), shown_progress(called, quiet) as progress:
+                provided = dict(zip(PROVIDED, (seed, progress, made_page, made_constraints), strict=True))
+                values |= {key: value for key, value in provided.items() if key in signature}
+                answer = guarded(function, values)
+                for sentence in answer.warnings if as_json else ():
+                    warnings.warn(sentence, UserWarning, stacklevel=2)
+            if answer.failure is not None:
+                say(str(answer.failure))
+                answer.exit_code = answer.failure.exit_code
+            try:
+                shown(answer, as_json)
+                sys.stdout.flush()
+            except BrokenPipeError:  # `| head`: click ends quietly
+                raise
+            except OSError as error:  # a full disk
+                no_output(error)
+            sys.exit(answer.exit_code)
+
+        epilog = f"\b\nExample:\n  {example}"
+        return PriorOrFile(
+            called, callback=run, params=parameters, help=text, short_help=text.split("\n")[0], epilog=epilog
+        )
+
+    return decorate
+
+
+class PriorOrFile(click.Command):
+    """A command that reads `--prior FILE` as `--prior-from FILE`, since the flag --prior leaves a word too many."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As in click; if that fails, parse again with --prior-from in the place of --prior."""
+        words = [re.sub(r"^--prior(?==|$)", "--prior-from", word) for word in args]
+        same = words == args
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError:
+            if same:
+                raise
+            ctx.params.clear()
+            with suppress(click.UsageError):
+                return super().parse_args(ctx, words)
+            raise
+
+
+def documented(thing: Any) -> tuple[str, dict[str, str]]:
+    """What a docstring says without its lines `name : ..`, and these."""
+    paragraphs, helps = [], dict[str, str]()
+    for paragraph in (inspect.getdoc(thing) or "").split("\n\n"):
+        if not re.match(r"\w+ : ", paragraph):
+            paragraphs.append(paragraph)
+            continue
+        for line in paragraph.split("\n"):
+            if match := re.match(r"(\w+) : (.*)", line):
+                name, helps[match[1]] = match[1], match[2]
+            else:
+                helps[name] += f" {line.strip()}"
+    return "\n\n".join(paragraphs), helps
+
+
+def declared(name: str, hint: Any, default: Any, help_text: str | None) -> click.Parameter:
+    """A parameter of a command: an option, or an argument, which has no help."""
+    extras, several = list[Any](), False
+    while (origin := get_origin(hint)) in (Annotated, Union, UnionType, tuple):
+        parts = get_args(hint)
+        extras += parts[1:] if origin is Annotated else [FilePath(share=True)] if {Path, float} <= {*parts} else []
+        several |= origin is tuple
+        hint = next(part for part in parts if part is not NoneType)
+    texts = [extra for extra in extras if isinstance(extra, str)]
+    kinds = [click.IntRange(e.start, e.stop - 1) if isinstance(e, range) else e for e in extras if e not in texts]
+    kind = click.Choice(get_args(hint)) if origin is Literal else FILES.get(hint, hint)
+    settings: dict[str, Any] = {
+        "type": next(iter(kinds), kind),
+        "metavar": next((text for text in texts if not text.startswith("--")), None),
+        "required": default is inspect.Parameter.empty,
+    }
+    if default is not inspect.Parameter.empty:
+        settings["default"] = None if default == () else default
+    if help_text is None:
+        return click.Argument([name], nargs=-1 if several else 1, **settings)
+    words = [*([text for text in texts if text.startswith("--")] or [f"--{name.replace('_', '-')}"]), name]
+    if hint is bool:
+        return click.Option(words, is_flag=True, default=default, show_default=bool(default), help=help_text)
+    shown_default = settings.get("default") is not None
+    return click.Option(words, multiple=several, show_default=shown_default, help=help_text, **settings)
+
+
+def made_page(document: Document, read: Iterable[Path]) -> str:
+    """A page that the running command makes, with the command line as it was typed and the files that were read."""
+    from doe.report.page import Origin, page
+
+    context = click.get_current_context()
+    typed = shlex.join(("armcal", *(context.find_root().obj or ())))
+    return page(document, Origin(typed, context.params["seed"], [*read]))
+
+
+def made_constraints(model: Any) -> Any:
+    """What keeps the postures of a model's arm, as its file says it."""
+    from doe.problem.constraints import constraints_of
+
+    return constraints_of(model)
+
+
+# -- errors and signals ------------------------------------------------------------------------------------------------
+def say(sentence: str) -> None:
+    """One line on standard error."""
+    click.echo(f"armcal: {in_one_line(sentence)}", err=True)
+
+
+def check_outputs(context: click.Context) -> None:
+    """Raises `InputError`, before any work, for an output file that cannot be written, or that is also an input or
+    another output: one would overwrite the other."""
+    paths = [
+        (parameter.opts[0] if isinstance(parameter, click.Option) else parameter.human_readable_name, kind, path)
+        for parameter in context.command.params
+        if isinstance(kind := parameter.type, FilePath)
+        for value in [context.params[parameter.name or ""]]
+        for path in (value if isinstance(value, tuple) else (value,))
+        if isinstance(path, Path)
+    ]
+    outputs = [(name, kind, path) for name, kind, path in paths if kind.written]
+    taken = {os.path.realpath(path): name for name, kind, path in paths if not kind.written}
+    for name, kind, path in outputs:
+        other = taken.setdefault(os.path.realpath(path), name)
+        if other != name and (context.command.name, name, other) not in UPDATES:
+            raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
+        if kind is not FOLDER:
+            check_writable(path, context.params["force"])
+    for path in (path for _, kind, path in outputs if kind.picture):
+        check_picture(path)
+    provide_temporary_folder(*(path if kind is FOLDER else path.parent for _, kind, path in outputs), SHARED_MEMORY)
+
+
+def guarded(function: Callable[..., Answer], options: dict[str, Any]) -> Answer:
+    """The answer of a function; where there is none, one line says why and the command ends."""
+    try:
+        with stoppable():
+            if sys.stdout is None:
+                raise JobError("standard output is closed; send it to a file or to /dev/null")
+            try:
+                os.getcwd()
+            except FileNotFoundError:
+                raise JobError("the working directory is no longer there; change into another one") from None
+            check_outputs(click.get_current_context())
+            return function(**options)
+    except ArmcalError as error:
+        say(str(error))
+        sys.exit(error.exit_code)
+    except (KeyboardInterrupt, click.Abort) as error:
+        say(f"{stopped_by(error)}, nothing was written")
+    except MemoryError:
+        say("there is not enough memory, allowed: smaller input, or more memory")
+    except ImportError as error:  # of a library in C: memory, or an installation that is not whole
+        say(f"a library cannot be loaded ({error}), allowed: enough memory, and a whole installation")
+    sys.exit(1)
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does."""
+    came: list[KeyboardInterrupt] = []
+
+    def stop(number: int, _: object) -> NoReturn:
+        came.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
+        threading.excepthook = lambda _: None  # of threads whose processes are killed next
+        raise came[0]
+
+    def not_lost(unraisable: Any, otherwise: Callable[[Any], object] = sys.unraisablehook) -> None:
+        # a signal that met the end of an object, where nothing can be raised, comes again a little later
+        if isinstance(unraisable.exc_value, KeyboardInterrupt):
+            number = signal.Signals[next(iter(unraisable.exc_value.args), "SIGINT")]
+            main = threading.main_thread().ident or 0  # where it ends a wait too; in the timer's thread it would not
+            threading.Timer(0.01, signal.pthread_kill, (main, number)).start()
+        elif not came:  # after a signal nothing else that objects say at their end is reported
+            otherwise(unraisable)
+
+    with ExitStack() as stack:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGINT):
+                if (before := signal.getsignal(number)) in (signal.SIG_DFL, signal.default_int_handler):
+                    stack.callback(signal.signal, number, before)
+                    signal.signal(number, stop)
+            stack.callback(setattr, sys, "unraisablehook", sys.unraisablehook)
+            stack.callback(setattr, threading, "excepthook", threading.excepthook)
+            sys.unraisablehook = not_lost
+        try:
+            yield
+        except ArmcalError:
+            raise
+        except Exception:  # what a library in C makes of the signal while it is loaded
+            if came:
+                raise came[0] from None
+            raise
+
+
+def stopped_by(error: BaseException) -> str:
+    """What ended the work: the user or a signal."""
+    return f"stopped by {next(iter(error.args), 'Ctrl-C')}"
+
+
+@contextmanager
+def interruptible(out: Path | None) -> Iterator[None]:
+    """Report Ctrl-C or SIGTERM in one sentence: what was kept, and how to resume."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        kept = f"finished rows are kept in {out}, go on with --resume" if out else "without --out nothing is kept"
+        raise JobError(f"{stopped_by(error)}; {kept}") from None
+
+
+@contextmanager
+def warnings_as_lines(quiet: bool) -> Iterator[None]:
+    """Warnings to standard error, one line each, each once."""
+    seen: set[str] = set()
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        text = str(message)
+        if text not in seen and not quiet:
+            say(f"warning: {text}")
+        seen.add(text)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show
+        yield
+
+
+# -- progress on standard error ----------------------------------------------------------------------------------------
+@contextmanager
+def shown_progress(title: str, quiet: bool) -> Iterator[Progress]:
+    """The callback for a job: a bar on a terminal, which is hidden in the first half second, else a line in a while."""
+    if quiet or sys.stderr is None:  # None: closed, as by 2>&-
+        yield silent
+        return
+    if not sys.stderr.isatty():
+        with lines(title) as told:
+            yield told.tell
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    with Bar(*bar_columns(), console=Console(stderr=True), transient=True, expand=True) as bar:
+        task, started = bar.add_task(title, total=None, visible=False), time.monotonic()
+
+        def report(done: float, total: float | None, message: str) -> None:
+            visible = time.monotonic() - started > 0.5
+            bar.update(task, completed=done, total=total, description=message or title, visible=visible)
+
+        yield report
+
+
+def bar_columns() -> list[ProgressColumn]:
+    """Text, bar, time elapsed and left; a terminal too narrow for all of it cuts the text, never the times."""
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.table import Column
+
+    text = Column(ratio=1, no_wrap=True, overflow="ellipsis")
+    elapsed, left = (Column(no_wrap=True, min_width=len("0:00:00")) for _ in range(2))
+    times = TimeElapsedColumn(table_column=elapsed), TimeRemainingColumn(table_column=left)
+    return [TextColumn("{task.description}", markup=False, table_column=text), BarColumn(bar_width=8), *times]
+
+
+@dataclass
+class Lines:
+    """The latest report of a job, formatted as a line of a log."""
+
+    title: str
+    started: float = field(default_factory=time.monotonic)
+    done: float = 0.0
+    total: float | None = None
+    message: str = ""
+    advanced: float = field(default_factory=time.monotonic)  # when `done` last grew
+
+    def tell(self, done: float, total: float | None, message: str) -> None:
+        """Store a report of the job."""
+        if done != self.done:
+            self.advanced = time.monotonic()
+        self.done, self.total, self.message = done, total, message
+
+    def text(self) -> str:
+        """'armcal design: 20 s, best -1.35, 40 % done, about 30 s left'."""
+        used = time.monotonic() - self.started
+        parts = [f"armcal {self.title}: {used:.0f} s", *filter(None, [self.message])]
+        if self.total and 0 < self.done < self.total:
+            since = time.monotonic() - self.advanced
+            left = max((used - since) * (self.total / self.done - 1.0) - since, 0.0)
+            parts.append(f"{100.0 * self.done / self.total:.0f} % done, about {left:.0f} s left")
+        return ", ".join(parts)
+
+
+@contextmanager
+def lines(title: str, interval: float = INTERVAL) -> Iterator[Lines]:
+    """Print a line every `interval` seconds, even while the job reports nothing."""
+    told, ended = Lines(title), threading.Event()
+
+    def speak() -> None:
+        while not ended.wait(interval):
+            click.echo(told.text(), err=True)
+
+    speaker = threading.Thread(target=speak, daemon=True)
+    speaker.start()
+    try:
+        yield told
+    finally:
+        ended.set()
+        speaker.join()
+
+
+# -- output ------------------------------------------------------------------------------------------------------------
+def no_output(error: OSError) -> NoReturn:
+    """Exit with one line on standard error: standard output cannot be written."""
+    say(f"standard output cannot be written ({error.strerror})")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again when it ends
+    sys.exit(1)
+
+
+def shown(answer: Answer, as_json: bool) -> None:
+    """The answer on standard output."""
+    if as_json:
+        click.echo(json.dumps(plain(answer.data), allow_nan=False))
+        return
+    from rich.console import Console
+    from rich.segment import Segment, Segments
+
+    from identification.document import rendered
+
+    columns = os.environ.get("COLUMNS", "")
+    width = None if sys.stdout.isatty() else 110
+    if columns.isdecimal() and int(columns):
+        width = int(columns)
+    console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
+    for part in answer.shown:
+        for one in [part] if hasattr(part, "__rich_console__") else rendered(part, console.width):
+            # names in files may have control characters, which a terminal would obey
+            segments = (
+                Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)
+                for s in console.render(one)
+            )
+            console.print(Segments(segments), end="")
+
+
+def plain(value: Any) -> Any:
+    """The value in JSON types: arrays as lists, paths as strings, infinities and NaN as null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value

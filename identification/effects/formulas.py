@@ -1,0 +1,468 @@
+"""The library: every effect on the mean, with its parameters and what it adds at its place (`add_effect`).
+
+The reason for each typical size stands beside it. Less common effects of real robot cells have a lower `prior`, which
+lets a common effect be named where it explains the data equally well. Effects that no measurement of the tip can
+distinguish from the base parameters are listed, never named (`alias`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from identification.arrays import Array
+from identification.effects.base import LEVER, REACH, Effect, Number, Scope, Setting, add_effect, clock, step_times
+from identification.effects.chain import Chain
+from identification.instruments import distance_to_center
+from identification.kinematics.frames import rotation_to_z
+
+RARE = 0.2  # prior beside a common effect
+TORQUE = 100.0  # [N m] order of magnitude, for scales only
+WIDTHS = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)  # of hysteresis, in ranges of the joint: below backlash, above gear ratio
+PLANE, SPACE = (2,), (3,)
+STEP = Setting(-0.5, 1000.0, step_times)  # time of a step, see `clock`
+
+of_gravity = partial(add_effect, needs=frozenset({"gravity"}), family="gravity")
+# acts through the effects of gravity in the arm's model, and modifies all of them
+of_load = partial(add_effect, needs=frozenset({"gravity"}), through="gravity", prior=RARE)
+of_time = partial(add_effect, needs=frozenset({"time"}))
+of_joint = partial(add_effect, per_joint="required")
+
+
+def each(shorts: Iterable[str], *more: Any) -> list[Number]:
+    """Numbers of these short names that are alike."""
+    return [Number(short, *more) for short in shorts]
+
+
+def _wave(order: float | ca.SX, angle: ca.SX, values: ca.SX) -> ca.SX:
+    """A wave of this order, periods per turn."""
+    return values[0] * ca.cos(order * angle) + values[1] * ca.sin(order * angle)
+
+
+def _turned_back(values: ca.SX, angle: ca.SX) -> ca.SX:
+    """Real and imaginary part of (a + ib) exp(-i angle)."""
+    cosine, sine = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(values[0] * cosine + values[1] * sine, values[1] * cosine - values[0] * sine)
+
+
+# -- between the commanded and the real joint angle --------------------------------------------------------------------
+of_gravity(
+    "joint_compliance",
+    "joint winds up under gravity torque",
+    "Joints wind up under gravity torque: q_j + c_j tau_j, c_j >= 0.",
+    # typical: 1e5 N m/rad; strain-wave gears have 5e3 to 2.5e5, cycloidal ones 1e5 to 1e6
+    lambda self: [
+        Number(f"c{'' if self.joint else j}", "rad/(N m)", 1e-5, lever * TORQUE, 0.0)
+        for j, lever in enumerate(self.chain.levers, start=1)
+        if self.joint in (None, j)
+    ],
+    per_joint="optional",
+    joint_angles=lambda self, chain, values: (
+        values * (chain.torques[self.joint_index] if self.joint else chain.torques)
+    ),
+)
+of_joint(
+    "encoder_eccentricity",
+    "encoder disc off centre, once per turn",
+    "The encoder disc is off centre: a cos q_j + b sin q_j.",
+    each("ab", "rad", 5e-4, LEVER),  # typical: 20 um of eccentricity on a ring of 40 mm radius
+    joint_angles=lambda self, chain, values: _wave(1, chain.q[self.joint_index], values),
+)
+of_joint(
+    "encoder_second_harmonic",
+    "encoder disc tilted or oval, twice per turn",
+    "The encoder disc is tilted or oval: a cos 2 q_j + b sin 2 q_j.",
+    each("ab", "rad", 2e-4, LEVER),  # typical: ovality of 8 um on 40 mm radius
+    joint_angles=lambda self, chain, values: _wave(2, chain.q[self.joint_index], values),
+)
+
+
+def _ripple_orders(scope: Scope) -> list[float]:
+    """Whole numbers for gear teeth and, where the arm file has the gear ratio of the joint, once to four times per turn
+    of the motor; a wave of another order is looked up where the data show one."""
+    orders = [float(k) for k in range(3, 65)]
+    if scope.arm.gear_ratios is not None and scope.joint is not None:
+        ratio = float(scope.arm.gear_ratios[scope.joint - 1])
+        orders += [k * ratio for k in (1.0, 2.0, 3.0, 4.0) if ratio > 2.0]
+    return orders
+
+
+of_joint(
+    "transmission_ripple",
+    "gear ripple, k times per turn",
+    "Gear teeth or flex-spline error: a cos k q_j + b sin k q_j.",
+    each("ab", "rad", 1e-4, LEVER),  # typical: strain-wave gears, 1 arcmin from peak to peak, over sqrt(2) for a and b
+    settings={"k": Setting(0.25, 2000.0, _ripple_orders)},
+    joint_angles=lambda self, chain, values: _wave(self.chosen["k"], chain.q[self.joint_index], values),
+)
+of_joint(
+    "gear_ratio",
+    "gear ratio in the controller is wrong",
+    "The gear ratio in the controller is wrong: e q_j.",
+    [Number("e", "1", 1e-4, LEVER)],  # typical: diameter of a pulley of 50 to 100 mm within 5 to 10 um
+    joint_angles=lambda self, chain, values: values * chain.q[self.joint_index],
+)
+of_joint(
+    "joint_coupling",
+    "the joint before turns this one a little",
+    "Moving joint j-1 turns joint j a little (belt or wrist coupling): c q_(j-1).",
+    [Number("c", "1", 1e-4, LEVER)],  # typical: as of `gear_ratio`: what a controller leaves of a coupling
+    first_joint=2,
+    joint_angles=lambda self, chain, values: values * chain.q[self.joint_index - 1],
+)
+of_joint(
+    "backlash",
+    "gear play, by direction of approach",
+    "Play in the gear, resolved by the direction of approach s_j = +1/-1: b s_j.",
+    [Number("b", "rad", 1.5e-4, LEVER)],  # typical: lost motion of robot gears 1 arcmin, half to either side
+    needs=frozenset({"directions"}),
+    joint_angles=lambda self, chain, values: values * chain.directions[self.joint_index],
+)
+of_gravity(
+    "gravity_backlash",
+    "gear play, pushed to one side by gravity",
+    "Play in the gear, pushed to one side by gravity: b sign(tau_j), b >= 0.",
+    [Number("b", "rad", 1.5e-4, LEVER, 0.0)],  # typical: as of `backlash`
+    per_joint="required",
+    joint_angles=lambda self, chain, values: values * ca.sign(chain.torques[self.joint_index]),
+)
+of_joint(
+    "servo_error",
+    "controller leaves the joint beside its command",
+    "The joint comes to rest, and is read, beside its command by b + h s_j. Positions follow what is read.",
+    each("bh", "rad", 5e-5, LEVER),  # typical: a count of an encoder of 17 bits, 4.8e-5 rad
+    of_commands=True,
+)
+of_joint(
+    "joint_error_curve",
+    "smooth error over the angles measured, as a table",
+    "A function of the joint's own angle, found by `diagnose` from the angles measured; zero beyond them.",
+    tabulated=True,
+    # supplied by the model; its derivative with respect to the posture is neglected
+    joint_angles=lambda self, chain, values: 0.0 if chain.errors is None else chain.errors[self.joint_index],
+)
+
+# -- less common ones --------------------------------------------------------------------------------------------------
+of_time(
+    "thermal_transient",
+    "links grow exponentially while the arm warms up",
+    "Links grow while the arm warms up, one or all alike: l_j (1 + a (1 - exp(-(t + 1/2) / tau))), t = -0.5..0.5.",
+    # typical: aluminium that warms by 4 K
+    [Number("a", "1", 1e-4, lambda self: self.link_length if self.joint else self.reach)],
+    per_joint="optional",
+    prior=RARE,
+    # times to try, of a session: neighbors are alike to 0.98, beyond them drift or nothing
+    settings={"tau": Setting(0.001, 10.0, (0.05, 0.1, 0.2, 0.4, 0.8))},
+    extensions=lambda self, chain, values, lengths: (
+        (lengths[self.joint_index] if self.joint else lengths)
+        * values[0]
+        * (1.0 - ca.exp(-(chain.time + 0.5) / self.chosen["tau"]))
+    ),
+)
+
+
+def _after(effect: Effect, chain: Chain) -> ca.SX:
+    """1 after the step, 0 before."""
+    return clock(chain.time, chain.session) > effect.chosen["at"]
+
+
+of_step = partial(of_time, prior=RARE, once=True, settings={"at": STEP})
+of_step(
+    "joint_step",
+    "zero of a joint jumps during the session",
+    "The zero of a joint jumps at a time of the session, as after a collision or a lost count: b for t > at.",
+    [Number("b", "rad", 2e-4, LEVER)],  # typical: a few encoder counts lost, or a light collision
+    per_joint="required",
+    joint_angles=lambda self, chain, values: values * _after(self, chain),
+)
+of_step(
+    "link_step",
+    "link is longer after a remounting",
+    "A link is longer from a time of the session on, as after it was taken off and mounted again: d for t > at.",
+    [Number("d", "mm", 0.1)],  # typical: a flange remounted without dowels
+    per_joint="required",
+    extensions=lambda self, chain, values, lengths: values * _after(self, chain),
+)
+of_step(
+    "base_step",
+    "base or tracker jumps during the session",
+    "The base or the instrument is moved at a time of the session: + (x, y), in space + (x, y, z), on one side of it.",
+    lambda self: each(self.chain.axes, "mm", 0.1),  # typical: as of `link_step`
+    # side 1: for t > at, -1: for t < at; where the model has no `base_offset` that is not the same
+    settings={"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)},
+    base_translation=lambda self, chain, values: (
+        values * (self.chosen["side"] * (clock(chain.time, chain.session) - self.chosen["at"]) > 0)
+    ),
+)
+of_load(
+    "payload_error",
+    "payload is not what the file says",
+    "The payload is not what the file says: + d, for every effect of gravity.",
+    [Number("d", "kg", 0.5)],  # typical: cables and adapters that nobody weighed
+    payload=lambda self, chain, values: values,
+)
+of_load(
+    "payload_place",
+    "payload hangs elsewhere than the file says (payload_at_mm)",
+    "The payload hangs elsewhere than the file says: shifted by (x, y, z) in the frame of the tip.",
+    each("xyz", "mm", 50.0),  # typical: grippers are 100 mm long, targets sit on their rims
+    family="payload_error",
+    dimensions=SPACE,
+    payload_shift=lambda self, chain, values: values,
+)
+# a guessed mass makes a wrong stiffness of a tool that nobody weighed. With one payload in all rows, the masses of the
+# links distinguish mass and compliances; `diagnose` looks for `payload_error` instead. Where nothing determines m, it
+# is what tools usually weigh, so that what shows under the tool's weight alone is looked for
+of_load(
+    "tool_mass",
+    "mass of a tool that nobody weighed",
+    "The tool is so much heavier than the payload that the arm file says: + m, m >= 0, for every effect of gravity.",
+    [Number("m", "kg", 2.0, lower=0.0, start=2.0)],  # typical: grippers and adapters of targets
+    family="payload_error",
+    nuisance=True,
+    payload=lambda self, chain, values: values,
+)
+of_load(
+    "gravity_tilt",
+    "base leans against gravity",
+    "The base leans: gravity is turned by an angle, in space by two about x and y, for every effect of gravity.",
+    # typical: floors are level to some mm per m
+    lambda self: each({1: ("angle",), 3: "xy"}[len(self.chain.turning)], "rad", 5e-3),
+    gravity_turn=lambda self, chain, values: (  # about the vertical nothing
+        ca.vertcat(values, ca.SX.zeros(len(self.chain.turning) - values.numel()))
+    ),
+)
+
+
+def _leaning(effect: Effect, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """(n,) displacements along and across each link, per unit length: real and imaginary part of
+    (a + ib) exp(-2i angle), with the angle of the link against the one before the joint of the effect."""
+    along, across, angle = ca.SX.zeros(chain.links), ca.SX.zeros(chain.links), ca.SX(0)
+    for k in range(effect.joint_index, chain.links):
+        angle += chain.q[k]
+        along[k], across[k] = ca.vertsplit(_turned_back(values, 2.0 * angle))
+    return along, across
+
+
+# with s the vector from the joint to the tip and theta the orientation of the link before, in complex numbers:
+# s + (a + ib) exp(2i theta) conj(s). A lean by alpha about the direction beta against that link has
+# a + ib = alpha^2 exp(2i beta) / 4. In joint 1 that is `axes_skew`
+of_joint(
+    "axis_tilt",
+    "axis leans out of the plane",
+    "The axis of a joint leans out of the normal of the plane: what lies beyond is seen foreshortened.",
+    # typical: alpha^2 / 4 with alpha = 0.02 rad, bearings 1 mm out of line on 50 mm
+    lambda self: each("ab", "1", 1e-4, float(np.sum(self.chain.lengths[self.joint_index :]))),
+    first_joint=2,
+    prior=RARE,
+    dimensions=PLANE,  # in space the geometry has it
+    extensions=lambda self, chain, values, lengths: lengths * _leaning(self, chain, values)[0],
+    deflections=lambda self, chain, values: ca.DM(chain.lengths) * _leaning(self, chain, values)[1],
+)
+
+
+def _hysteresis_widths(scope: Scope) -> list[float]:
+    """Widths to try [deg], from nearly backlash to nearly a wrong gear ratio, for the range of the joint."""
+    joint = (scope.joint or 1) - 1
+    if scope.postures is None:
+        span = float(scope.arm.upper[joint] - scope.arm.lower[joint])
+    else:
+        span = float(np.ptp(scope.postures[:, joint]))
+    return [float(np.degrees(width * span)) for width in WIDTHS] if span > 0.0 else [1.0]
+
+
+def _wound_up(effect: Effect, chain: Chain) -> ca.SX:
+    """The wind-up grows by the motion divided by the width and stays within -1..1 (Prandtl's element); at the start of
+    the session it is 0. It remembers earlier postures as long as no motion is wider than twice the width. A width of 0
+    is `backlash`, one beyond the range of the joint `gear_ratio`."""
+    past = [] if chain.past is None else ca.horzsplit(chain.past[effect.joint_index, :])
+    wind_up, width = ca.SX(0), np.pi / 180.0 * effect.chosen["width_deg"]
+    for before, now in pairwise([*past, chain.q[effect.joint_index]]):
+        wind_up = ca.fmax(-1.0, ca.fmin(1.0, wind_up + (now - before) / width))
+    return wind_up
+
+
+of_joint(
+    "joint_hysteresis",
+    "friction winds the gear up, with a memory of earlier motions",
+    "Friction winds the gear up until it slips: b times the wind-up, which follows the joint's motion within -1..1.",
+    [Number("b", "rad", 1.5e-4, LEVER)],  # typical: as of `backlash`: catalogs give 1 arcmin, too
+    needs=frozenset({"past"}),
+    prior=RARE,
+    settings={"width_deg": Setting(0.01, 1000.0, _hysteresis_widths)},
+    joint_angles=lambda self, chain, values: values * _wound_up(self, chain),
+)
+
+
+# -- links and bearings ------------------------------------------------------------------------------------------------
+def _bent(chain: Chain, values: ca.SX, by_force: tuple[int, int], by_moment: tuple[int, int]) -> ca.SX:
+    """(n,) flexibility times F L^a / b + M L^c / d for pairs (a, b), (c, d): of each link with its length L [m], the
+    force F [N] to its left and the moment M [N m] at its tip. The link's own mass is not a load beyond it."""
+    bends, last = [], chain.links - 1
+    for j, length in enumerate((chain.lengths / 1000.0).tolist()):
+        force = chain.weight(j + 1, j)[1]
+        if j == last:  # the payload hangs on its tip, so it is beyond it; its moment there is 0
+            force += chain.payload * ca.dot(chain.frames[j + 1].axes[:, 1], chain.acceleration)
+        moment = chain.moment(j + 1)[2] if j < last else 0.0
+        bends.append(force * length ** by_force[0] / by_force[1] + moment * length ** by_moment[0] / by_moment[1])
+    return values * ca.vertcat(*bends)
+
+
+of_gravity(  # Euler-Bernoulli: deflection F L^3 / 3EI + M L^2 / 2EI, slope F L^2 / 2EI + M L / EI
+    "link_bending",
+    "links bend under the loads beyond them",
+    "Links bend as cantilever beams of one stiffness EI under the loads beyond their tips.",
+    # typical: EI = 1e5 N m^2, an aluminium tube of 90 mm with walls of 6 mm
+    # scale: one unit of 1/(EI) under some 100 N at the end of each link: L^3 / 3 [m^3] * 100 N * 1000 mm/m
+    [Number("flexibility", "1/(N m^2)", 1e-5, lambda self: np.sum(self.chain.lengths**3) / 3e4, 0.0)],
+    dimensions=PLANE,
+    deflections=lambda self, chain, values: 1000.0 * _bent(chain, values, (3, 3), (2, 2)),
+    slopes=lambda self, chain, values: _bent(chain, values, (2, 2), (1, 1)),
+)
+add_effect(
+    "thermal_growth",
+    "links grow with temperature",
+    "Links grow with temperature: l_j (1 + a (T - T_mean)).",
+    [Number("a", "1/K", 2e-5, REACH)],  # typical: steel 12e-6, aluminium 23e-6
+    needs=frozenset({"temperature"}),
+    extensions=lambda self, chain, values, lengths: lengths * values[0] * chain.temperature,
+)
+
+
+def _axis_of(effect: Effect) -> Array:
+    """(3,) of the effect's joint in its own frame."""
+    return effect.chain.joints[effect.joint_index].axis
+
+
+of_gravity(
+    "bearing_compliance",
+    "bearing tilts across its axis under gravity",
+    "The bearing of a joint yields across its axis: tilted by c M, M the moment of gravity across the axis, c >= 0.",
+    # typical: output bearings of strain-wave gears, 4e4 to 4e6 N m/rad across the axis
+    [Number("c", "rad/(N m)", 3e-6, lambda self: self.link_length * TORQUE, 0.0)],
+    per_joint="required",
+    dimensions=SPACE,
+    joint_turns=lambda self, chain, values: (
+        values[0]
+        * ca.mtimes(ca.DM(np.eye(3) - np.outer(_axis_of(self), _axis_of(self))), chain.moment(self.joint_index))
+    ),
+)
+# in complex numbers x + iy in the frame before the joint moves, z along the axis. A shift by (a + ib) exp(+i q_j) turns
+# with the link and is an error of its geometry; every runout once per turn is a sum of the two
+of_joint(
+    "axis_runout",
+    "axis runs out of true once per turn",
+    "The axis of a joint runs out of true once per turn: shifted by (a + ib) exp(-i q_j) across itself.",
+    each("ab", "mm", 3e-3),  # typical: runout of such bearings 5 to 15 um from peak to peak
+    prior=RARE,
+    dimensions=SPACE,
+    joint_shifts=lambda self, chain, values: ca.mtimes(  # in the frame that has turned
+        ca.DM(rotation_to_z(_axis_of(self))[:, :2]), _turned_back(values, 2.0 * chain.q[self.joint_index])
+    ),
+)
+
+# -- base and instrument -----------------------------------------------------------------------------------------------
+add_effect(
+    "base_offset",
+    "base not at the origin of the measurements",
+    "The base does not stand at the origin of the measurements: + (x0, y0).",
+    each(("x0", "y0"), "mm", 1.0),  # typical: a base set up with dowels or by touching off
+    of_positions=True,
+    dimensions=PLANE,  # in space the base is part of the geometry
+    base_translation=lambda self, chain, values: values,
+)
+of_time(
+    "base_drift",
+    "base or tracker creeps during the session",
+    "The base (or the tracker) creeps during the session: + (vx, vy) t, t = -0.5..0.5; in space + (vx, vy, vz) t.",
+    # typical: creep of tripods, floors and warming frames in an hour or two
+    lambda self: each((f"v{axis}" for axis in self.chain.axes), "mm/session", 0.05),
+    once=True,
+    base_translation=lambda self, chain, values: values * chain.time,
+)
+of_time(
+    "base_rotation_drift",
+    "base or tracker turns during the session",
+    "The base (or the tracker) turns during the session: by w t, t = -0.5..0.5; in space by (wx, wy, wz) t.",
+    lambda self: each(self.chain.turn_names, "rad/session", 5e-5, REACH),  # typical: as of `base_drift`, at 1 m
+    once=True,
+    base_rotation=lambda self, chain, values: values * chain.time,
+)
+
+
+def _of_session(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+    """(d + r,) shift and rotation of the row's session, zero for the first."""
+    in_session = ca.vertcat(*(chain.session == number for number in range(1, int(effect.chosen["sessions"]))))
+    return ca.mtimes(ca.reshape(values, -1, in_session.numel()), in_session)
+
+
+# nothing physical is missing: arm or instrument was set up again. `identify` and `diagnose` add it by themselves where
+# the data name sessions, and leave it out of what they write
+add_effect(
+    "session_base",
+    "arm or instrument set up again for each session",
+    "Each session after the first has its own base: + (x, y), rotation by w, relative to that of the first.",
+    # typical: arm or instrument anywhere in the cell, turned by any angle
+    lambda self: [
+        number._replace(short=f"{number.short}{session}")
+        for session in range(2, int(self.chosen["sessions"]) + 1)
+        for number in each(self.chain.axes, "mm", 1000.0) + each(self.chain.turn_names, "rad", 3.0, REACH)
+    ],
+    needs=frozenset({"session"}),
+    settings={"sessions": (2, 99)},
+    nuisance=True,
+    base_rotation=lambda self, chain, values: _of_session(self, chain, values)[chain.dimension :],
+    base_translation=lambda self, chain, values: _of_session(self, chain, values)[: chain.dimension],
+)
+add_effect(
+    "axes_skew",
+    "instrument axes of unequal scale or not square",
+    "Unequal scales and axes that are not square: p + (a + ib) conj(p), p = x + iy.",
+    each("ab", "1", 5e-5, REACH),  # typical: laser trackers 1e-5, cameras 1e-4 of the distance
+    of_positions=True,
+    dimensions=PLANE,
+    instrument=lambda self, p, values: ca.vertcat(
+        values[0] * p[0] + values[1] * p[1], values[1] * p[0] - values[0] * p[1]
+    ),
+)
+add_effect(
+    "length_offset",
+    "all measured distances too long by the same",
+    "A measured distance is longer than it is by the same everywhere, + c: the zero of a draw wire, the reference "
+    "length of a ball bar.",
+    [Number("c", "mm", 0.5)],  # typical: wires are zeroed by hand, bars measured between rims
+    needs=frozenset({"distance"}),
+    dimensions=SPACE,
+    instrument=lambda self, p, values: values[0] * p / distance_to_center(p),  # the center is the origin
+)
+add_effect(
+    "measurement_scale",
+    "instrument scale is wrong",
+    "The instrument's unit is wrong by a factor: p (1 + s).",
+    [Number("s", "1", 5e-5, REACH)],  # typical: as of `axes_skew`
+    alias="a common factor of all link lengths",
+    instrument=lambda self, p, values: values[0] * p,
+)
+add_effect(
+    "tool_offset",
+    "target not at the tip",
+    "The measured target is not at the tip: (x, y) in the frame of the last link.",
+    each("xy", "mm", 1.0),  # typical: adapter of a target, not measured
+    alias="the length and the joint offset of the last link",
+    dimensions=PLANE,  # in space the tool is part of the geometry
+    tool=lambda self, chain, values: values,
+)
+add_effect(
+    "base_rotation",
+    "base turned against the measurements",
+    "The base is turned against the frame of the measurements.",
+    [Number("angle", "rad", 1e-3, lambda self: self.chain.levers[0])],  # typical: as `base_offset`, 1 mm at 1 m
+    alias="the offset of joint 1",
+    dimensions=PLANE,  # in space the base is part of the geometry
+    base_rotation=lambda self, chain, values: values,
+)
