@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from identification.document import Document, Facts, Sheet, number
+from identification.document import Document, Sheet, facts_sheet, number
 from identification.documents.identification import DRAWN
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def inspection_document(result: Inspection, arm: str, rows: str) -> Document:
         ("repeats scatter by", None if result.floor.source is None else f"{result.floor.value:.4g} mm"),
     ]
     if result.other_units:
-        return Document("Inspection", ["Fix these first:"], [*parts, Facts(figures)])
+        return Document("Inspection", ["Fix these first:"], [*parts, facts_sheet(figures)])
     figures.append(("drawing", f"{number(result.drawing)} mm RMS, {DRAWN['base']}"))
     figures.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm RMS"))
     if (enough := result.enough) is not None:
@@ -46,7 +46,7 @@ def inspection_document(result: Inspection, arm: str, rows: str) -> Document:
         ranges = (f"{joint.in_file_units(x):.2f}" for x in (joint.low, joint.high))
         joints.append([str(joint.joint), *ranges, *limits, joint.unit, str(joint.outside)])
     headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
-    parts += [Facts(figures), Sheet(headings, joints, "Joints"), *(f"note: {note}" for note in result.notes)]
+    parts += [facts_sheet(figures), Sheet(headings, joints, "Joints"), *(f"note: {note}" for note in result.notes)]
     if result.sag is not None and result.sag.recommended:
         parts.append("\n".join(["", *result.sag.lines, ""]))
     if result.problems:
