@@ -26,9 +26,9 @@ from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, gained_squares
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
-from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
-from identification.kinematics.frames import own_axes_angles
-from identification.kinematics.parameters import JOINT_OFFSET, of_effects
+from identification.kinematics.corrected import corrected, errors_between, standing_in
+from identification.kinematics.frames import displaced_by, pose
+from identification.kinematics.parameters import JOINT_OFFSET, error_names, of_effects
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
@@ -471,13 +471,10 @@ def placed_values(chain: KinematicChain, values: Mapping[str, float]) -> dict[st
 
     values : corrections of base and points
     """
-    base: Array = composed_base(chain, values)
-    placed = dict(zip([f"base.{axis}" for axis in "xyz"], base[:3, 3].tolist(), strict=True))
-    placed |= dict(zip([f"base.r{axis}" for axis in "xyz"], own_axes_angles(base[:3, :3]).tolist(), strict=True))
-    for name, place in composed_tools(chain, values).items():
-        placed |= {f"{TOOL}[{name}].{axis}": float(x) for axis, x in zip("xyz", np.asarray(place), strict=True)}
-    for name, axes in composed_axes(chain, values).items():
-        placed |= {f"{TOOL}[{name}].r{axis}": float(x) for axis, x in zip("xyz", own_axes_angles(axes), strict=True)}
+    stands, placed = standing_in(chain, values), dict[str, float]()
+    points = {f"{TOOL}[{name}]": pose(place, stands.tool_axes.get(name)) for name, place in stands.tools.items()}
+    for name, frame in {BASE: stands.base, **points}.items():
+        placed |= displaced_by(np.eye(4), frame, error_names(name))
     return {name: placed.get(name, value) for name, value in values.items()}
 
 

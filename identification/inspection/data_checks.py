@@ -23,7 +23,7 @@ from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
-from identification.model.placed import one_unnamed, placed_model, tip_frames
+from identification.model.placed import one_unnamed, placed_model
 
 ANGLES = {  # factors to radians as read, and what the numbers then were
     "small": {180.0 / np.pi: "radians: name the columns q1_rad.. instead of q1_deg.."},
@@ -121,7 +121,7 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     largest = float(np.abs(measurements.postures[:, turning]).max(initial=0.0))
     # below 7 deg numbers may be radians, above 7 rad, more than a turn, degrees
     angle = ANGLES["small"] if 0.0 < largest < np.radians(7.0) else ANGLES["large"] if largest > 7.0 else {}
-    tips = {t: tip_frames(arm.chain, measurements.postures * np.where(turning, t, 1.0)) for t in (1.0, *angle)}
+    tips = {t: arm.chain.tip_frames(measurements.postures * np.where(turning, t, 1.0)) for t in (1.0, *angle)}
     drawn = {t: _spread(frames[:, : arm.dimension, 3]) for t, frames in tips.items()}
     # one posture: what its repeats scatter by has no ratio to the drawing
     if max(drawn.values()) < 1e-3 * arm.reach:

@@ -24,7 +24,7 @@ from identification.kinematics.counting import Counting
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.model.placed import frames_of_tip, placed_model, some
+from identification.model.placed import placed_model, some
 
 ENOUGH = 200  # rows that are used: a wrong sign shows in far fewer
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
@@ -362,16 +362,12 @@ def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callabl
 def _place(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], Placement]:
     """Where the drawing stands by a reading."""
     chain = anywhere(arm).chain
-    frames = _frames(chain)
     measured = rows.positions[:, : chain.coordinates]
     tool = np.zeros(3) if TOOL in chain.settled else None
     read = partial(Unplaced, reach=chain.reach, tool=tool, hopeless=hopeless)
     return lambda reading: chain.instrument.place(
-        read(frames(reading.postures(rows.postures)), reading.positions(measured))
+        read(chain.tip_frames(reading.postures(rows.postures)), reading.positions(measured))
     )
-
-
-_frames = lru_cache(maxsize=4)(frames_of_tip)
 
 
 def _placed(arm: Arm, rows: Measurements) -> Callable[[Reading], Reading]:

@@ -10,7 +10,7 @@ import pytest
 from doe.studies.blind.score import contradictions
 from identification.arm import EffectSpec
 from identification.documents.diagnosis import likely as likely_in_words
-from identification.gap.detectability import LEVEL
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.result import Candidate, Diagnosis
 from identification.gap.search import MOST
 from identification.gap.verdict import CREDIBLE, Probabilities
