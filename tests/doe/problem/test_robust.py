@@ -19,7 +19,6 @@ from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Conditions
@@ -95,10 +94,8 @@ def test_i_is_the_error_of_simulated_arms_drawn_from_the_prior() -> None:
     truth = deviations * generator.standard_normal((count, 12))
     clean = model.position(POSTURES, truth)
     data = clean + 0.1 * generator.standard_normal(clean.shape)
-    fitted = levenberg_marquardt(
-        Problem(model, POSTURES, Conditions(), data, np.full(6, 100.0), prior=prior).least_squares,
-        np.zeros((count, 12)),
-    )
+    told = Problem(model, POSTURES, Conditions(), data, np.full(6, 100.0), prior=prior)
+    fitted = told.minimized(np.zeros((count, 12)))
     poses = workspace(PLAIN)[:200]
     missed = model.position(poses, fitted.parameters) - model.position(poses, truth)
     simulated = float(np.mean(np.sum(missed**2, axis=-1)))
