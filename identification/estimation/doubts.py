@@ -16,7 +16,7 @@ from identification.arrays import Array, rows_in_words
 from identification.estimation.problem import Earlier
 from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
-from identification.inspection.data_checks import DRAWN
+from identification.inspection.readings import DRAWN
 from identification.inspection.readings import read_differently
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.closed_form import PlanarClosedForm

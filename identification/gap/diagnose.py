@@ -35,7 +35,7 @@ from identification.gap.replication import curve_columns, replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, candidate_of, trials
 from identification.gap.scatter import Finding
 from identification.gap.verdict import Probabilities, likeliest_with, probabilities
-from identification.inspection.data_checks import gap_notes
+from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
