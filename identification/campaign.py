@@ -1,42 +1,43 @@
-"""Whatever files of a campaign are given, as one document: arms, measurements, joint commands, and output of commands
-with --json; and what another package adds of its own kinds (doe/report/campaign.py: plans)."""
+"""Whatever files of a campaign are given, as one document: arms, plans, measurements, joint commands, and output of
+commands with --json."""
 
 from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
 from identification.arm import Arm
 from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number
-from identification.documents.diagnosis import diagnosis_actions, diagnosis_sections, diagnosis_verdict, gap_in_words
+from identification.documents.diagnosis import diagnosis_actions, diagnosis_document, diagnosis_verdict, gap_in_words
 from identification.documents.identification import (
     calibrated_actions,
+    command_rows,
     corrected_section,
     dh_sections,
-    expected_elsewhere,
     identification_verdict,
     identify_command,
+    rows_listed,
+    validation_sections,
+    validation_verdict,
 )
 from identification.documents.pictures import Compared, workspace_arrows
-from identification.documents.use import command_rows, rows_listed, validation_sections, validation_verdict
 from identification.errors import InputError
 from identification.estimation.result import Calibrated, CorrectedValue, corrected_values
 from identification.files.arm import load_arm
-from identification.files.csv import Table as CsvTable
-from identification.files.csv import read_table
+from identification.files.csv import Table, read_table
 from identification.files.io import read_text
-from identification.files.measurement import UNITS
+from identification.files.measurement import UNITS, PlanFile, read_plan
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
-from identification.origin import data_hashes, diagnosed, outside
+from identification.origin import data_hashes, diagnosed, mostly_outside
 from identification.reuse import same_drawing
 from identification.validate import Validation, validate
 from identification.workflow import dh_table
@@ -46,7 +47,12 @@ KEYS = {
     "diagnose": ("verdict", "candidates", "gap", "trials"),
     "validate": ("refit", "rows", "rms_nominal_mm"),
     "identify": ("parameters", "rms_before_mm", "rms_after_mm"),
+    "design": ("criterion", "runs", "efficiency", "certified_optimal"),
 }
+ALLOWED = (
+    "arm files (.toml), plans, measurements and joint commands (.csv), what design, score, identify, diagnose or "
+    "validate --json said"
+)
 PLACED = (
     "Everything stays as it is in the file but for where the arm stands, which is fitted to each set of measurements; "
     "so it is for the drawing."
@@ -59,38 +65,34 @@ class Campaign:
 
     kinds : of every file, in words;  results : command -> name -> its JSON object
     tests : measurements -> calibrated arm -> what it leaves of them
-
-    Of files of other kinds a subclass knows what they are (`read_other`), what they say, show and ask for.
+    show_plan : the section of a plan of an arm, and its name;  judge : a design in a sentence
     """
 
-    KEYS: ClassVar[Mapping[str, Sequence[str]]] = KEYS
-    ALLOWED: ClassVar[str] = (
-        "arm files (.toml), measurements and joint commands (.csv), what identify, diagnose or validate --json said"
-    )
-
+    show_plan: Callable[[Arm, PlanFile, str], Section] | None = None
+    judge: Callable[[Mapping[str, Any]], str] | None = None
     kinds: dict[str, str] = field(default_factory=dict)
     arms: dict[str, Arm] = field(default_factory=dict)
+    plans: dict[str, PlanFile] = field(default_factory=dict)
     measurements: dict[str, Measurements] = field(default_factory=dict)
-    commands: dict[str, CsvTable] = field(default_factory=dict)
+    commands: dict[str, Table] = field(default_factory=dict)
     results: dict[str, dict[str, Mapping[str, Any]]] = field(default_factory=lambda: defaultdict(dict))
     tests: dict[str, dict[str, Validation]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, paths: Sequence[Path]) -> Self:
+    def of(cls, paths: Sequence[Path], **shows: Any) -> Self:
         """Reads every file by its kind, tables by the first arm, and compares models and measurements.
 
         Raises `InputError` for a file of another kind, one given twice, a table without an arm file, files of two arms.
         """
-        campaign = cls()
+        campaign = cls(**shows)
         for path in sorted(paths, key=lambda path: path.suffix.lower() != ".toml"):  # tables are read by the arm
             if str(path) in campaign.kinds:
                 raise InputError(f"{path}: is given twice, allowed: each file once")
             campaign.kinds[str(path)] = campaign.read(path)
-        for name in sorted(
-            campaign.measurements if campaign.calibrated else (), key=lambda n: bool(campaign.fitted(n))
-        ):
-            rows = campaign.measurements[name]
-            campaign.tests[name] = {model: validate(arm, rows) for model, arm in campaign.calibrated.items()}
+        if calibrated := campaign.calibrated:
+            for name in sorted(campaign.measurements, key=lambda name: bool(campaign.fitted(name))):
+                rows = campaign.measurements[name]
+                campaign.tests[name] = {model: validate(arm, rows) for model, arm in calibrated.items()}
         return campaign
 
     def read(self, path: Path) -> str:
@@ -103,10 +105,17 @@ class Campaign:
                 raise InputError(f"{name}: another arm than that of {first}, allowed: files of one arm")
             return "arm with a calibration" if arm.calibration is not None else "arm"
         if ending == ".json":
-            command, self.results[command][name] = self.said_by(path)
-            return f"armcal {command} --json"
+            try:
+                data = json.loads(read_text(path))
+            except (ValueError, RecursionError) as error:
+                raise InputError(f"{path}: not valid JSON: {error}, allowed: what a command said with --json") from None
+            for command, keys in KEYS.items():
+                if isinstance(data, dict) and all(key in data for key in keys):
+                    self.results[command][name] = data
+                    return f"armcal {command} --json"
+            raise InputError(f"{path}: JSON of no command that is known here, allowed: {ALLOWED}")
         if ending not in (".csv", ".tsv", ".txt"):
-            raise InputError(f"{name}: ending {path.suffix!r}, allowed: {self.ALLOWED}")
+            raise InputError(f"{name}: ending {path.suffix!r}, allowed: {ALLOWED}")
         if not self.arms:
             raise InputError(f"{name}: a table without its arm, allowed: the arm file (.toml) beside it")
         arm, table = next(iter(self.arms.values())), read_table(path)
@@ -120,35 +129,8 @@ class Campaign:
         if touched or any(column in table for column in columns):
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
-        return self.read_other(path, arm)
-
-    def said_by(self, path: Path) -> tuple[str, Mapping[str, Any]]:
-        """The command that wrote a JSON file, and its object. Raises `InputError` for any other file."""
-        try:
-            data = json.loads(read_text(path))
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path}: not valid JSON: {error}, allowed: what a command said with --json") from None
-        for command, keys in self.KEYS.items():
-            if isinstance(data, dict) and all(key in data for key in keys):
-                return command, data
-        raise InputError(f"{path}: JSON of no command that is known here, allowed: {self.ALLOWED}")
-
-    # -- files of other kinds ------------------------------------------------------------------------------------------
-    def read_other(self, path: Path, arm: Arm) -> str:
-        """Reads a table that has neither measurements nor commands, of the first arm, and returns its kind."""
-        raise InputError(f"{path}: neither measurements nor joint commands of {arm.name}, allowed: {self.ALLOWED}")
-
-    def other_verdict(self) -> list[str]:
-        """What files of other kinds say, in sentences."""
-        return []
-
-    def other_sections(self) -> list[Section]:
-        """What they show."""
-        return []
-
-    def first_actions(self, arm: str) -> list[Action]:
-        """What to do where nothing has been measured yet;  arm : name of its file"""
-        return []
+        self.plans[name] = read_plan(path, arm.joint_types)
+        return "plan"
 
     # -- models and measurements ---------------------------------------------------------------------------------------
     @property
@@ -186,7 +168,8 @@ class Campaign:
         lines = [validation_verdict(test.to_json(), model, rows) for rows, test in self.elsewhere.items()]
         lines = lines or [validation_verdict(data) for data in self.results["validate"].values()]
         lines = lines or [gap_in_words(data) for data in diagnoses if data["confirmation"] is not None]
-        lines += [sentence for data in diagnoses for sentence in diagnosis_verdict(data) if sentence not in lines]
+        said = (sentence for data in diagnoses for sentence in (*diagnosis_verdict(data), gap_in_words(data)))
+        lines += [sentence for sentence in said if sentence not in lines]
         seen = (rows for rows in self.tests if rows not in self.elsewhere)  # what other models leave is in the tables
         lines += [validation_verdict(self.tests[rows][model].to_json(), model, rows, seen=True) for rows in seen]
         if len(self.calibrated) > 1:
@@ -195,7 +178,9 @@ class Campaign:
             others = " and ".join(name for name in self.calibrated if name != model)
             lines.append(f"Of the calibrations the next steps use {model}: {why}. {others} is shown beside it.")
         lines += [identification_verdict(data) for data in self.results["identify"].values()]
-        lines += self.other_verdict()
+        designs = self.results["design"].values()
+        lines += [self.judge(data) for data in designs if self.judge is not None]
+        lines += [f"The plan {name} has {len(p.postures)} runs." for name, p in self.plans.items() if not designs]
         lines += [commanded_in_words(name, table) for name, table in self.commands.items()]
         return lines or [f"{name}: {kind}." for name, kind in self.kinds.items()]
 
@@ -221,21 +206,24 @@ class Campaign:
         if self.calibrated or self.results["identify"] or self.results["validate"]:
             done = self.chosen is not None and diagnosed(self.calibrated[self.chosen])
             tested = bool(self.elsewhere) or bool(self.results["validate"])
-            return [*self.beyond(), *([] if done else [look]), *([] if tested else [hold]), use]
+            far = [
+                rows for rows, test in self.elsewhere.items() if mostly_outside(test.arm, test.measurements.postures)
+            ]
+            wider = f"most rows of {' and '.join(far)} are beyond the angles that {self.chosen} has seen"
+            first = Action(f"Measure over all angles that the robot will use, and identify again: {wider}.")
+            return [*([first] if far else []), *([] if done else [look]), *([] if tested else [hold]), use]
         if self.measurements:
             fit = self.measurements[data[0]].fit
             return [Action("Identify the arm:", identify_command(arm, data[0], fit)), look]
-        return self.first_actions(arm)
-
-    def beyond(self) -> list[Action]:
-        """What to measure where most rows of other measurements are at angles that the chosen model has not seen."""
-        actions = []
-        for rows, test in self.elsewhere.items():
-            out = outside(test.arm, self.measurements[rows].postures)
-            if out is not None and (share := float(np.mean(out.any(axis=1)))) > 0.5:
-                far = f"{100.0 * share:.0f} % of the rows of {rows} are beyond the angles that {self.chosen} has seen"
-                actions.append(Action(f"Measure over all angles that the robot will use, and identify again: {far}."))
-        return actions
+        fits = [plan.fit for plan in self.plans.values()]
+        fit = next(iter(fits + [design.get("fit") or "" for design in self.results["design"].values()]), "")
+        why = ", as the plan is meant: what it promises is of this fit" if fit else ""
+        measure = f"Measure the postures of {next(iter(self.plans), 'plan.csv')}, and write the positions beside the"
+        return [
+            Action(f"{measure} angles (armcal help formats)."),
+            Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
+            Action(f"Identify the arm{why}:", identify_command(arm, "data.csv", fit)),
+        ]
 
     def document(self) -> Document:
         """All of it. Raises `InputError` for JSON that lacks what its command says."""
@@ -249,40 +237,37 @@ class Campaign:
             files = ", ".join(name for files_data in self.results.values() for name in files_data)
             if not files:
                 raise
-            why = f"{type(error).__name__} {error}"
-            raise InputError(
-                f"{files}: not as the command writes it ({why}), allowed: the whole of its JSON"
-            ) from error
+            lacks = f"{files}: not as the command writes it ({type(error).__name__} {error})"
+            raise InputError(f"{lacks}, allowed: the whole of its JSON") from error
 
     def sections(self) -> list[Section]:
         """The parts of the page."""
-        folded: list[Section] = []
-        sections: list[Section] = []
-        for data in self.results["diagnose"].values():
-            for part in diagnosis_sections(data):
-                (folded if part.folded else sections).append(part)
+        diagnoses = [diagnosis_document(data).parts for data in self.results["diagnose"].values()]
+        parts = [part for one in diagnoses for part in one if isinstance(part, Section)]
+        sections = [part for part in parts if not part.folded]
         for name in sorted(self.calibrated, key=lambda name: name != self.chosen):
             arm, closed = self.calibrated[name], name != self.chosen
             corrected, calibrated = corrected_values(arm), Calibrated.of_arm(arm)
-            dh_rows, places = ((), []) if calibrated is None else dh_table(calibrated, corrected, Path(name))
-            expected = expected_elsewhere(getattr(arm.calibration, "provenance", {})).strip()
+            rows, places = ((), []) if calibrated is None else dh_table(calibrated, corrected, Path(name))
+            expected = expected_elsewhere(getattr(arm.calibration, "provenance", {}))
             title, space = f"Corrected values: {name}", not arm.chain.planar
             sections.append(corrected_section(title, corrected, space, expected, folded=closed))
-            sections += [Section(part.title, part.parts, closed) for part in dh_sections(dh_rows, places, name)]
+            sections += [Section(part.title, part.parts, closed) for part in dh_sections(rows, places, name)]
         for name, data in ({} if self.calibrated else self.results["identify"]).items():
             values, dh = (
                 [CorrectedValue(**row) for row in data.get(key, ())] for key in ("corrected_values", "dh_table")
             )
-            title, expected = f"Corrected values: {name}", expected_elsewhere(data).strip()
+            title, expected = f"Corrected values: {name}", expected_elsewhere(data)
             if values:  # earlier versions have none
                 sections.append(corrected_section(title, values, "geometry" in data, expected))
             sections += dh_sections(dh, data.get("dh_places", ()), name)
         sections += [self.test_section(rows) for rows in self.tests]
-        sections += self.other_sections()
-        for name, table in self.commands.items():
-            sections.append(commands_section(name, table, next(iter(self.arms.values()))))
+        for drawn in [*self.arms.values()][:1]:
+            show = self.show_plan
+            sections += [] if show is None else [show(drawn, plan, name) for name, plan in self.plans.items()]
+            sections += [commands_section(name, table, drawn) for name, table in self.commands.items()]
         sections += [part for data in self.results["validate"].values() for part in validation_sections(data)]
-        return sections + folded
+        return sections + [part for part in parts if part.folded]
 
     def test_section(self, rows: str) -> Section:
         """The error of every model on some measurements, and its sign against each joint."""
@@ -318,7 +303,16 @@ def fitted_to(arm: Arm) -> list[str]:
     return [] if arm.calibration is None else data_hashes(arm.calibration.provenance)
 
 
-def commanded_in_words(name: str, commands: CsvTable) -> str:
+def expected_elsewhere(data: Mapping[str, Any]) -> str:
+    """What a fit promises where nothing was measured; files of earlier versions do not say."""
+    if data.get("expected_tip_mm") is None or data.get("expected_tip_measured_mm") is None:
+        return ""
+    inside, anywhere = (number(data[key]) for key in ("expected_tip_measured_mm", "expected_tip_mm"))
+    tip = f"{inside} mm at the tip at postures like those measured, {anywhere} mm over the joint limits (RMS)"
+    return f"Expected error if the model is right: {tip}."
+
+
+def commanded_in_words(name: str, commands: Table) -> str:
     """How many targets a file of commands reaches;  name : of the file"""
     reached = commands.floats("reachable") > 0.0
     missing = (np.flatnonzero(~reached) + 1).tolist()
@@ -326,7 +320,7 @@ def commanded_in_words(name: str, commands: CsvTable) -> str:
     return f"{name} has commands for {np.count_nonzero(reached)} of {len(commands)} targets{none}."
 
 
-def commands_section(name: str, commands: CsvTable, arm: Arm) -> Section:
+def commands_section(name: str, commands: Table, arm: Arm) -> Section:
     """The part of a page about a file that `armcal compensate` wrote."""
     joints = [f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(arm.joint_types, start=1)]
     axes = [f"{axis}_mm" for axis in "xyz"[: arm.dimension]]

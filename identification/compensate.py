@@ -22,7 +22,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_columns
 from identification.document import Document
-from identification.documents.use import compensation_document
+from identification.documents.identification import compensation_document
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
 from identification.kinematics.corrected import standing_in
@@ -30,7 +30,7 @@ from identification.kinematics.counting import counting_in, in_columns, turned_i
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
-from identification.model.positions import in_own_frame
+from identification.model.placed import in_own_frame
 from identification.newton_ascent import newton_ascent
 from identification.origin import check_calibrated, extrapolated, familiar_range, identified, outside
 from identification.sessions import BASE
@@ -84,7 +84,7 @@ def _least(model: Model, linearize: Linearize, starts: Array, iterations: int) -
     )
     problem = LeastSquares(linearize, *limits, reach, negligible, metric=reach, iterations=iterations)
     solution = levenberg_marquardt(problem, starts)
-    return solution.parameters, np.sqrt(solution.squares)
+    return solution.parameters, np.sqrt(solution.rss)
 
 
 def metric(model: Model) -> Array:

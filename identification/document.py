@@ -23,15 +23,17 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 LONG = 24  # characters, from which a cell is text that may be broken
+PHONE = 38  # characters of a row that a phone shows
 SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
 MOST = 200  # rows of a table in HTML, where its text says that there may be more
 NUMBER = re.compile(r"[<>]? ?[-+–]?([\d.,]+(e[-+]?\d+)?)?( \*|%)?", re.IGNORECASE)  # or a dash in place of one
 
 
+# -- the tree ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Sheet:
-    """Headings and rows of ready text.
+    """Headings and rows of ready text; without headings names and what is to be said of each.
 
     most : rows that a terminal shows;  where : all of them are, said where there are more
     """
@@ -48,21 +50,10 @@ class Sheet:
             return self.rows, ""
         return self.rows[:most], f"first {most} of {len(self.rows)}; {self.where}"
 
-    def figures(self) -> list[bool]:
-        """Of each column whether most of its cells are numbers."""
-        columns = [[row[k] for row in self.rows if row[k].strip()] for k in range(len(self.headings))]
-        return [2 * sum(bool(NUMBER.fullmatch(cell.strip())) for cell in column) > len(column) for column in columns]
 
-
-@dataclass(frozen=True)
-class Facts:
-    """Names and what is to be said of each; those of which nothing is are left out."""
-
-    rows: Sequence[tuple[str, str | None]]
-
-    def shown(self) -> list[tuple[str, str]]:
-        """The rows that have a text."""
-        return [(name, text) for name, text in self.rows if text]
+def facts_sheet(facts: Iterable[tuple[str, str | None]]) -> Sheet:
+    """Names and what is to be said of each, without those of which nothing is."""
+    return Sheet((), [(name, text) for name, text in facts if text])
 
 
 @dataclass(frozen=True)
@@ -114,17 +105,14 @@ class Document:
         """The same with more at the end, before what to do next."""
         return replace(self, parts=[*self.parts, *parts])
 
-    def without_pictures(self) -> Document:
-        """The same for a notebook that is not to draw them."""
-        return replace(self, parts=_without_pictures(self.parts))
-
     def __str__(self) -> str:
         return as_text(self)
 
     def _repr_html_(self) -> str:
-        steps = "".join(html_lines([f"{action.text} {action.command}".strip()]) for action in self.actions)
-        head = html_lines(map(in_symbols, [*self.warnings, *self.verdict]), strong=True)
-        return head + "".join(html(part) for part in self.parts) + steps
+        return html(self)
+
+
+Part: TypeAlias = str | Sheet | Pictures | PlanSteps | Section | Document
 
 
 @dataclass
@@ -145,18 +133,18 @@ class Answer:
     failure: InputError | None = None
 
 
-def _without_pictures(parts: Sequence[Part]) -> list[Part]:
-    sections = (replace(one, parts=_without_pictures(one.parts)) if isinstance(one, Section) else one for one in parts)
-    return [one for one in sections if not isinstance(one, Pictures)]
+# -- HTML, everything escaped ------------------------------------------------------------------------------------------
+def html_image(figure: Figure) -> str:
+    """A figure as an image of a notebook."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=100)
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">\n'
 
 
-Part: TypeAlias = str | Sheet | Facts | Pictures | PlanSteps | Section | Document
+def html(part: Part, picture: Callable[[Figure], str] | None = html_image, name: str = "") -> str:
+    """A part as HTML.
 
-
-def html(part: Part, picture: Callable[[Figure], str] | None = None, name: str = "") -> str:
-    """A part as HTML, everything escaped.
-
-    picture : a figure as HTML, left out: as an image;  name : of the section around it, for those who hear the page
+    picture : a figure as HTML, None: pictures are left out;  name : of the section around it, for those who hear it
     """
     if isinstance(part, str):
         return html_lines([in_symbols(part)]) if part else ""
@@ -166,19 +154,56 @@ def html(part: Part, picture: Callable[[Figure], str] | None = None, name: str =
         label = escape(f"{name}, table".removeprefix(", "))
         box = f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
         return f"{title}{box}{html_table(part.headings, rows)}</div>\n{html(rest)}" if part.rows else ""
-    if isinstance(part, Facts):
-        return html_facts((in_symbols(fact), in_symbols(text)) for fact, text in part.shown())
     if isinstance(part, Pictures):
+        if picture is None:
+            return ""
         drawn = part.draw()
-        shown = "".join((picture or html_image)(one) for one in drawn if not isinstance(one, str))
+        shown = "".join(picture(one) for one in drawn if not isinstance(one, str))
         return "".join(html(one) for one in drawn if isinstance(one, str)) + f'<div class="pictures">{shown}</div>\n'
     if isinstance(part, PlanSteps):
         return html(part.caption)
+    inside = "".join(html(one, picture, part.title if isinstance(part, Section) else "") for one in part.parts)
     if isinstance(part, Section):
-        inside = "".join(html(one, picture, part.title) for one in part.parts)
         head = f"<h2>{escape(part.title)}</h2>\n"
         return f"<details>\n<summary>{head}</summary>\n{inside}</details>\n" if part.folded else head + inside
-    return part._repr_html_() if isinstance(part, Document) else ""
+    steps = html_lines(f"{action.text} {action.command}".strip() for action in part.actions)
+    return html_lines(map(in_symbols, [*part.warnings, *part.verdict]), strong=True) + inside + steps
+
+
+def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Headings and rows of ready text; of class `wide` where a phone shows the cells of a row below each other, each
+    beside its heading."""
+    lines = [list(row) for row in rows]
+    if not headings:
+        style = 'style="text-align: left"'
+        pairs = ([escape(in_symbols(text)) for text in line] for line in lines)
+        body = "".join(f'<tr><th scope="row" {style}>{name}</th><td {style}>{text}</td></tr>\n' for name, text in pairs)
+        return f"<table>\n<tbody>\n{body}</tbody>\n</table>"
+    characters = 0  # that a row needs: of words where a cell may be broken, as headings, first cells and texts may
+    for k, heading in enumerate(headings):
+        cells = [line[k] for line in lines]
+        firm = [len(cell) for cell in cells if k > 0 and len(cell) <= LONG]
+        characters += 2 + max([*firm, *(len(word) for text in (heading, *cells) for word in text.split())], default=0)
+    wide = ' class="wide"' if len(headings) > 2 and characters > PHONE else ""
+    kinds = [' class="text"' if any(len(line[k]) > LONG for line in lines) else "" for k in range(len(headings))]
+    named = [(kind, escape(heading)) for kind, heading in zip(kinds, headings, strict=True)]
+    head = "".join(f'<th scope="col"{kind}>{heading}</th>' for kind, heading in named)
+    kinds = [f'{kind} data-heading="{heading}"' if wide else kind for kind, heading in named]
+    texts = ((f"<td{kind}>{escape(text)}</td>" for text, kind in zip(line, kinds, strict=True)) for line in lines)
+    body = "".join(f"<tr>{''.join(row)}</tr>\n" for row in texts)
+    return f"<table{wide}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
+
+
+def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:
+    """A paragraph for each line."""
+    return "".join(f"<p><b>{escape(line)}</b></p>\n" if strong else f"<p>{escape(line)}</p>\n" for line in lines)
+
+
+def in_symbols(text: str) -> str:
+    """As books print it: `chi2` as χ², `->` as an arrow."""
+    for plain, symbol in SYMBOLS.items():
+        text = re.sub(plain, symbol, text)
+    return text
 
 
 def picture_bytes(figure: Figure, path: Path) -> bytes:
@@ -195,13 +220,7 @@ def check_picture(path: Path) -> None:
         raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")
 
 
-def html_image(figure: Figure) -> str:
-    """A figure as an image of a notebook."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=100)
-    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">\n'
-
-
+# -- the terminal ------------------------------------------------------------------------------------------------------
 def as_text(part: Part, width: int = 100) -> str:
     """A part as a terminal of this many characters shows it."""
     from rich.console import Console
@@ -215,7 +234,6 @@ def as_text(part: Part, width: int = 100) -> str:
 
 def rendered(part: Part, width: int) -> Iterator[RenderableType]:
     """What a terminal of this many characters shows of a part (rich), from the top."""
-    from rich.table import Table as RichTable
     from rich.text import Text
 
     if isinstance(part, str):
@@ -223,13 +241,8 @@ def rendered(part: Part, width: int) -> Iterator[RenderableType]:
     elif isinstance(part, Sheet) and part.rows:
         rows, rest = part.cut(part.most)
         yield from [Text(part.title, "italic")] if part.title else []
-        yield terminal_table(part, rows, width)
+        yield terminal_table(part.headings, rows, width)
         yield from [Text(rest)] if rest else []
-    elif isinstance(part, Facts):
-        facts = RichTable(show_header=False, box=None, padding=(0, 2, 0, 0))
-        for row in part.shown():
-            facts.add_row(*map(Text, row))
-        yield facts
     elif isinstance(part, Section) and not part.folded:
         shown: list[Part] = [one for one in part.parts if not isinstance(one, Pictures | PlanSteps)]
         yield from [Text(f"\n{part.title}", "bold italic")] if shown else []
@@ -243,74 +256,28 @@ def rendered(part: Part, width: int) -> Iterator[RenderableType]:
             yield Text(f"next: {action.text}" + (f"\n      {action.command}" if action.command else ""))
 
 
-def terminal_table(table: Sheet, rows: Sequence[Sequence[str]], width: int) -> RenderableType:
+def terminal_table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> RenderableType:
     """Figures end at the right and are never broken; where it would be too wide, columns stand closer together."""
     from rich import box
     from rich.console import Console
     from rich.measure import Measurement
-    from rich.table import Table as RichTable
+    from rich.table import Table
     from rich.text import Text
 
-    shown = RichTable(box=box.SIMPLE_HEAD)
-    for heading, figures in zip(table.headings, table.figures(), strict=True):
+    shown = Table(box=box.SIMPLE_HEAD) if headings else Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for k, heading in enumerate(headings):
+        cells = [row[k].strip() for row in rows if row[k].strip()]
+        figures = 2 * sum(bool(NUMBER.fullmatch(cell)) for cell in cells) > len(cells)
         shown.add_column(Text(heading), justify="right" if figures else "left", overflow="fold", no_wrap=figures)
     for row in rows:
         shown.add_row(*map(Text, row))
     free = Console(width=10_000, force_jupyter=False)
-    for shown.padding in ((0, 0, 0, 1), 0):
+    for shown.padding in ((0, 0, 0, 1), 0) if headings else ():
         if Measurement.get(free, free.options, shown).maximum <= width:
             return shown
     for column in shown.columns:
         column.no_wrap = False  # a figure in two lines is better than one that is cut off
     return shown
-
-
-# -- HTML, everything escaped ------------------------------------------------------------------------------------------
-def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Headings and rows of ready text; of class `wide` where a phone shows the cells of a row below each other, each
-    beside its heading."""
-    lines = [list(row) for row in rows]
-    # more characters than a phone shows, with a space on both sides of each cell
-    wide = ' class="wide"' if len(headings) > 2 and characters_of_row(headings, lines) > 38 else ""
-    kinds = [' class="text"' if any(len(row[k]) > LONG for row in lines) else "" for k in range(len(headings))]
-    pairs = [(kind, escape(heading)) for kind, heading in zip(kinds, headings, strict=True)]
-    head = "".join(f'<th scope="col"{kind}>{heading}</th>' for kind, heading in pairs)
-    kinds = [f'{kind} data-heading="{heading}"' if wide else kind for kind, heading in pairs]
-    cells = ((f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=True)) for row in lines)
-    body = "".join(f"<tr>{''.join(row)}</tr>\n" for row in cells)
-    return f"<table{wide}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
-
-
-def characters_of_row(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
-    """Characters that a row needs: of words where a cell may be broken, which headings, first cells and texts may."""
-    characters = 0
-    for k, heading in enumerate(headings):
-        cells = [row[k] for row in rows]
-        firm = [] if k == 0 else [len(cell) for cell in cells if len(cell) <= LONG]
-        words = [len(word) for text in (heading, *cells) for word in text.split()]
-        characters += 2 + max([*firm, *words], default=0)
-    return characters
-
-
-def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:
-    """A paragraph for each line."""
-    text = (f"<b>{escape(line)}</b>" if strong else escape(line) for line in lines)
-    return "".join(f"<p>{line}</p>\n" for line in text)
-
-
-def html_facts(rows: Iterable[tuple[str, str]]) -> str:
-    """Names and what is to be said of each, one below the other."""
-    style = 'style="text-align: left"'
-    pairs = ((escape(name), escape(text)) for name, text in rows)
-    lines = "".join(f'<tr><th scope="row" {style}>{name}</th><td {style}>{text}</td></tr>\n' for name, text in pairs)
-    return f"<table>\n<tbody>\n{lines}</tbody>\n</table>"
-
-
-def in_symbols(text: str) -> str:
-    """As books print it: `chi2` as χ², `->` as an arrow."""
-    for plain, symbol in SYMBOLS.items():
-        text = re.sub(plain, symbol, text)
-    return text
 
 
 # -- numbers as people read them ---------------------------------------------------------------------------------------
@@ -319,36 +286,22 @@ def number(value: float | None, digits: int = 4) -> str:
     return "-" if value is None or not math.isfinite(value) else f"{value:z.{digits}f}"  # no -0.0000
 
 
-def to_significant_digits(value: float | None, std: float | None) -> str:
-    """Rounded to the third significant digit of the standard deviation."""
-    if value is None:
-        return "-"
-    if not std:
-        return f"{value:.5g}"
-    digits = min(max(2 - math.floor(math.log10(abs(std))), 0), 12)
-    return f"{value:z.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
-
-
 def estimate_text(value: float | None, std: float | None, unit: str) -> str:
     """A parameter or a limit of its interval: three significant digits of the standard deviation, in mm and deg no more
     than five decimals."""
-    if value == 0.0:
-        return "0"
-    if not std:
-        return number(value)
-    if std < FINEST and unit not in ("mm", "deg"):
-        return "-" if value is None else f"{value:.3g}"
-    return to_significant_digits(value, max(std, FINEST))
+    if not value or not std:
+        return "0" if value == 0.0 else number(value)
+    std = max(std, FINEST) if unit in ("mm", "deg") else std
+    if std < FINEST:
+        return f"{value:.3g}"
+    return f"{value:z.{max(2 - math.floor(math.log10(std)), 0)}f}" if abs(value) < 1e6 else f"{value:.5g}"
 
 
 def in_a_sentence(value: float | None) -> str:
     """A length to three significant digits, as people say it: `0.110`, `1.42`, `34`; a dash for None."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    if value == 0.0:
-        return "0"
-    digits = min(max(2 - math.floor(math.log10(abs(value))), 0), 6)
-    return f"{value:z.{digits}f}"
+    if not value or not math.isfinite(value):
+        return "0" if value == 0.0 else "-"
+    return number(value, min(max(2 - math.floor(math.log10(abs(value))), 0), 6))
 
 
 def unit_or_dash(unit: str) -> str:

@@ -30,9 +30,8 @@ from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
 from identification.measurements import directions_from_order, past_from_order, session_time
 from identification.model import Model
-from identification.model.contacts import led_to_contact
 from identification.model.minimal import PRACTICAL, minimal
-from identification.model.positions import of_positions, tip_jacobian
+from identification.model.placed import led_to_contact, of_positions, tip_jacobian
 from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
 
 if TYPE_CHECKING:
@@ -291,17 +290,20 @@ class ArmModel:
         from identification.gap.hypotheses import hypotheses
 
         arm = without_prior(self.arm)
-        common = [h for h in hypotheses(arm, frozenset()).unscanned if h.effect.prior == 1.0]
-        shown = [h for h in common if not h.effect.needs & BY_ORDER]
-        model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown)))
+        members = hypotheses(arm, frozenset()).members
+        common = [(b, b.effect, b.spec) for b in members if b.plain and b.effect and b.spec and b.effect.prior == 1.0]
+        shown = [each for each in common if not each[1].needs & BY_ORDER]
+        model = Model(arm.with_effects(*arm.effects, *(spec for _, _, spec in shown)))
         base, bases = len(Model(arm).parameters), []
-        for hypothesis in shown:
-            columns = [model.parameters.index(parameter.name) - base for parameter in hypothesis.effect.parameters]
+        for block, effect, _ in shown:
+            columns = [model.parameters.index(parameter.name) - base for parameter in effect.parameters]
             basis = np.zeros((len(model.parameters) - base, len(columns)))
             basis[columns, range(len(columns))] = model.scales[base:][columns]
-            bases.append(basis.sum(axis=1, keepdims=True) if hypothesis.family else basis)
-        weights = np.array([hypothesis.weight for hypothesis in shown])
-        ordered = Model(arm.with_effects(*arm.effects, *(h.spec for h in common if h.effect.needs & BY_ORDER)))
+            bases.append(basis.sum(axis=1, keepdims=True) if block.family else basis)
+        weights = np.array([block.weight for block, _, _ in shown])
+        ordered = Model(
+            arm.with_effects(*arm.effects, *(spec for _, effect, spec in common if effect.needs & BY_ORDER))
+        )
 
         def by_order(postures: Array) -> Array:
             """(m, d, p) scaled sensitivities to postures (m, n) that are measured in their order."""

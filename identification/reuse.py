@@ -18,14 +18,13 @@ from scipy.linalg import block_diag
 from scipy.special import fdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
 from identification.estimation.problem import Earlier
 from identification.estimation.uncertainty import LEVEL
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
-from identification.kinematics.corrected import composed_tools
+from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
 from identification.measurements import Measurements
@@ -287,7 +286,7 @@ def _moved(apart: Identification, old: dict[str, str]) -> dict[str, str]:
     """How far each point that is moved significantly is from where the session before has it [mm], along the directions
     in which it is: the heights of a SCARA's reflectors, say, are hardly known."""
     chain = apart.model.arm.chain
-    places: dict[str, Array] = composed_tools(chain, apart.model.parameters.mapping(apart.parameters))
+    places = standing_in(chain, apart.model.parameters.mapping(apart.parameters)).tools
     index = {name: k for k, name in enumerate(apart.names)}
     distances: dict[str, str] = {}
     for new, name in old.items():

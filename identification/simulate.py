@@ -18,8 +18,7 @@ from identification.kinematics.frames import turned
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Conditions, Measurements, directions_from_order
 from identification.model import Model
-from identification.model.contacts import led_to_contact
-from identification.model.positions import of_positions
+from identification.model.placed import led_to_contact, of_positions
 
 TOUCHES = 1e-6  # [mm] how near to a target is in it
 

@@ -18,19 +18,17 @@ from numpy.typing import NDArray
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document
-from identification.documents.identification import DRAWN
-from identification.documents.use import BY_CHANCE, FITTED, validation_sections, validation_verdict
+from identification.documents.identification import BY_CHANCE, DRAWN, FITTED, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import left_out_residuals
-from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, gained_squares
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
-from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
-from identification.kinematics.frames import own_axes_angles
-from identification.kinematics.parameters import JOINT_OFFSET, of_effects
+from identification.kinematics.corrected import corrected, errors_between, standing_in
+from identification.kinematics.frames import displaced_by, pose
+from identification.kinematics.parameters import JOINT_OFFSET, error_names, of_effects
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
@@ -240,7 +238,7 @@ def _refitted(
                 file = measurements.provenance.get("file", "measurements")
                 allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
                 raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
-            values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
+            values = problem.minimized(start[None]).parameters[0]
             left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
         residuals[rows] = problem.residuals(values)[0]
         refitted.append(placed_values(model.arm.chain, model.parameters.mapping(values)))
@@ -346,18 +344,6 @@ class Offered:
     def better(self) -> bool:
         """Whether the model predicts better beyond chance, as `validate` judges it."""
         return self.rms < self.rms_geometry and self.p_value <= LEVEL_95 / 2.0
-
-    @property
-    def sentence(self) -> str:
-        """How the model compares with the geometry."""
-        which = "held-out rows" if self.by == "holdout" else "rows, each predicted by a fit to other postures"
-        with_effects, geometry = f"{self.rms:.3g} mm RMS (largest {self.largest:.3g})", f"{self.rms_geometry:.3g} mm"
-        figures = f"{with_effects} against {geometry} (largest {self.largest_geometry:.3g}) in {self.rows} {which}"
-        if self.better:
-            return f"better than the geometry alone: {figures}"
-        if self.rms >= self.rms_geometry:
-            return f"no better than the geometry alone: {figures}"
-        return f"better than the geometry alone only within chance: {figures}, p = {self.p_value:.2g}"
 
     def to_json(self) -> dict[str, Any]:
         """Key `offered` (identification/files/README.md, "JSON keys")."""
@@ -485,13 +471,10 @@ def placed_values(chain: KinematicChain, values: Mapping[str, float]) -> dict[st
 
     values : corrections of base and points
     """
-    base: Array = composed_base(chain, values)
-    placed = dict(zip([f"base.{axis}" for axis in "xyz"], base[:3, 3].tolist(), strict=True))
-    placed |= dict(zip([f"base.r{axis}" for axis in "xyz"], own_axes_angles(base[:3, :3]).tolist(), strict=True))
-    for name, place in composed_tools(chain, values).items():
-        placed |= {f"{TOOL}[{name}].{axis}": float(x) for axis, x in zip("xyz", np.asarray(place), strict=True)}
-    for name, axes in composed_axes(chain, values).items():
-        placed |= {f"{TOOL}[{name}].r{axis}": float(x) for axis, x in zip("xyz", own_axes_angles(axes), strict=True)}
+    stands, placed = standing_in(chain, values), dict[str, float]()
+    points = {f"{TOOL}[{name}]": pose(place, stands.tool_axes.get(name)) for name, place in stands.tools.items()}
+    for name, frame in {BASE: stands.base, **points}.items():
+        placed |= displaced_by(np.eye(4), frame, error_names(name))
     return {name: placed.get(name, value) for name, value in values.items()}
 
 

@@ -21,7 +21,7 @@ from identification.errors import InputError
 from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
-    from identification.arm import Arm
+    from identification.arm import Arm, Calibration, EffectSpec
     from identification.estimation import Identification
     from identification.estimation.result import Calibrated, CorrectedValue
     from identification.gap.library_prior import LibraryPrior
@@ -233,18 +233,30 @@ def identify_files(
     out : Write a calibrated arm file (TOML).
     force : Overwrite an existing file.
     """
-    from identification.documents.identification import hardly_better, identification_actions, identification_document
-    from identification.estimation import estimate
+    from identification.documents.identification import (
+        hardly_better,
+        identification_actions,
+        identification_document,
+        reading_unit,
+    )
+    from identification.estimation import estimate, estimate_with_prior
     from identification.estimation import without_outliers as fitted_without_outliers
+    from identification.estimation.doubts import left_out_rms
+    from identification.estimation.problem import Prior
+    from identification.estimation.result import Calibrated
     from identification.files.arm import load_arm
+    from identification.gap.noise import with_repeats_doubted
+    from identification.measurements import rms_distance
     from identification.model import Model
     from identification.origin import diagnosed
-    from identification.reuse import at_reference, with_base_doubt, with_mounting_doubt, words_of
+    from identification.reuse import at_reference, earlier, with_base_doubt, with_mounting_doubt, words_of
+    from identification.reuse import only as only_these
     from identification.sessions import with_sessions
     from identification.simulate import following_errors, with_servo_errors
-    from identification.validate import prior_judged
+    from identification.status import Status
+    from identification.validate import drawing_residuals, prior_judged
 
-    loaded, words = load_arm(arm), words_of(only)
+    loaded, words, minimal = load_arm(arm), words_of(only), parameters == "minimal"
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
         if value is not None and loaded.chain.planar:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
@@ -254,21 +266,27 @@ def identify_files(
     if old or words or any(effect.values for effect in loaded.effects):
         # where something is held, temperatures count from those that it was found at
         measurements = at_reference(measurements, old or loaded)
-    asked = None
-    if measurements.fit:  # by the plan of these rows, unless an option says otherwise
+    keys, lines = dict[str, Any]({"only": words} if words else {}), []
+    if asked := measurements.fit:  # by the plan of these rows, unless an option says otherwise
         refused = {
             "--no-library-prior": prior is False,
             f"--method {method}": method not in (None, "gauss_newton"),
-            "--parameters minimal": parameters == "minimal",
+            "--parameters minimal": minimal,
         }
         against = None if prior else next((option for option, refuses in refused.items() if refuses), None)
-        if prior is None and against is None:
-            prior, missing = True, missing or measurements.fit.partition("--missing ")[2] or None
-        asked = {"asked": measurements.fit, "followed": against is None, "against": against}
+        keys["fit"] = {"asked": asked, "followed": against is None, "against": against}
+        meant = f"{data} says # fit: {asked}"
+        if against is None:
+            prior, missing = True, missing or asked.partition("--missing ")[2] or None
+            how = "Fitted with the prior of the library, as the plan is meant"
+            lines.append(f"{how}: {meant} (--no-library-prior fits without).")
+        else:
+            how = f"Not fitted with the prior of the library, because of {against}"
+            lines.append(f"{how}, although {meant}: what the plan promises is of a fit with it.")
     if missing is not None and not prior:
         raise InputError("--missing: found without --prior, allowed: with --prior")
     if prior or old is not None:
-        if parameters == "minimal":
+        if minimal:
             raise InputError("--parameters: minimal with --prior, allowed: all")
         if method not in (None, "gauss_newton"):
             raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
@@ -276,18 +294,27 @@ def identify_files(
     library: LibraryPrior | None = None
 
     def fit(rows: Measurements) -> Identification:
-        """The library's effects in it are those that these rows can show."""
+        """The library's effects in it are those that these rows can show, and are always free."""
         nonlocal library
-        wide = with_sessions(loaded, rows)
+        wide, held = with_sessions(loaded, rows), Prior({})
         if prior:
             from identification.gap.library_prior import given_by, library_prior
 
             library = library_prior(wide, given_by(rows), names)
-            wide = library.arm
-        return _fitted(wide, rows, words, library, old, prior_from, method, sigma, minimal=parameters == "minimal")
+            wide, held = library.arm, library.prior
+        model = only_these(wide, [*words, *held.deviations], rows) if words else Model(wide)
+        if not prior and old is None:
+            model = minimal_model(model, rows) if minimal else model
+            return with_repeats_doubted(estimate(model, rows, method=method, sigma=sigma), rows)
+        if old is not None:
+            try:
+                held = replace(held, earlier=earlier(old, model, rows))
+            except InputError as error:
+                raise InputError(f"{prior_from}: {error}") from None
+        return with_repeats_doubted(estimate_with_prior(model, rows, held, sigma=sigma), rows)
 
     progress(0, None, f"fitting {len(measurements)} rows")
-    rows, keys = measurements, dict[str, Any]({"only": words} if words else {})
+    rows = measurements
     if without_outliers:
         identified, left_out = fitted_without_outliers(fit, measurements)
         keys["left_out"] = list(left_out)
@@ -295,91 +322,74 @@ def identify_files(
     else:
         identified = fit(measurements)
     effects = library
-    if identified.prior is not None and (earlier := identified.prior.earlier) is not None:
+    if identified.prior is not None and (known := identified.prior.earlier) is not None:
         held = {*identified.prior.names, *identified.model.prior}
         keys["prior_from"] = {
             "file": str(prior_from),
-            "parameters": list(earlier.names),
+            "parameters": list(known.names),
             "anew": [name for name in identified.names if name not in held],
-            "contradicted": [one.to_json() for one in identified.contradictions],
+            "contradicted": [one._asdict() for one in identified.contradictions],
         }
     if words:
         identified = with_base_doubt(identified, with_sessions(loaded, rows), words, rows)
     before, identified = identified, with_mounting_doubt(identified, rows, fit)
-    offered = None
-    if effects is not None and not words and old is None:
-        offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, rows)), rows), identified, rows)
-
-    # what there is to say
-    hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
-    result = identified.to_json() | _beside_the_fit(identified, arm, loaded, rows, words) | keys
-    lines, refusal = [], no_file(identified, force) if out or urdf else None
+    doubts = list(identified.warnings)
     if effects is not None:
-        result |= {"prior": effects.to_json()}
-        result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
         lines.append(effects.sentence)
+        keys["prior"] = effects.to_json()
+        if not words and old is None:
+            offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, rows)), rows), identified, rows)
+            keys |= {} if offered is None else {"offered": offered.to_json()}
+            doubts += [] if offered is None or offered.better else [hardly_better(keys["offered"])]
+    if errors := following_errors(measurements, loaded.joint_types):
+        keys["servo_error"] = [error.to_json() for error in errors]
+    try:
+        keys["rms_drawing_mm"] = rms_distance(drawing_residuals(loaded, rows))
+        if loaded.calibration is not None and words and set(words) <= {"base", "tool"}:
+            keys["rms_nominal_mm"] = keys["rms_drawing_mm"]
+    except InputError:  # too few rows
+        keys["rms_drawing_mm"] = None
+    if identified.geometry is not None and not identified.not_identifiable:
+        table, places = dh_table(Calibrated.of(identified), identified.corrected_values, arm)
+        keys |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
+    if (unit := reading_unit(identified.model)) != "mm":
+        keys["reading_unit"] = unit
+    hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
+    result = identified.to_json() | {"cross_validated_mm": left_out_rms(identified, rows)} | keys
+    result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
+
+    refusal = None
+    if identified.not_identifiable:
+        refusal = "not every parameter is estimable from the data"
+    elif identified.status is Status.implausible and not force:
+        refusal = "the fit is implausible; --force writes it all the same"
+    wanted = [name for name in (out, urdf) if name is not None]
     if refusal is not None:
-        lines += [f"{name} was not written: {refusal}" for name in (out, urdf) if name is not None]
-    elif out or urdf:
+        lines += [f"{name} was not written: {refusal}" for name in wanted]
+    elif wanted:
         kept = loaded.calibration if words else None, None if old is None else old.calibration
         lines += _write_calibrated(identified, arm, (out, urdf), force, hidden, kept)
-    if asked is not None:
-        result["fit"] = asked
-        lines.append(_asked_in_words(asked, data))
-    lines += _keys_in_words(result)
-    doubts = list(identified.warnings)
-    if offered is not None:
-        result["offered"] = offered.to_json()
-        doubts += [] if offered.better else [hardly_better(result["offered"])]
-    if errors := following_errors(measurements, loaded.joint_types):
-        result["servo_error"] = [error.to_json() for error in errors]
+    if words:
+        lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
+    if without_outliers:
+        numbers = ", ".join(map(str, keys["left_out"]))
+        lines.append(f"Left out as outliers: {f'rows {numbers}' if numbers else 'no row'}.")
+    if (told := keys.get("prior_from")) is not None:
+        free = f"; without a prior: {', '.join(told['anew'])}" if told["anew"] else ""
+        lines.append(f"Prior: {len(told['parameters'])} parameters from {told['file']}{free}.")
     every = full or old is not None or identified.machining_factor is None  # as where [machining] holds no value
-    document = identification_document(identified, result, hidden, full=every)
     actions = identification_actions(
         str(arm),
         str(data),
         out,
         diagnosed=diagnosed(loaded),
         allowed_for=effects is not None,
-        better=offered is None or offered.better,
+        better=keys.get("offered", {"better": True})["better"],
         mounted_anew=identified is not before,
     )
-    failed = refusal is not None or (bool(identified.not_identifiable) and not (out or urdf))
-    shown = replace(document.plus(*lines), actions=[] if failed else actions)
-    return Answer(result, [shown], identified, int(failed), doubts)
-
-
-def _fitted(
-    arm: Arm,
-    rows: Measurements,
-    words: Sequence[str],
-    library: LibraryPrior | None,
-    old: Arm | None,
-    prior_from: Path | None,
-    method: str | None,
-    sigma: Literal["given", "estimated"] | None,
-    *,
-    minimal: bool,
-) -> Identification:
-    """A fit of all parameters or those of --only (`words`), with the priors that were asked for."""
-    from identification.estimation import estimate, estimate_with_prior
-    from identification.estimation.problem import Prior
-    from identification.gap.noise import with_repeats_doubted
-    from identification.model import Model
-    from identification.reuse import earlier, only
-
-    free = [] if library is None else list(library.prior.deviations)  # the library's effects always are
-    model = only(arm, [*words, *free], rows) if words else Model(arm)
-    if library is None and old is None:
-        model = minimal_model(model, rows) if minimal else model
-        return with_repeats_doubted(estimate(model, rows, method=method, sigma=sigma), rows)
-    prior = Prior({}) if library is None else library.prior
-    if old is not None:
-        try:
-            prior = replace(prior, earlier=earlier(old, model, rows))
-        except InputError as error:
-            raise InputError(f"{prior_from}: {error}") from None
-    return with_repeats_doubted(estimate_with_prior(model, rows, prior, sigma=sigma), rows)
+    failed = bool(identified.not_identifiable) or (refusal is not None and bool(wanted))
+    document = identification_document(identified, result, hidden, full=every).plus(*lines)
+    return Answer(result, [replace(document, actions=[] if failed else actions)], identified, int(failed), doubts)
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
@@ -395,28 +405,6 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
         left = f"{', '.join(hardly)} would move no coordinate by {PRACTICAL:g} mm RMS"
         warnings.warn(f"left as drawn, {len(kept.names)} parameters stay: {left}", UserWarning, stacklevel=2)
     return kept
-
-
-def _beside_the_fit(
-    fit: Identification, path: Path, arm: Arm, rows: Measurements, words: Sequence[str]
-) -> dict[str, Any]:
-    """JSON keys beside those of a fit;  path : of the arm file;  words : of --only."""
-    from identification.estimation.doubts import left_out_rms
-    from identification.estimation.result import Calibrated
-    from identification.measurements import rms_distance
-    from identification.validate import drawing_residuals
-
-    try:
-        drawing = rms_distance(drawing_residuals(arm, rows))
-    except InputError:  # too few rows
-        drawing = None
-    keys = {"cross_validated_mm": left_out_rms(fit, rows), "rms_drawing_mm": drawing}
-    if arm.calibration is not None and words and set(words) <= {"base", "tool"} and drawing is not None:
-        keys["rms_nominal_mm"] = drawing
-    if fit.geometry is None or fit.not_identifiable:
-        return keys
-    table, places = dh_table(Calibrated.of(fit), fit.corrected_values, path)
-    return keys | ({"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {})
 
 
 def dh_table(
@@ -446,41 +434,18 @@ def dh_table(
     return rows, [*lines, *touched]
 
 
-def _asked_in_words(asked: Mapping[str, Any], data: Path) -> str:
-    """Whether the fit is the one that the plan is meant for."""
-    meant = f"{data} says # fit: {asked['asked']}"
-    if asked["followed"]:
-        return f"Fitted with the prior of the library, as the plan is meant: {meant} (--no-library-prior fits without)."
-    promise = "what the plan promises is of a fit with it"
-    return f"Not fitted with the prior of the library, because of {asked['against']}, although {meant}: {promise}."
+def _calibrated_file(
+    path: Path, effects: Sequence[EffectSpec], calibration: Calibration, out: Path
+) -> dict[PathLike, str | bytes]:
+    """The arm file of `path` with these effects and this calibration, as `out`, and the URDF file that it needs."""
+    from identification.files.arm import urdf_beside, with_calibration, with_effects
+    from identification.files.io import read_text
 
-
-def _keys_in_words(data: Mapping[str, Any]) -> list[str]:
-    """What the JSON keys `only`, `left_out` and `prior_from` say."""
-    sentences = []
-    if words := data.get("only"):
-        sentences.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
-    if "left_out" in data:
-        rows = ", ".join(map(str, data["left_out"]))
-        sentences.append(f"Left out as outliers: {f'rows {rows}' if rows else 'no row'}.")
-    if (prior := data.get("prior_from")) is not None:
-        free = f"; without a prior: {', '.join(prior['anew'])}" if prior["anew"] else ""
-        sentences.append(f"Prior: {len(prior['parameters'])} parameters from {prior['file']}{free}.")
-    return sentences
-
-
-def no_file(fit: Identification, force: bool) -> str | None:
-    """The reason why a fit is not written into an arm file, or None if it is."""
-    from identification.status import Status
-
-    if fit.not_identifiable:
-        return "not every parameter is estimable from the data"
-    if fit.status is not Status.implausible:
-        return None
-    lengths = [] if fit.geometry else (fit.model.arm.lengths + fit.length_errors).tolist()
-    if lengths and min(lengths) <= 0.0:
-        return f"link {lengths.index(min(lengths)) + 1} would have no positive length"
-    return None if force else "the fit is implausible; --force writes it all the same"
+    folder = Path(path).parent
+    return {
+        out: with_calibration(with_effects(read_text(path), effects, folder), calibration, folder),
+        **urdf_beside(path, out),
+    }
 
 
 def _write_calibrated(
@@ -498,8 +463,8 @@ def _write_calibrated(
     kept : the calibration before, of which parameters that were not estimated keep covariance and data, and the one
         that was the prior
     """
-    from identification.files.arm import corrected_urdf, urdf_beside, with_calibration, with_effects
-    from identification.files.io import read_text, write_together
+    from identification.files.arm import corrected_urdf
+    from identification.files.io import write_together
     from identification.reuse import with_data_of, with_held
     from identification.sessions import SESSIONS, without_sessions
 
@@ -510,11 +475,9 @@ def _write_calibrated(
         calibration = with_held(fit.calibration().about(set(fit.names) - hidden), kept[0], kinds)
         calibration = without_sessions(with_data_of(calibration, kept[1], kinds))
         effects = [spec for spec in fit.model.arm.effects if spec.name != SESSIONS]
-        text = with_effects(read_text(path), effects, Path(path).parent)
-        files[out] = with_calibration(text, calibration, Path(path).parent)
-    if fit.geometry is not None:
-        files |= urdf_beside(path, out)
-        files |= {} if urdf is None else {urdf: corrected_urdf(path, fit.geometry.real)}
+        files |= _calibrated_file(path, effects, calibration, out)
+    if fit.geometry is not None and urdf is not None:
+        files[urdf] = corrected_urdf(path, fit.geometry.real)
     write_together(files, force=force)
     what = {out: "calibrated arm", urdf: "corrected URDF file"}
     lines = [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
@@ -555,10 +518,10 @@ def diagnose_files(
     """
     import numpy as np
 
-    from identification.files.arm import load_arm, urdf_beside, with_calibration, with_effects
-    from identification.files.io import read_text, write_together
+    from identification.files.arm import load_arm
+    from identification.files.io import write_together
+    from identification.gap.average import curves_text
     from identification.gap.confirmation import split
-    from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
     from identification.simulate import with_servo_errors
@@ -589,12 +552,8 @@ def diagnose_files(
             warnings.warn(f"{out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
         elif out is not None:
             model = diagnosis.extended_arm(diagnosis.named if named_only else None)
-            folder = Path(arm).parent
             assert model.calibration is not None  # a diagnosis has one
-            files[out] = with_calibration(
-                with_effects(read_text(arm), model.effects, folder), model.calibration, folder
-            )
-            files |= urdf_beside(arm, out)
+            files |= _calibrated_file(arm, model.effects, model.calibration, out)
         if curves is not None:
             files[curves] = curves_text(diagnosis.curves)
         if report is not None:
@@ -629,7 +588,7 @@ def validate_files(
     picture : Draw residuals against time and over the workspace (PNG, SVG, PDF).
     force : Overwrite an existing file.
     """
-    from identification.documents.use import is_better, validation_actions
+    from identification.documents.identification import is_better, validation_actions
     from identification.files.arm import load_arm
     from identification.files.io import write_together
     from identification.origin import check_calibrated, mostly_outside
@@ -699,7 +658,7 @@ def effects(name: str | None = None) -> Answer:
     the arm file that some of them need. Effects of installed packages (entry points armcal.effects) are in the
     list.
     """
-    from identification.documents.library import entry_document, gravity_document, library_document
+    from identification.documents.identification import entry_document, gravity_document, library_document
     from identification.effects.catalogue import GRAVITY, entries, entry
 
     if name == "gravity":

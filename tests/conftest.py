@@ -40,9 +40,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="relative change of every random number, 1e-12 say, and of design Jacobians by a hundredth of it: "
         "other last digits, as another processor has them",
     )
-    parser.addoption(
-        "--kills", type=int, default=200, metavar="NUMBER", help="of each command, in tests/benchmarks/test_faults.py"
-    )
+    parser.addoption("--kills", type=int, default=200, metavar="NUMBER", help="of each command, in test_faults.py")
+    parser.addoption("--against", metavar="TREE", help="another checkout, to compare with in test_speed.py")
 
 
 FIRST = ("notebooks", "test_house.py", "blind", "test_diagnose.py")  # folders and files of the longest tests

@@ -34,7 +34,7 @@ TESTED = {  # module -> tests that must notice
     "identification/estimation/uncertainty.py": [f"{ESTIMATION}/test_uncertainty.py"],
     "identification/estimation/estimate.py": [f"{ESTIMATION}/test_estimate.py", f"{ESTIMATION}/test_prior.py"],
     "identification/estimation/problem.py": [f"{ESTIMATION}/test_prior.py", f"{ESTIMATION}/test_contradictions.py"],
-    "identification/gap/evidence.py": ["tests/identification/gap/test_evidence.py"],
+    "identification/gap/likelihood.py": ["tests/identification/gap/test_likelihood.py"],
     "identification/gap/search.py": ["tests/identification/gap/test_search.py"],
     "doe/bounds/planar_theorem.py": ["tests/doe/bounds/test_planar_theorem.py"],
     "doe/bounds/certificate.py": ["tests/doe/bounds/test_certificate.py"],

@@ -561,7 +561,7 @@ def discriminate_files(
         raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
     diagnosis = diagnose(loaded, measurements, seed=seed, progress=progress)
     if diagnosis.verdict != "ambiguous":
-        sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"
+        sentence = f"Nothing to distinguish, since the verdict is not ambiguous. {diagnosis.sentence}"
         return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
     end = perf_counter() + seconds
 
@@ -595,10 +595,11 @@ def report_files(
     out : Write the page.
     force : Overwrite an existing file.
     """
-    from doe.report.campaign import PlannedCampaign
+    from doe.report.design import design_verdict, file_section
     from doe.report.page import hashes
+    from identification import Campaign
 
-    campaign = PlannedCampaign.of(files)
+    campaign = Campaign.of(files, show_plan=file_section, judge=design_verdict)
     write_together({out: page(campaign.document(), files)}, force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}

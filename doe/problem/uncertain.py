@@ -61,7 +61,7 @@ class EnsembleModel:
     def parameters(self) -> ParameterSet:
         """(K p) parameters of the model, with the number of the draw in their names."""
         draws = range(1, len(self.draws) + 1)
-        return ParameterSet.of(replace(p, name=f"{p.name} [draw {k}]") for k in draws for p in self.model.parameters)
+        return ParameterSet(replace(p, name=f"{p.name} [draw {k}]") for k in draws for p in self.model.parameters)
 
     @property
     def prior(self) -> dict[str, float]:

@@ -11,19 +11,19 @@ import numpy as np
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
 from doe.plan.accuracy import ExpectedDeviations
+from doe.plan.plan import Plan
 from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
 from identification import EFFECT, Array, Model
-from identification.document import Document, Facts, Pictures, PlanSteps, Section, Sheet, in_a_sentence, number
+from identification.document import Document, Pictures, PlanSteps, Section, Sheet, facts_sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
     from doe.cross_check import CrossCheck
     from doe.discrimination.design import DiscriminationDesign
     from doe.discrimination.t_optimal import NextPostures
-    from doe.plan.plan import Plan
     from identification import Arm, Diagnosis, Measurements
 
 Data = Mapping[str, Any]  # what a command says with --json
@@ -65,7 +65,7 @@ def design_verdict(data: Data) -> str:
     return f"{sentence}. Efficiency {data['efficiency']:.4f}. {judge}"
 
 
-def design_facts(data: Data, status: str) -> Facts:
+def design_facts(data: Data, status: str) -> Sheet:
     """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""
     bound, kind, in_mm = data["bound"], data["criterion"], data.get("expected_error_mm") is not None
     bounded, table_1 = bound and not data["outside_limits"], data["table_1_max_residual"]
@@ -78,7 +78,7 @@ def design_facts(data: Data, status: str) -> Facts:
         listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")
         are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
         optimal = f"no: {are} outside joint limits or constraints"
-    return Facts(
+    return facts_sheet(
         [
             ("criterion", f"{kind}, {data['runs']} runs, {data['links']} links"),
             (f"value of {kind}", None if kind == "D" or in_mm else number(data["value"], 7)),
@@ -222,6 +222,11 @@ def plan_section(
         return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
     sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
+
+
+def file_section(arm: Arm, file: Any, name: str) -> Section:
+    """The same of a plan as a file has it (`read_plan`)."""
+    return plan_section(arm, Plan(file.postures, file.weights, fit=file.fit), file.cells, name)
 
 
 def plan_steps(
@@ -373,7 +378,7 @@ def relax_document(design: ApproximateDesign) -> Document:
         ("status", design.status.value),
     ]
     support = Sheet(["weight", *posture_headings(design.plan)], rows, "Support", 24)
-    return Document("Weights", [], [Facts(facts), support, *rest])
+    return Document("Weights", [], [facts_sheet(facts), support, *rest])
 
 
 def cross_check_table(compared: CrossCheck) -> Sheet:

@@ -1,4 +1,5 @@
-"""A fit as a document: its figures, the corrected values for the controller, and what to do next."""
+"""Fits and what is made with them as documents: figures, values for the controller, errors on other measurements,
+commands; what to do next; and the library of effects."""
 
 from __future__ import annotations
 
@@ -8,18 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from identification.arrays import Array
 from identification.document import (
     Action,
     Document,
-    Facts,
+    Part,
     Section,
     Sheet,
     estimate_text,
+    facts_sheet,
     in_a_sentence,
     number,
-    to_significant_digits,
     unit_or_dash,
 )
+from identification.effects.catalogue import GRAVITY, Entry
+from identification.kinematics.parameters import REVOLUTE
 from identification.sessions import placing
 
 if TYPE_CHECKING:
@@ -29,7 +33,6 @@ Data = Mapping[str, Any]  # what a command says with --json
 
 MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
-HEADINGS = ("parameter", "value", "std", "95 % low", "95 % high", "unit")
 UNFINISHED = (
     "the fit stopped at the limit of iterations before it converged: values that the measurements hardly determine may "
     "still move together, and their intervals hold only near where it stopped"
@@ -50,8 +53,20 @@ BETA = (
     "beta: turn about the new y axis after alpha, where the next axis is nearly parallel (Hayati). A controller that "
     "has no beta cannot take that row; --full prints frames of six numbers, --urdf writes them."
 )
+FITTED = "these are the measurements that the model was identified from: this says nothing about others"
+BY_CHANCE = "may be chance"  # said of a gain within what the rows scatter by
+KINDS_OF_EFFECTS = {
+    "looked for": "Effects that diagnose looks for",
+    "table": "Found by diagnose where no name fits",
+    "scatter": "Effects on the scatter: simulated, screened for, not estimated",
+    "alias": "Cannot be distinguished from the geometry: listed, never named",
+    "on request": "Estimated where the arm file asks for it",
+    "commands": "From columns of commands beside the angles read",
+    "sessions": "Set by armcal where there are several sessions",
+}
 
 
+# -- a fit -------------------------------------------------------------------------------------------------------------
 def p_value_in_words(p: float) -> str:
     """`p = 0.012`; a p-value that underflows is not shown as zero."""
     return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
@@ -62,48 +77,55 @@ def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
     figures = f"chi2 {fit.chi2:.4g}, {fit.dof} degrees of freedom, {p_value_in_words(p_value)}"
     prior = "the prior does not hold (above), " if fit.contradictions else ""
     cause = f"{prior}the model is incomplete or sigma_mm too small"
-    relied = fit.uncertainty.kind == "given"
-    follows = "rely on sigma_mm and are too narrow" if relied else "do not rely on sigma_mm"
+    follows = "rely on sigma_mm and are too narrow" if fit.uncertainty.kind == "given" else "do not rely on sigma_mm"
     do = "settle the prior first" if fit.contradictions else "armcal diagnose looks for what is missing"
-    shown = f"{times:{'.3g' if times < 1000.0 else '.0f'}}"
-    scatter = f"{MISFIT} {shown} times sigma_mm = {fit.sigma:.4g} ({figures})"
+    scatter = f"{MISFIT} {times:{'.3g' if times < 1000.0 else '.0f'}} times sigma_mm = {fit.sigma:.4g} ({figures})"
     return f"{scatter}: {cause}. The intervals {follows}; {do}"
 
 
-def parameters_document(fit: Identification) -> Document:
-    """All of it: the parameters, rounded by their standard deviations, and what else was found."""
-    rows = [
-        [name, *(to_significant_digits(row[key], row["std"]) for key in COLUMNS), row["unit"]]
-        for name, row in zip(fit.shown_names, fit.rows(), strict=True)
-    ]
-    open_ones = [("not identifiable", combination) for combination in fit.not_identifiable]
-    return Document("Identification", [], [Sheet(HEADINGS, rows), Facts([*open_ones, *facts(fit)])], (), fit.warnings)
+def reading_unit(model: Any) -> str:
+    """Unit of the errors of a model: that of what its instrument reads."""
+    arm = getattr(model, "arm", None)
+    return "px" if arm is not None and arm.chain.instrument.coordinates[0].quantity == "pixel" else "mm"
 
 
-def facts(fit: Identification) -> list[tuple[str, str | None]]:
+def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
-    origin = "given" if fit.sigma_known else "estimated"
-    sigma = "unknown" if fit.sigma is None else f"{fit.sigma:.4g} mm per axis ({origin})"
-    chi2 = None if fit.p_value is None else f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}"
-    doubt = "; but chi2 says that it is not" if fit.misfit else ""
-    tip = None
+    unit, tip = reading_unit(fit.model), None
     if fit.expected_tip is not None:
+        doubt = "; but chi2 says that it is not" if fit.misfit else ""
         measured = f"{fit.expected_tip_measured:.4g} mm at the tip at postures like those measured"
         tip = f"{measured}, {fit.expected_tip:.4g} mm over the joint limits (RMS), if the model is right{doubt}"
+    sigma = f"{fit.sigma or 0.0:.4g} {unit} per axis ({'given' if fit.sigma_known else 'estimated'})"
+    sigma = "unknown" if fit.sigma is None else sigma
+    chi2 = None
+    if fit.p_value is not None:
+        scatter = f"the residuals scatter {number(fit.scatter, 5)} {unit}"
+        chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}: {scatter}"
     angles = None if fit.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return [
         ("method", f"{fit.method}: {fit.outcome}"),
-        ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} mm"),
-        ("largest", f"{fit.max_before:.4g} -> {fit.max_after:.4g} mm"),
+        ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} {unit}"),
+        ("largest", f"{fit.max_before:.4g} -> {fit.max_after:.4g} {unit}"),
         ("orientations, RMS", angles),
         ("expected error", tip),
         ("sigma", f"{sigma}, {fit.dof} degrees of freedom"),
-        ("chi2", chi2 and f"{chi2}: the residuals scatter {number(fit.scatter, 5)} mm"),
+        ("chi2", chi2),
         ("95 % intervals", fit.uncertainty.sentence),
     ]
 
 
-# -- armcal identify ---------------------------------------------------------------------------------------------------
+def parameters_document(fit: Identification) -> Document:
+    """The parameters of a fit, rounded by their standard deviations, and how well it fits."""
+    rows = [
+        [name, *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS), row["unit"]]
+        for name, row in zip(fit.shown_names, fit.rows(), strict=True)
+    ]
+    table = Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), rows)
+    open_ones = [("not identifiable", combination) for combination in fit.not_identifiable]
+    return Document("Identification", [], [table, facts_sheet([*open_ones, *fit_facts(fit)])], (), fit.warnings)
+
+
 def identification_document(
     result: Identification, data: Data, hidden: frozenset[str] = frozenset(), *, full: bool = True
 ) -> Document:
@@ -112,22 +134,22 @@ def identification_document(
     data : what `armcal identify --json` says of it
     full : False: of a spatial arm its Denavit-Hartenberg table, or the values that the measurements determine
     """
-    rows = [row for row in result.corrected_values if row.parameter not in hidden]
+    rows, space = [row for row in result.corrected_values if row.parameter not in hidden], result.geometry
     # of the class of the others: estimation, where it is defined, imports this module
     dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
     if full:
-        strict = [] if result.geometry is None else result.geometry.strict_table
-        sections = [corrected_section("Corrected values", rows, result.geometry is not None, *strict)]
+        strict = [] if space is None else space.strict_table
+        sections = [corrected_section("Corrected values", rows, space is not None, *strict)]
     else:
         sections = dh_sections(dh, data.get("dh_places", ())) or [in_short(rows, minimal=not hidden)]
     left, drawn = data.get("cross_validated_mm"), data.get("rms_nominal_mm")
-    others = "mm RMS: each posture predicted by a fit to the others, noise included"
+    others = f"{reading_unit(result.model)} RMS: each posture predicted by a fit to the others, noise included"
     figures: list[tuple[str, str | None]] = [
-        *facts(result),
+        *fit_facts(result),
         ("cross-validated", None if left is None else f"{number(left)} {others}"),
         ("drawing", None if drawn is None else f"{number(drawn)} mm RMS, {DRAWN['base']}"),
     ]
-    parts: list[Any] = [Facts(figures), *sections]
+    parts: list[Part] = [facts_sheet(figures), *sections]
     if result.not_identifiable:
         parts.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         parts += [f"  {combination}" for combination in result.not_identifiable]
@@ -136,21 +158,27 @@ def identification_document(
         cells = [[str(row["joint"]), *(f"{row[key]:z.5f}" for key in keys), row["unit"]] for row in servo]
         meaning = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
         parts += [Sheet(("joint", *keys, "unit"), cells, "Servo error"), meaning]
-    verdict = [identification_verdict(data, compared_with(result, "rms_nominal_mm" in data))]
+    # what the errors before the fit are those of; without a place in the file, one has been fitted before
+    if drawn is not None and result.rms_before > (1.0 + 1e-3) * result.rms_after:
+        before = "where the arm file has it"
+    else:
+        arm, places = getattr(result.model, "arm", None), placing(result.model.parameters)
+        fitted = bool(places) and len(places) < len(result.names)
+        file = "arm file" if arm is None or arm.calibration is not None else "drawing"
+        before = f"{file}, {DRAWN['base' if fitted else 'none']}"
+    verdict = [identification_verdict(data, before)]
     if not data.get("offered", {"better": True})["better"]:
         verdict.insert(0, hardly_better(data["offered"]))
     return Document("Identification", verdict, parts, warnings=result.warnings)
 
 
 def identification_verdict(data: Data, before: str = "") -> str:
-    """What a fit does to the error on its own data.
-
-    before : what the error before is that of, where it is not the drawing's
-    """
-    drawn = None if "only" in data else data.get("rms_drawing_mm")
-    was = f"{in_a_sentence(data['rms_before_mm'])}{before and f' mm ({before})'}"
-    figures = f"{was if drawn is None else drawing_in_words(drawn)} to {in_a_sentence(data['rms_after_mm'])} mm"
-    return f"On its own data the calibration takes the RMS error from {figures}."
+    """What a fit does to the error on its own data;  before : whose the error before is, where not the drawing's"""
+    drawn, unit = None if "only" in data else data.get("rms_drawing_mm"), data.get("reading_unit", "mm")
+    was = f"{in_a_sentence(data['rms_before_mm'])}{before and f' {unit} ({before})'}"
+    was = was if drawn is None else drawing_in_words(drawn, unit=unit)
+    after = f"{in_a_sentence(data['rms_after_mm'])} {unit}"
+    return f"On its own data the calibration takes the RMS error from {was} to {after}."
 
 
 def hardly_better(offered: Data) -> str:
@@ -165,59 +193,20 @@ def hardly_better(offered: Data) -> str:
     )
 
 
-def expected_elsewhere(data: Data) -> str:
-    """What a fit promises where nothing was measured; files of earlier versions do not say."""
-    if data.get("expected_tip_mm") is None or data.get("expected_tip_measured_mm") is None:
-        return ""
-    inside, anywhere = (number(data[key]) for key in ("expected_tip_measured_mm", "expected_tip_mm"))
-    tip = f"{inside} mm at the tip at postures like those measured, {anywhere} mm over the joint limits (RMS)"
-    return f" Expected error if the model is right: {tip}."
+def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:
+    """What the drawing leaves, and what was fitted of it;  refit : as for `validate`"""
+    return f"{in_a_sentence(rms)} {unit} (drawing, {DRAWN[refit]})"
 
 
-def compared_with(result: Identification, place: bool = False) -> str:
-    """What the errors before the fit are those of;  place : nothing but where a calibrated arm stands."""
-    # without a place in the file, one has been fitted before: the RMS hardly falls
-    if place and result.rms_before > (1.0 + 1e-3) * result.rms_after:
-        return "where the arm file has it"
-    arm, places = getattr(result.model, "arm", None), placing(result.model.parameters)
-    calibrated = arm is None or arm.calibration is not None
-    fitted = bool(places) and len(places) < len(result.names)
-    return f"{'arm file' if calibrated else 'drawing'}, {DRAWN['base' if fitted else 'none']}"
-
-
+# -- corrected values --------------------------------------------------------------------------------------------------
 def corrected_section(
     title: str, rows: Sequence[CorrectedValue], spatial: bool, *remarks: str, folded: bool = False
 ) -> Section:
-    """The corrected values to enter in the controller, and what they mean to it."""
-    return Section(title, [corrected_table(rows), *conventions(rows, spatial), *remarks], folded)
-
-
-def corrected_table(rows: Sequence[CorrectedValue], title: str = "") -> Sheet:
-    """Nominal and corrected values with intervals, without those that are the drawing's to the last digit shown."""
-    keys = ("nominal", "corrected", "std", "low_95", "high_95")
-    cells = [
-        [
-            f"{row.name} *" if row.weak else row.name,
-            *(estimate_text(getattr(row, key), row.std, row.unit) for key in keys),
-            unit_or_dash(row.unit),
-        ]
-        for row in rows
-        if not equals_drawing(row, 5)
-    ]
-    return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells, title)
-
-
-def equals_drawing(row: CorrectedValue, decimals: int) -> bool:
-    """Whether a length or an angle and its interval are the drawing's to this many decimals."""
-    figures = (row.nominal, row.corrected, row.low_95, row.high_95)
-    same = {None if figure is None else f"{figure:z.{decimals}f}" for figure in figures}
-    return row.unit in ("mm", "deg") and None not in same and len(same) == 1
-
-
-def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
-    """What the rows mean to a controller, and which of them the measurements do not determine, in lines."""
-    lines = ["Zeros: add to the zero of the joint (real = reading + this), or take off every command."]
-    lines = lines if any(row.name.startswith("zero of") for row in rows) else []
+    """The corrected values to enter in the controller, and what they mean to it: which are added to zeros, which belong
+    together, and which the measurements do not determine."""
+    lines = []
+    if any(row.name.startswith("zero of") for row in rows):
+        lines.append("Zeros: add to the zero of the joint (real = reading + this), or take off every command.")
     if any(row.parameter == "base_offset.x0" for row in rows):
         typed = "type them into the controller only if the measurements are in the controller's own frame"
         lines.append(f"Zero of joint 1 and base_offset: where the arm stands; {typed}.")
@@ -231,7 +220,29 @@ def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
             f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of the standard "
             "deviation that they had before, and the prior holds them."
         )
-    return lines
+    return Section(title, [corrected_table(rows), *lines, *(remark for remark in remarks if remark)], folded)
+
+
+def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
+    """Nominal and corrected values with intervals, without those that are the drawing's to the last digit shown."""
+    keys = ("nominal", "corrected", "std", "low_95", "high_95")
+    cells = [
+        [
+            f"{row.name} *" if row.weak else row.name,
+            *(estimate_text(getattr(row, key), row.std, row.unit) for key in keys),
+            unit_or_dash(row.unit),
+        ]
+        for row in rows
+        if not equals_drawing(row, 5)
+    ]
+    return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
+
+
+def equals_drawing(row: CorrectedValue, decimals: int) -> bool:
+    """Whether a length or an angle and its interval are the drawing's to this many decimals."""
+    figures = (row.nominal, row.corrected, row.low_95, row.high_95)
+    same = {None if figure is None else f"{figure:z.{decimals}f}" for figure in figures}
+    return row.unit in ("mm", "deg") and None not in same and len(same) == 1
 
 
 def dh_sections(rows: Sequence[CorrectedValue], lines: Sequence[str], name: str = "") -> list[Section]:
@@ -254,7 +265,7 @@ def in_short(rows: Sequence[CorrectedValue], minimal: bool) -> Section:
     weak: dict[str, list[str]] = {}  # `joint 2 x, y, yaw; zero of joint 5`
     for place, _, axis in (row.name.rpartition(" ") for row in frames if row.weak):
         weak.setdefault(place, []).append(axis)
-    parts: list[Any] = [corrected_table(sure)]
+    parts: list[Part] = [corrected_table(sure)]
     if weak:
         named = "; ".join(f"{place} {', '.join(axes)}" for place, axes in weak.items())
         parts.append(f"Weakly determined, mostly the prior of [machining]: {named}.")
@@ -272,6 +283,7 @@ def in_short(rows: Sequence[CorrectedValue], minimal: bool) -> Section:
     return Section(title, [*parts, *(ALL_OF_THEM if minimal else ALL_OF_THEM[:1])])
 
 
+# -- what to do next ---------------------------------------------------------------------------------------------------
 def correct(arm: str) -> Action:
     """Commands from a calibrated arm."""
     return Action("Correct the robot's commands with it:", f"armcal compensate {arm} targets.csv --out commands.csv")
@@ -298,24 +310,22 @@ def identification_actions(
     library's effects are in the model, held by a prior;  better : than the geometry alone
     mounted_anew : reflectors are elsewhere in some session, which the fit takes for the same
     """
-    alone = identify_command(arm, rows)
+    calibrated = str(written or "calibrated.toml")
     if mounted_anew:
         why = "Give these reflectors another name in those sessions, in the column marker, and fit again:"
-        return [Action(why, identify_command(arm, rows, out=str(written or "calibrated.toml")))]
+        return [Action(why, identify_command(arm, rows, out=calibrated))]
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
-    look, *use = calibrated_actions(arm, rows, str(written or "calibrated.toml"))
+    look, *use = calibrated_actions(arm, rows, calibrated)
     if not allowed_for:
         return [*keep, *([] if diagnosed else [look]), *use]
     if not better:
-        keep = [Action("Leave --library-prior away, since the geometry alone predicts as well:", alone)]
-        use = [correct("calibrated.toml")]
+        alone = "Leave --library-prior away, since the geometry alone predicts as well:"
+        keep, use = [Action(alone, identify_command(arm, rows))], [correct("calibrated.toml")]
     why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
     return [*keep, *use, Action(why, look.command)]
 
 
-def calibrated_actions(
-    arm: str = "arm.toml", rows: str = "data.csv", calibrated: str = "calibrated.toml"
-) -> list[Action]:
+def calibrated_actions(arm: str, rows: str, calibrated: str) -> list[Action]:
     """What a calibration is for, and what it needs before."""
     return [
         Action("Look for what the model lacks:", f"armcal diagnose {arm} {rows} --report gap.html"),
@@ -324,6 +334,156 @@ def calibrated_actions(
     ]
 
 
-def drawing_in_words(rms: float, refit: str = "base") -> str:
-    """What the drawing leaves [mm], and what was fitted of it;  refit : as for `validate`"""
-    return f"{in_a_sentence(rms)} mm (drawing, {DRAWN[refit]})"
+def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyond: bool = False) -> list[Action]:
+    """What to do with a model that predicts other measurements, or does not;  beyond : most of them at angles that it
+    has not seen"""
+    why = "Most rows are at angles that the calibration has not seen. A fit that reaches farther from its data:"
+    far = [Action(why, identify_command("arm.toml", "data.csv", "library-prior"))] if beyond else []
+    if better:
+        return [*far, correct(model)]
+    asked = f"armcal validate {model} {rows} --refit offsets"
+    moved = Action("See whether the zeros of the joints have moved, and what refitting them gains:", asked)
+    zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only joint_offsets,base")
+    return [*far, *([] if refit == "offsets" else [moved]), zeros]
+
+
+# -- armcal validate ---------------------------------------------------------------------------------------------------
+def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
+    """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
+    better;  model, rows : names of files;  seen : it was fitted to these rows"""
+    rows = rows or ("the model's own measurements" if FITTED in data.get("notes", ()) else "other measurements")
+    which = ", which it was fitted to" if seen else ""
+    figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
+    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
+    gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
+    worth = "no better than the drawing" if gain <= 0.0 else f"{100.0 * gain:.0f} % of the error is removed"
+    worth += f", which {BY_CHANCE}" if gain > 0.0 and not is_better(data) else ""
+    return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
+
+
+def is_better(data: Data) -> bool:
+    """Whether the model is better than the drawing, by more than the rows scatter."""
+    return data["rms_mm"] < data["rms_nominal_mm"] and not any(BY_CHANCE in note for note in data["notes"])
+
+
+def validation_sections(data: Data, points: str = "") -> list[Section]:
+    """Drawing and model over all rows, and block by block;  points : what is refitted of a spatial arm beside"""
+    keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
+    what = {"base": "position and rotation of the base", "offsets": "joint offsets, position of the base"}
+    summary = f"{data['rows']} rows, nothing refitted"
+    if data["refit"] != "none":
+        sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
+        summary = (
+            f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
+        )
+    figures = ("RMS", "mean", "95 %\nbelow", "largest")
+    rows = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
+    rows.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])
+    blocks = [
+        [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[f"{key}_mm"]) for key in keys)]
+        for b in data["blocks"]
+    ]
+    headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
+    shown = [Section("Validation, distances in mm", [Sheet(("", *figures), rows), summary])]
+    return shown + ([Section("Validation, block by block, in mm", [Sheet(headings, blocks)])] if blocks else [])
+
+
+# -- armcal compensate -------------------------------------------------------------------------------------------------
+def compensation_document(result: Any) -> Document:
+    """How many targets are reached and which are not, and commands for the first ones;  result : `Compensation`"""
+    verdict = f"{np.count_nonzero(result.reached)} of {len(result.targets)} targets reached by the calibrated model"
+    if result.model_rms is not None:
+        verdict += f" (RMS {result.model_rms:.4g} mm on its own measurements)"
+    if result.angles is not None and result.reached.any():
+        miss = miss_text(result.to_json()["max_error_deg"])
+        verdict += f"; orientations are those wanted to {miss} deg, by the same model"
+    verdict += "."
+    if missed := (np.flatnonzero(~result.reached) + 1).tolist():
+        counts = {"out of reach": ~result.near, "barred by a constraint": result.near & ~result.reached}
+        why = {reason: int(np.count_nonzero(which)) for reason, which in counts.items() if which.any()}
+        counted = ", ".join(f"{count} {reason}" if len(why) > 1 else reason for reason, count in why.items())
+        have = "have" if len(missed) > 1 else "has"
+        verdict += f" {len(missed)} {have} no command (angles left empty): {counted} ({rows_listed(missed)})."
+    reasons = [f"target {k} ! {message}" for k, message in enumerate(result.messages, start=1) if message]
+    rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
+    types = result.joint_types or (REVOLUTE,) * result.commands.shape[1]
+    digits = 3 if len(types) + result.targets.shape[1] <= 6 else 2  # of more joints and axes than 80 columns have room
+    joints = [f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1)]
+    commands = np.where(np.isnan(result.safe_commands), np.nan, result.commands_in_file_units)
+    rows = command_rows(result.targets, commands, result.left, digits)
+    headings = ["row", *"xyz"[: result.targets.shape[1]], *joints, "miss"]
+    table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
+    rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
+    return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=result.warnings)
+
+
+def rows_listed(rows: Sequence[int]) -> str:
+    """`row 3`, `rows 1, 5`; of many the first eight."""
+    return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:8]))}{', ...' if len(rows) > 8 else ''}"
+
+
+def command_rows(targets: Array, commands: Array, miss: Array, digits: int = 3) -> list[list[str]]:
+    """A row of text for each target: its number, (k, d) targets [mm], (k, n) commands [file units], (k,) miss [mm].
+
+    digits : decimals of commands, two more than of targets
+    """
+    return [
+        [
+            str(row),
+            *(f"{value:.{digits - 2}f}" for value in target),
+            *("-" if np.isnan(value) else f"{value:.{digits}f}" for value in command),
+            miss_text(error),
+        ]
+        for row, (target, command, error) in enumerate(zip(targets, commands, miss, strict=True), start=1)
+    ]
+
+
+def miss_text(error: float) -> str:
+    """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy; a dash for
+    NaN."""
+    return "< 1e-6" if error < 1e-6 else f"{error:.0f}" if error >= 100.0 else number(error)
+
+
+# -- armcal effects ----------------------------------------------------------------------------------------------------
+def library_document(entries: Sequence[Entry]) -> Document:
+    """Name, cause and needs of every effect, by kind."""
+    parts: list[Part] = []
+    for kind, title in KINDS_OF_EFFECTS.items():
+        rows = []
+        for e in (e for e in entries if e.kind == kind):
+            name = e.name + ":j" * e.place.startswith("each") + (f" ({e.arms[0]})" if len(e.arms) == 1 else "")
+            rows.append([name, e.summary, ", ".join(e.needs)])
+        parts.append(Sheet(("name", "what is wrong", "needs"), rows, title))
+    advice = "A name with :j belongs to joint j. More about one of them: armcal effects backlash"
+    return Document("Effects", [], [*parts, advice])
+
+
+def gravity_document(needed: Sequence[str]) -> Document:
+    """What is no effect but what effects follow from;  needed : names of these"""
+    needs = (
+        "[gravity] is no effect but a block of the arm file: how gravity pulls, and what the links and the payload "
+        f"weigh. The torques that follow from it are needed by {', '.join(needed)}. To paste, with your masses:"
+    )
+    return Document("gravity", [], [f"{needs}\n\n{GRAVITY}\n"])
+
+
+def entry_document(entry: Entry) -> Document:
+    """Everything about one effect."""
+    about = [
+        ("cause", entry.summary),
+        ("model", entry.formula),
+        ("belongs to", entry.place),
+        ("arms", " and ".join(entry.arms)),
+        ("needs", "; ".join(entry.supply) or "nothing besides postures and positions"),
+        ("looks like", entry.alias),
+    ]
+    rows = [
+        [p.toml_key, unit_or_dash(p.file_unit), "-" if p.typical is None else f"{p.typical * p.to_file:.2g}"]
+        for p in entry.parameters
+    ]
+    title = "Parameters" if entry.place != "one joint or all" else "Parameters (of an arm of three joints)"
+    settings = Sheet(("key", "allowed"), [*entry.settings.items()], "Settings: chosen, not estimated")
+    intro = "In an arm file, with its parameters left out so that identify estimates them:"
+    example = entry.example if entry.kind == "table" else f"{intro}\n\n{entry.example}\n"
+    values = Sheet(("key", "unit", "typical size"), rows, title)
+    return Document(entry.name, [entry.name], [facts_sheet(about), values, settings, example])

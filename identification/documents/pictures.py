@@ -310,6 +310,19 @@ def validation_figure(result: Validation) -> Figure:
 
 
 # -- diagnoses ---------------------------------------------------------------------------------------------------------
+def signed_of(diagnosis: Diagnosis) -> list[Figure | str]:
+    """Residuals of the data with their sign, against each joint, and how they are read."""
+    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
+    named = (*diagnosis.effects, *(curve.key for curve in diagnosis.curves))
+    angles = [values for name, values in shown.against.items() if name.startswith("joint ")]
+    postures, before, after = (values[kept] for values in (np.column_stack(angles), shown.before, shown.after))
+    rows = postures, before, after, shown.conditions.rows(kept)
+    compared = Compared(diagnosis.arm, *rows, Model(diagnosis.extended_arm()), named)
+    how = f"{READ} Nothing is named: before and after are nearly one model."
+    how = caption("the model without what is named", "the model with what is named", named) if named else how
+    return [how, *signed_figures(compared)]
+
+
 def gap_figure(diagnosis: Diagnosis) -> Figure:
     """Residual arrows over the workspace, before and after, without outlier rows."""
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)

@@ -5,7 +5,6 @@ for many with a plan of its own each, and `without_outliers` repeats any fit unt
 """
 
 from identification.estimation.estimate import (
-    BatchFit,
     estimate,
     estimate_batch,
     estimate_each,
@@ -17,7 +16,6 @@ from identification.estimation.result import Identification
 
 __all__ = [
     "METHODS",
-    "BatchFit",
     "Identification",
     "estimate",
     "estimate_batch",

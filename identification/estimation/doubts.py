@@ -1,24 +1,30 @@
-"""What is doubtful about a fit, in sentences: flipped links, another frame, postures outside the limits, an earlier
-calibration as the prior that the measurements contradict."""
+"""What is doubtful about a fit, in sentences, and how far its tip may be from where it is computed.
+
+Base and measured point cannot be told apart where the flange turned too little:
+
+    y_i = B (p_i + R_i t) + b
+
+A shift of the point t along v and the shift of the base that follows it move measured points by B (R_i - mean R) v and
+no more. Its mean square is v^T (I - (mean R)^T mean R) v: zero along every v where the flange keeps one orientation,
+and along the axis where it turns about one only, however many rows there are.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from identification.arm import Arm
+from identification.arm import Arm, Machining
 from identification.arrays import Array, rows_in_words
 from identification.estimation.problem import Earlier
-from identification.estimation.uncertainty import LEVEL
-from identification.information import RANK_TOLERANCE
-from identification.inspection.readings import DRAWN
-from identification.inspection.readings import read_differently
-from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
+from identification.estimation.uncertainty import LEVEL, decomposed_groups
+from identification.information import ALONE, RANK_TOLERANCE, product_inverse
+from identification.inspection.readings import DRAWN, read_differently
+from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR, KinematicChain
 from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.counting import in_columns, turned_into
 from identification.kinematics.parameters import (
@@ -31,20 +37,10 @@ from identification.kinematics.parameters import (
 )
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.workspace import ColumnLimits
-
-if TYPE_CHECKING:
-    from identification.estimation.result import Identification
-from collections.abc import Callable
-from typing import TYPE_CHECKING
-
-from identification.estimation.uncertainty import decomposed_groups
-from identification.information import ALONE, product_inverse
-from identification.kinematics.chain import KinematicChain
-from identification.model.placed import tip_frames
-from identification.model.positions import FEWEST, tip_jacobian
+from identification.model.placed import FEWEST, tip_jacobian
 from identification.sessions import placing
 from identification.threads import single_thread
+from identification.workspace import ColumnLimits
 
 if TYPE_CHECKING:
     from identification.estimation.result import Identification
@@ -57,6 +53,11 @@ OTHER_FRAME = "the data are in another frame than the arm"
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 SPARE = 4  # degrees of freedom
 SHOWN = 3  # contradictions in a sentence
+UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
+POSES = 1000  # random postures that stand for the joint limits
+FEW = "too few measurements"  # the beginning of that sentence
+TOGETHER = "base and tool cannot be told apart"  # the beginning of that sentence
+HARDLY = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
 
 
 def doubts(
@@ -110,39 +111,50 @@ def misread(arm: Arm, measurements: Measurements) -> tuple[list[str], bool]:
 def far_zeros(model: Model, parameters: Array) -> list[str]:
     """Joints whose zero is another one than the drawing's; that of a planar arm's first is the frame's rotation."""
     values = {p.joint: x for p, x in zip(model.parameters, parameters, strict=True) if p.kind == JOINT_OFFSET}
-    turning = [joint for joint, kind in enumerate(model.arm.joint_types, start=1) if joint > 1 and kind == REVOLUTE]
-    counting = model.arm.counting
-    shares = np.eye(model.arm.links) if counting is None else counting.matrix
-    added = shares @ [values.get(j, 0.0) for j in range(1, model.arm.links + 1)]  # as the controller counts
-    offsets = {j: (added[j - 1] + np.pi) % (2.0 * np.pi) - np.pi for j in turning}
-    far = [f"{np.degrees(x):.1f} deg at joint {j}" for j, x in offsets.items() if abs(x) > FAR_ZERO]
-    return [f"zeros differ from the drawing's: {', '.join(far)}"] if far else []
+    counting, links = model.arm.counting, model.arm.links
+    shares = np.eye(links) if counting is None else counting.matrix
+    added = shares @ [values.get(j, 0.0) for j in range(1, links + 1)]  # as the controller counts
+    offsets = enumerate(zip((added + np.pi) % (2.0 * np.pi) - np.pi, model.arm.joint_types, strict=True), start=1)
+    turned = [(j, x) for j, (x, kind) in offsets if j > 1 and kind == REVOLUTE and abs(x) > FAR_ZERO]
+    far = ", ".join(f"{np.degrees(x):.1f} deg at joint {j}" for j, x in turned)
+    return [f"zeros differ from the drawing's: {far}"] if far else []
+
+
+def far_from_drawing(machining: Machining, width: float, zeros: float) -> list[str]:
+    """What is doubtful about an arm whose errors are so many times those of its machining, and its zeros besides."""
+    rotation, sentences = f"{np.degrees(machining.rotation):g} deg", []
+    if width != 1.0:
+        sizes = f"[machining] says ({machining.translation:g} mm and {rotation})"
+        ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
+        taken = f"taken {width:g} times as large{ask if width >= UNUSUAL else ''}"
+        sentences.append(f"the arm is farther from its drawing than {sizes}: {taken}")
+    if zeros != 1.0:
+        taken = f"taken as {width * zeros:g} times as large, as where a motor was changed or a drawing counts from"
+        far = f"zeros of joints are farther from the drawing than [machining] says ({rotation})"
+        sentences.append(f"{far}: {taken} elsewhere")
+    return sentences
 
 
 def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:
     """Which rows nothing explains; residual : (m, d) [mm];  outlier, together : (m,) by themselves, and those that come
-    together (`outlying.together`)."""
-    off, sentences = distances(residual[:, POINT]), []
-    for rows in (outlier, together):
-        if rows.any():
-            far = f"{rows_in_words(rows)}: up to {off[rows].max():.4g} mm off"
-            sentences.append(f"{far}, the others {np.median(off[~(outlier | together)]):.3g} mm in the median: ")
-    causes = []
-    if outlier.any():
-        causes.append(
-            "a lost beam, an arm that was still moving, or what the model lacks there. armcal diagnose tells these "
-            "apart; identify --without-outliers leaves such rows out"
-        )
-    if together.any():
-        causes.append(
-            "not single rows but whole postures or neighbors: what the model lacks there (gravity, play), or postures "
-            "where the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong"
-        )
-    return [sentence + cause for sentence, cause in zip(sentences, causes, strict=True)]
+    together (`uncertainty.together`)."""
+    off = distances(residual[:, POINT])
+    causes = (
+        "a lost beam, an arm that was still moving, or what the model lacks there. armcal diagnose tells these apart; "
+        "identify --without-outliers leaves such rows out",
+        "not single rows but whole postures or neighbors: what the model lacks there (gravity, play), or postures "
+        "where the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong",
+    )
+    return [
+        f"{rows_in_words(rows)}: up to {off[rows].max():.4g} mm off, the others "
+        f"{np.median(off[~(outlier | together)]):.3g} mm in the median: {cause}"
+        for rows, cause in zip((outlier, together), causes, strict=True)
+        if rows.any()
+    ]
 
 
 def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
-    """True for residuals of the size of rounding: data without noise, for which standard deviations mean nothing."""
+    """Residuals of the size of rounding: data without noise, for which standard deviations mean nothing."""
     left, largest = rms_distance(residual), float(np.max(np.abs(measurements.positions)))
     if left > 1e-13 * largest:  # the sums of a fit to data without noise are rounded by less
         return []
@@ -222,8 +234,8 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     joint = int(np.argmax(outside[row]))
     _, factor, unit = FILE_UNITS[JOINT_UNITS[arm.joint_types[joint]]]
     low, high, place = (v[joint] * factor for v in (*arm.column_limits, in_columns(q[row], arm.joint_types)))
-    count = int(outside.any(axis=1).sum())
     first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
+    count = int(outside.any(axis=1).sum())
     sentence = f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}"
     within = ~beyond_limits(arm, turned_into(q, arm.lower, arm.upper, arm.joint_types, OVERSHOOT))
     joints = np.flatnonzero(np.any(outside & within, axis=0)) + 1
@@ -246,10 +258,13 @@ def copied_rows(measurements: Measurements) -> list[str]:
     return [f"{seen}: {no}, which identify and diagnose do not count"]
 
 
-@dataclass(frozen=True)
-class Contradiction:
+# -- an earlier calibration that the measurements contradict -----------------------------------------------------------
+class Contradiction(NamedTuple):
     """A parameter in file units: as the prior has it, and as the measurements do without that prior; both with the
-    parameters that are not contradicted as the earlier calibration has them."""
+    parameters that are not contradicted as the earlier calibration has them.
+
+    instead : parameters that would explain the measurements as well
+    """
 
     name: str
     unit: str
@@ -257,50 +272,35 @@ class Contradiction:
     prior_std: float
     value: float
     std: float
-    instead: tuple[str, ...] = ()  # parameters that would explain the measurements as well
+    instead: tuple[str, ...] = ()
 
-    @classmethod
-    def of(cls, name: str, before: Earlier, fit: Identification, instead: tuple[str, ...]) -> Contradiction:
-        """Of a parameter before, and of a fit without that prior."""
-        p, deviations = fit.model.parameters[k := fit.names.index(name)], np.sqrt(np.diag(before.covariance))
-        k_before = before.names.index(name)
-        figures = before.values[k_before], deviations[k_before], fit.parameters[k], fit.std[k]
-        prior, prior_std, value, std = (float(x * p.to_file) for x in figures)
-        return cls(name, p.file_unit, prior, prior_std, value, std, instead)
 
-    def __str__(self) -> str:
-        before, now = f"{self.prior:.4g} +- {self.prior_std:.2g}", f"{self.value:.4g} +- {self.std:.2g}"
-        return f"{self.name} is {before} {self.unit} in the earlier calibration, {now} by these measurements" + (
-            f" (or instead {', '.join(self.instead)}: they do not tell)" if self.instead else ""
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of `contradicted` (identification/files/README.md, "JSON keys")."""
-        return dict(vars(self))
+def contradiction(name: str, before: Earlier, fit: Identification, instead: tuple[str, ...]) -> Contradiction:
+    """Of a parameter before, and of a fit without that prior."""
+    p, k = fit.model.parameters[now := fit.names.index(name)], before.names.index(name)
+    figures = before.values[k], np.sqrt(before.covariance[k, k]), fit.parameters[now], fit.std[now]
+    prior, prior_std, value, std = (float(x * p.to_file) for x in figures)
+    return Contradiction(name, p.file_unit, prior, prior_std, value, std, instead)
 
 
 def contradiction_warnings(contradictions: Sequence[Contradiction], without_prior: Sequence[Parameter]) -> list[str]:
     """The warning;  without_prior : parameters without a prior."""
     if not contradictions:
         return []
+    shown = "; ".join(
+        f"{one.name} is {one.prior:.4g} +- {one.prior_std:.2g} {one.unit} in the earlier calibration, {one.value:.4g} "
+        f"+- {one.std:.2g} by these measurements"
+        + (f" (or instead {', '.join(one.instead)}: they do not tell)" if one.instead else "")
+        for one in contradictions[:SHOWN]
+    )
     rest = f"; and {len(contradictions) - SHOWN} more" if len(contradictions) > SHOWN else ""
     words = [one.name for one in contradictions] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
-    sentence = (
-        f"the measurements contradict the prior: {'; '.join(map(str, contradictions[:SHOWN]))}{rest} (others as there)"
-    )
+    sentence = f"the measurements contradict the prior: {shown}{rest} (others as there)"
     do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
     lacks = "the model lacks what differs between both measurements: armcal diagnose"
     return [
         f"{sentence}. The fit is right for neither. Either they changed and are to be estimated again: {do}; or {lacks}"
     ]
-
-
-# -- the expected tip --------------------------------------------------------------------------------------------------
-# reasons: identification/README.md, "Doubtful fits"
-POSES = 1000  # random postures that stand for the joint limits
-FEW = "too few measurements"  # the beginning of that sentence
-TOGETHER = "base and tool cannot be told apart"  # the beginning of that sentence
-HARDLY = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
 
 
 # -- the covariance of the parameters, at the tip ----------------------------------------------------------------------
@@ -339,25 +339,21 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     if not arm.chain.instrument.places and len(postures) < FEWEST:
         return None
 
-    def over(low: Array, high: Array) -> float:
-        tip = expected_tip(fit.model, fit.parameters, fit.covariance, working_postures(low, high))
+    def over(where: Array, share: float = 1.0) -> float:
+        tip = expected_tip(fit.model, fit.parameters, fit.covariance, where) / np.sqrt(share)
         return float(np.hypot(tip, own_error(fit)))
 
     if not measured:
-        return over(arm.lower, arm.upper)
+        return over(working_postures(arm.lower, arm.upper))
     numbers = len(postures) * fit.residuals_after.shape[1]
-    share = max(numbers - fit.determined, 1.0) / numbers
-    few = postures[:: max(len(postures) // POSES, 1)]
-    among = expected_tip(fit.model, fit.parameters, fit.covariance, few) / float(np.sqrt(share))
-    return min(float(np.hypot(among, own_error(fit))), over(postures.min(axis=0), postures.max(axis=0)))
+    among = over(postures[:: max(len(postures) // POSES, 1)], max(numbers - fit.determined, 1.0) / numbers)
+    return min(among, over(working_postures(postures.min(axis=0), postures.max(axis=0))))
 
 
 def own_error(fit: Identification) -> float:
     """Root mean square distance [mm] by which a posture's own error moves the tip, as the prior of a fit says."""
-    model = fit.model
-    if fit.prior is None or not isinstance(getattr(model, "arm", None), Arm):
-        return 0.0
-    return fit.prior.own_error * float(np.sqrt(model.arm.dimension))
+    arm = getattr(fit.model, "arm", None)
+    return 0.0 if fit.prior is None or arm is None else fit.prior.own_error * float(np.sqrt(arm.dimension))
 
 
 def size_left_open(arm: Arm) -> str:
@@ -371,37 +367,35 @@ def hardly_determined(fit: Identification) -> list[str]:
     what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits."""
     if fit.expected_tip_measured is None or fit.expected_tip is None:
         return base_and_tool(fit, None)
-    own_square = own_error(fit) ** 2  # which no further rows help against
-    inside, anywhere = (
-        float(np.sqrt(max(error**2 - own_square, 0.0))) for error in (fit.expected_tip_measured, fit.expected_tip)
-    )
-    equations = fit.residuals_before.size
-    spare = equations - len(places := placing(fit.model.parameters))
+    tips = np.square([fit.expected_tip_measured, fit.expected_tip])
+    # without the posture's own error, which no further rows help against
+    inside, anywhere = np.sqrt((tips - own_error(fit) ** 2).clip(min=0.0)).tolist()
+    arm, equations, places = fit.model.arm, fit.residuals_before.size, placing(fit.model.parameters)
+    spare = equations - len(places)
     off = fit.rms_before if len(places) < len(fit.names) else fit.rms_after  # its place says nothing of the arm
     before = off * float(np.sqrt(equations / spare)) if spare > 0 else 0.0
-    noise = max(fit.scatter or 0.0, fit.sigma or 0.0) * float(np.sqrt(fit.model.arm.dimension))
+    noise = max(fit.scatter or 0.0, fit.sigma or 0.0) * float(np.sqrt(arm.dimension))
+    few, far_off = inside > max(0.5 * before, noise), anywhere > max(before, noise)
+    if not (few or far_off):
+        return []
+    everywhere = working_postures(arm.lower, arm.upper)
+    if cause := base_and_tool(fit, lambda c: expected_tip(fit.model, fit.parameters, c, everywhere)):
+        return cause
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
-    few, far_off = inside > max(0.5 * before, noise), anywhere > max(before, noise)
-    if few or far_off:
-        everywhere = working_postures(fit.model.arm.lower, fit.model.arm.upper)
-        if cause := base_and_tool(fit, lambda c: expected_tip(fit.model, fit.parameters, c, everywhere)):
-            return cause
     if few:
         doubt = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
-        return [f"{FEW}: {doubt}{was}. Measure more postures{size_left_open(fit.model.arm)}"]
-    if far_off:
-        doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
-        remedy = f"Keep near these postures, or measure others{size_left_open(fit.model.arm)}"
-        return [f"away from the postures measured {doubt}. {remedy}"]
-    return []
+        return [f"{FEW}: {doubt}{was}. Measure more postures{size_left_open(arm)}"]
+    doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
+    remedy = f"Keep near these postures, or measure others{size_left_open(arm)}"
+    return [f"away from the postures measured {doubt}. {remedy}"]
 
 
 # -- base and tool -----------------------------------------------------------------------------------------------------
 def flange_turns(chain: KinematicChain, measurements: Measurements) -> Array:
     """(3,) root mean square motion of a point 1 mm from the flange's center that its base follows [mm], by the axes
     along which it is, the least first. Each session has a base of its own."""
-    turns, square = tip_frames(chain, measurements.postures)[:, :3, :3], np.zeros((3, 3))
+    turns, square = chain.tip_frames(measurements.postures)[:, :3, :3], np.zeros((3, 3))
     for rows in measurements.session_rows:
         apart = turns[rows] - turns[rows].mean(axis=0)
         square += np.einsum("mji,mjk->ik", apart, apart)

@@ -1,7 +1,8 @@
-"""What is known of parameters before the data: a normal distribution, as extra rows of the least-squares problem.
+"""The least-squares problem of a fit: data, model and prior, its noise, and the methods that solve it.
 
-Independent ones of zero mean and standard deviations d_k each add one residual (0 - x_k) / d_k, in units of the noise;
-an earlier calibration, mean x_0 and covariance L L^T, adds the residuals L^-1 (x_0 - x). The minimum is the mode of the
+What is known of parameters before the data is a normal distribution, as extra rows of the problem. Independent
+parameters of zero mean and standard deviations d_k each add one residual (0 - x_k) / d_k, in units of the noise; an
+earlier calibration, mean x_0 and covariance L L^T, adds the residuals L^-1 (x_0 - x). The minimum is the mode of the
 posterior, and the inverse of the normal matrix with these rows its covariance (for a linear model both exactly: ridge
 regression; A. E. Hoerl, R. W. Kennard, 1970).
 
@@ -13,12 +14,11 @@ those of the machining and of the zeros of joints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,18 +27,18 @@ from scipy.special import chdtrc, fdtrc
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import (
+    ITERATIONS,
     Index,
     LeastSquares,
+    Linearize,
     Solution,
     compressed,
     levenberg_marquardt,
     outcomes,
-    truncated_steps,
 )
 from identification.information import (
     PRODUCT_TOLERANCE,
     RANK_TOLERANCE,
-    column_lengths,
     product_inverse,
     significant,
     spectrum,
@@ -52,10 +52,18 @@ from identification.status import Status
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
 ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
 LEAST = 1e-12  # [mm] of noise: data without any
-LEVEL = 0.01  # of a contradiction that is said
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
+CONTRADICTED = 0.01  # level of a contradiction that is said
+ROUNDING = 1e-14  # of a coordinate, after a chain of some ten operations
+RELIANCE = ("given", "estimated")
+SOURCES = {  # what an effect needs -> where it comes from
+    "temperature": "with it",
+    "gravity": "an arm file with a [gravity] table",
+    "distance": "an arm file with an [instrument] of kind distance",
+}
 
 
+# -- the prior ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Earlier(ByValue):
     """A normal distribution of k parameters, as an earlier calibration left them.
@@ -70,15 +78,12 @@ class Earlier(ByValue):
     def __post_init__(self) -> None:
         for name in ("values", "covariance"):
             object.__setattr__(self, name, readonly(getattr(self, name)))
-        for name, variance in zip(self.names, np.diag(self.covariance).tolist(), strict=True):
-            if not 0.0 < variance < np.inf:
-                raise InputError(f"prior: {name} has variance {variance:g}, allowed: a finite number > 0")
+        _check_positive("variance", zip(self.names, np.diag(self.covariance).tolist(), strict=True))
 
     def about(self, names: Collection[str]) -> Earlier:
         """Of some of the parameters, whatever the others are."""
         kept = [k for k, name in enumerate(self.names) if name in names]
-        chosen = tuple(self.names[k] for k in kept)
-        return Earlier(chosen, self.values[kept], self.covariance[np.ix_(kept, kept)])
+        return Earlier(tuple(self.names[k] for k in kept), self.values[kept], self.covariance[np.ix_(kept, kept)])
 
     def conditioned_on(self, values: Mapping[str, float]) -> Earlier:
         """Of the others, where some of the parameters have these values."""
@@ -87,16 +92,13 @@ class Earlier(ByValue):
         off = np.array([values[name] for name in self.names if name in values]) - self.values[named]
         gain = crossed @ product_inverse(among)
         left = self.covariance[np.ix_(~named, ~named)] - gain @ crossed.T
-        free = tuple(name for name in self.names if name not in values)
-        return Earlier(free, self.values[~named] + gain @ off, left)
+        return Earlier(tuple(name for name in self.names if name not in values), self.values[~named] + gain @ off, left)
 
-    @property
-    def root(self) -> tuple[Array, Array]:
-        """(k, k) L with the covariance L L^T, and its inverse."""
-        sizes = np.sqrt(np.diag(self.covariance))  # combinations known better than rounding are held as well as that
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(sizes, sizes))
-        roots = np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
-        return sizes[:, None] * vectors * roots, (vectors / roots).T / sizes
+
+def _check_positive(what: str, named: Iterable[tuple[str, float]]) -> None:
+    for name, value in named:
+        if not 0.0 < value < np.inf:
+            raise InputError(f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +116,7 @@ class Prior(ByValue):
     own_error: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, deviation in self.deviations.items():
-            if not 0.0 < deviation < np.inf:
-                raise InputError(f"prior: {name} has standard deviation {deviation:g}, allowed: a finite number > 0")
+        _check_positive("standard deviation", self.deviations.items())
         first = () if self.earlier is None else self.earlier.names
         independent = {name: deviation for name, deviation in self.deviations.items() if name not in first}
         object.__setattr__(self, "deviations", MappingProxyType(independent))
@@ -133,11 +133,6 @@ class Prior(ByValue):
         machined = {name: size for name, size in machining.items() if name in names}
         return Prior({**machined, **self.deviations}, kept if kept.names else None)
 
-    def widened(self, factors: Mapping[str, float]) -> Prior:
-        """With deviations so many times as large."""
-        wide = {name: deviation * factors.get(name, 1.0) for name, deviation in self.deviations.items()}
-        return replace(self, deviations=wide)
-
     def center(self, parameters: ParameterSet) -> Array:
         """(p,) means; zero where there is none."""
         means = {} if self.earlier is None else dict(zip(self.earlier.names, self.earlier.values.tolist(), strict=True))
@@ -145,207 +140,48 @@ class Prior(ByValue):
 
     def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
         """(r, p) rows for the Jacobian, one for each parameter that has a prior; its residuals are rows @ (center -
-        values).
-
-        noise : standard deviation of the other residuals; 1 where those are divided by sigma
-        """
+        values);  noise : standard deviation of the other residuals, 1 where those are divided by sigma"""
         precisions = noise / parameters.vector(self.deviations, default=np.inf)
-        return np.concatenate([np.diag(precisions)[precisions > 0.0], noise * self._of_earlier(parameters, 1).T])
+        return np.concatenate([np.diag(precisions)[precisions > 0.0], noise * self._roots(parameters)[1].T])
 
     def factor(self, parameters: ParameterSet) -> Array:
         """(p, r) F, with the covariance F F^T, zero where there is no prior."""
         deviations = parameters.vector(self.deviations, default=0.0)
-        return np.concatenate([np.diag(deviations)[:, deviations > 0.0], self._of_earlier(parameters, 0)], axis=1)
+        return np.concatenate([np.diag(deviations)[:, deviations > 0.0], self._roots(parameters)[0]], axis=1)
 
-    def _of_earlier(self, parameters: ParameterSet, inverse: int) -> Array:
-        """(p, k) root of the covariance, or the transpose of its inverse, at the places of the parameters."""
+    def _roots(self, parameters: ParameterSet) -> Array:
+        """(2, p, k) L with the covariance L L^T of the earlier calibration, and L^-T, at the places of parameters."""
         if self.earlier is None:
-            return np.zeros((len(parameters), 0))
+            return np.zeros((2, len(parameters), 0))
         here = self.earlier.about(parameters.names)
-        root = np.zeros((len(parameters), len(here.names)))
-        root[[parameters.index(name) for name in here.names]] = here.root[1].T if inverse else here.root[0]
-        return root
-
-
-# -- noise and sizes ---------------------------------------------------------------------------------------------------
-def restricted_likelihood(
-    target: Array, free: Array, effects: Array, spare: int | None = None
-) -> Callable[[Array], Array]:
-    """-2 log of the likelihood of values (...) of the noise, up to a constant, where residuals are noise and effects of
-    normal sizes, with the parameters without a prior integrated out.
-
-    target : (N,) residuals;  free : (N, f) columns without a prior;  effects : (N, e) columns times the deviation of
-        their prior
-    spare : equations less f, where the rows stand for more than they are
-    """
-    spare = len(target) - free.shape[1] if spare is None else spare
-    basis = np.linalg.qr(free)[0]
-    target, effects = target - basis @ (basis.T @ target), effects - basis @ (basis.T @ effects)
-    square, many = float(target @ target), effects.shape[0] < effects.shape[1]
-    normal = effects @ effects.T if many else effects.T @ effects  # both have the same values, but for zeros
-    values, vectors = np.linalg.eigh(normal)
-    kept = np.flatnonzero(significant(values, PRODUCT_TOLERANCE))[-spare:]
-    # variances of orthogonal combinations of residuals that effects of deviation one make, and squares of these
-    values, vectors = values[kept], vectors[:, kept]
-    squares = (vectors.T @ target) ** 2 if many else (vectors.T @ (effects.T @ target)) ** 2 / values
-    rest, count = max(square - float(squares.sum()), 0.0), spare - len(values)
-
-    def minus_log(noise: Array) -> Array:
-        total = values + np.square(noise)[..., None]
-        by_direction = np.sum(np.log(total) + squares / total, axis=-1)
-        return np.asarray(by_direction + count * 2.0 * np.log(noise) + rest / noise**2)
-
-    return minus_log
-
-
-def likeliest_noise(minus_log: Callable[[Array], Array], least: float, largest: float) -> tuple[float, float]:
-    """Least -2 log of the likelihood, and the noise there, between two values."""
-    low, high = np.log(least), np.log(largest)
-    count = 33  # values of the noise at once, on a logarithmic scale: each pass finds it 16 times as closely
-    while high - low > 1e-4:  # then the likelihood is a parabola
-        grid = np.linspace(low, high, count)
-        lowest = int(np.argmin(minus_log(np.exp(grid))))
-        low, high = grid[max(lowest - 1, 0)], grid[min(lowest + 1, count - 1)]
-    first, middle, last = minus_log(np.exp([low, 0.5 * (low + high), high]))
-    bend = first - 2.0 * middle + last  # of a parabola, whose vertex rounding hardly moves
-    vertex = 0.5 * (low + high) + (0.25 * (high - low) * (first - last) / bend if bend > 0.0 else 0.0)
-    noise = np.exp(np.clip(vertex, low, high))
-    return float(minus_log(noise)), float(noise)
-
-
-def likeliest(linearized: LinearProblem) -> tuple[float, tuple[float, float]]:
-    """Noise, no less than a sigma that is given (where intervals rely on that: it), and the widths of the prior of the
-    largest likelihood: a factor on the sizes of the machining, and a further one on those of joint zeros."""
-    problem, x, residual, jacobian = linearized
-    sigma_holds = problem.reliance == "given"
-    parameters, prior = problem.model.parameters, problem.prior
-    factor = np.zeros((len(parameters), 0)) if prior is None else prior.factor(parameters)
-    held = factor.any(axis=1)
-    of_machining = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
-    machined = np.array([name in of_machining for name in parameters.names])
-    zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
-    target = residual + jacobian @ np.where(held, x - problem.prior_center, 0.0)  # all at the center of the prior
-    basis = np.linalg.qr(jacobian[:, ~held])[0]
-    spare = problem.equations - int(np.count_nonzero(~held))
-    target, jacobian = (a - basis @ (basis.T @ a) for a in (target, jacobian))
-    has_sigma = problem.sigma is not None or sigma_holds
-    scatter = float(np.linalg.norm(target)) / np.sqrt(max(spare, 1))  # without all that has a prior
-    unit = 1.0 if has_sigma else max(scatter, 1e-12)
-    if spare == 0:
-        return unit, (1.0, 1.0)
-    least, largest = unit if has_sigma else unit / LARGEST, unit if sigma_holds else LARGEST * unit
-
-    def fitted(widths: tuple[float, float], share: float) -> tuple[float, float]:
-        """-2 log of the likelihood, and the noise, from a share of the rows."""
-        times = np.where(machined, widths[0], 1.0) * np.where(zeros, widths[1], 1.0)
-        effects, root = (jacobian * times) @ factor, np.sqrt(share)
-        minus_log = restricted_likelihood(root * target, effects[:, :0], root * effects, max(round(share * spare), 1))
-        value, noise = likeliest_noise(minus_log, least, largest)
-        # 4, by which other sizes than those stated must be likelier: chi2 of one degree of freedom, 5 %
-        return value + 4.0 * sum(width != 1.0 for width in widths), noise
-
-    several = [*product(WIDTHS if machined.any() else WIDTHS[:1], ZERO_WIDTHS if zeros.any() else ZERO_WIDTHS[:1])]
-    # of more equations, rows show the same misfits again, and widths are chosen as from so many
-    share = min(1.0, 3000 / problem.equations)
-    best = several[0] if len(several) == 1 else min(several, key=lambda widths: fitted(widths, share)[0])
-    return fitted(best, 1.0)[1], best
-
-
-# -- an earlier calibration that the measurements contradict -----------------------------------------------------------
-def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]], float, Array]:
-    """Parameters whose prior, an earlier calibration, the measurements contradict, the clearest first, each with those
-    that would explain it as well; and the noise without that calibration and the (N, p) Jacobian, about x.
-
-    The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one
-    degree of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors
-    of one parameter look like errors of others, and the fit is made again, from the one before since an error of
-    degrees is not linear, before the others are tested.
-
-    x : (p,) of the fit with the whole prior
-    """
-    explained, first = dict[str, tuple[str, ...]](), None
-    while True:
-        about = problem.linearized(x)
-        noise, freedom = _noise_without_earlier(about)
-        first = first or (noise, about.jacobian)
-        if (worst := worst_contradicted(about, noise, freedom, explained)) is None:
-            return explained, *first
-        explained |= worst
-        assert problem.prior is not None
-        prior = problem.prior.released(explained, problem.model.prior)
-        freed = replace(problem, prior=prior, noise=noise).least_squares
-        x = levenberg_marquardt(freed, x[None]).parameters[0]
-
-
-def _noise_without_earlier(about: LinearProblem) -> tuple[float, float]:
-    """Noise of the measurements without the earlier calibration, and its degrees of freedom: infinite where it is the
-    one given, 0 where nothing is left to tell."""
-    problem, model = about.problem, about.problem.model
-    assert problem.prior is not None
-    alone = problem.prior.released(model.names, model.prior)
-    has_sigma, holds = problem.sigma is not None, problem.reliance == "given"
-    noise, spare = 1.0 if has_sigma or holds else problem.noise, 0.0
-    for _ in range(0 if holds else 3):  # rounds of noise and of what the machining's prior is worth beside it
-        decomposed = spectrum(about.jacobian, model.scales, prior=alone.rows(model.parameters, noise))
-        spare = problem.equations - decomposed.determined(about.jacobian)
-        if spare < 1.0:
-            break
-        noise = max(float(np.sqrt(about.squares(alone, noise) * noise**2 / spare)), 1.0 if has_sigma else LEAST)
-    return (noise, np.inf) if holds or (has_sigma and noise == 1.0) else (noise, max(spare, 0.0))
-
-
-def worst_contradicted(
-    about: LinearProblem, noise: float, freedom: float, explained: Collection[str]
-) -> dict[str, tuple[str, ...]] | None:
-    """The parameter whose prior is contradicted most, of those that are not explained yet, with those that would
-    explain it as well; None where none is."""
-    prior, model = about.problem.prior, about.problem.model
-    assert prior is not None
-    assert prior.earlier is not None
-    if freedom < 1.0 or noise <= LEAST:
-        return None
-    rest = [name for name in prior.earlier.names if name in model.names and name not in explained]
-    left = {name: about.squares(prior.released([*explained, name], model.prior), noise) for name in rest}
-    if not left:
-        return None
-
-    def p_value(drop: float) -> float:
-        return float(chdtrc(1.0, max(drop, 0.0)) if np.isinf(freedom) else fdtrc(1.0, freedom, max(drop, 0.0)))
-
-    best = min(left, key=lambda name: left[name])
-    if p_value(about.squares(prior.released(explained, model.prior), noise) - left[best]) * len(rest) >= LEVEL:
-        return None
-    return {best: tuple(name for name in rest if name != best and p_value(left[name] - left[best]) > 0.05)}
+        sizes = np.sqrt(np.diag(here.covariance))  # combinations known better than rounding are held as well as that
+        values, vectors = np.linalg.eigh(here.covariance / np.outer(sizes, sizes))
+        root = np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
+        roots = np.zeros((2, len(parameters), len(here.names)))
+        roots[:, [parameters.index(name) for name in here.names]] = (
+            sizes[:, None] * vectors * root,
+            vectors / root / sizes[:, None],
+        )
+        return roots
 
 
 # -- the problem -------------------------------------------------------------------------------------------------------
-RELIANCE = ("given", "estimated")
-WITH = {  # what an effect needs -> where it comes from
-    "temperature": "with it",
-    "gravity": "an arm file with a [gravity] table",
-    "distance": "an arm file with an [instrument] of kind distance",
-}
-ROUNDING = 1e-14  # of a coordinate, after a chain of some ten operations
-
-
-# -- what must hold ----------------------------------------------------------------------------------------------------
 def check_measurements(model: Model, measurements: Measurements, prior: Prior | None = None) -> None:
     """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations.
 
     prior : of parameters that need no equation, besides those of the model
     """
-    for name, value, needed, allowed in (
-        ("model", model, "linearize", "a Model, as in Model(arm)"),
-        ("measurements", measurements, "positions", "Measurements, as load_measurements(path) gives"),
-    ):
-        if not hasattr(value, needed):
-            raise InputError(f"{name}: found {type(value).__name__}, allowed: {allowed}")
-    n, m, p = model.joints, len(measurements), len(model.parameters)
+    if not hasattr(model, "linearize"):
+        raise InputError(f"model: found {type(model).__name__}, allowed: a Model, as in Model(arm)")
+    if not hasattr(measurements, "positions"):
+        allowed = "allowed: Measurements, as load_measurements(path) gives"
+        raise InputError(f"measurements: found {type(measurements).__name__}, {allowed}")
+    n, m, p, d = model.joints, len(measurements), len(model.parameters), measurements.dimension
     if measurements.links != n:
         raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
-    if measurements.dimension not in getattr(model, "dimensions", (model.dimension,)):
+    if d not in getattr(model, "dimensions", (model.dimension,)):
         allowed = f"allowed: {model.dimension} as the model has"
-        raise InputError(f"measurements: positions of {measurements.dimension} coordinates, {allowed}")
+        raise InputError(f"measurements: positions of {d} coordinates, {allowed}")
     if p == 0:
         raise InputError("model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
@@ -355,45 +191,14 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
             ("distance", "distance" not in model.arm.offers, "measured distances"),
         ):
             if lacks and need in effect.needs:
-                raise InputError(f"effects: {effect.key} needs {what}, allowed: {WITH[need]}")
-    held = {*model.prior, *(() if prior is None else prior.names)}
-    p -= len(held & set(model.names))
-    if (d := measurements.dimension) * m < p:
+                raise InputError(f"effects: {effect.key} needs {what}, allowed: {SOURCES[need]}")
+    p -= len({*model.prior, *(() if prior is None else prior.names)} & set(model.names))
+    if d * m < p:
         counted = f"{d} m = {d * m} < p = {p}"
         file = measurements.provenance.get("file", "measurements")
         raise InputError(f"{file}: fewer equations than unknowns: {counted}, allowed: m >= {-(-p // d)}")
 
 
-def weighting(
-    model: Model, measurements: Measurements, sigma: ArrayLike | str | None, weights: ArrayLike | None
-) -> tuple[Array, float | None]:
-    """(m,) weights of the rows, 1/sigma_i^2 where sigma is known, else relative; and the root mean square of sigma over
-    rows [mm], None where it must be estimated.
-
-    Which sigma holds: argument, then rows, then arm. Of rows that are copied the first counts, the others have no
-    weight. Raises `InputError`.
-    """
-    m = len(measurements)
-    relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
-    if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
-        raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
-    relative = np.where(measurements.originals == np.arange(len(measurements)), relative, 0.0)
-    if isinstance(sigma, str) and sigma not in RELIANCE:
-        raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
-    numbers = None if isinstance(sigma, str) else sigma
-    stated = next((s for s in (numbers, measurements.sigma, model.sigma) if s is not None), None)
-    if stated is None and isinstance(sigma, str) and sigma == "given":
-        allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
-        raise InputError(f"sigma: 'given', but none is given, allowed: {allowed}")
-    if stated is None or (isinstance(sigma, str) and sigma == "estimated"):
-        return relative, None
-    deviations = np.asarray(stated, dtype=float)
-    if deviations.shape not in ((), (m,)) or not np.all(np.isfinite(deviations) & (deviations > 0.0)):
-        raise InputError(f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
-    return relative / deviations**2, float(np.sqrt(np.mean(deviations**2)))
-
-
-# -- the problem -------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Problem:
     """min over the parameters of sum_i w_i |measured_i - position_i|^2 (eq. 3, with weights), for K data sets.
@@ -427,11 +232,29 @@ class Problem:
         weights: ArrayLike | None = None,
         prior: Prior | None = None,
     ) -> Problem:
-        """The problem of one data set;  sigma, weights : as of `estimate`. Raises `InputError`."""
-        weighted, deviation = weighting(model, measurements, sigma, weights)
+        """The problem of one data set;  sigma, weights : as of `estimate`. Which sigma holds: argument, then rows, then
+        arm. Of rows that are copied the first counts, the others have no weight. Raises `InputError`."""
+        m, data = len(measurements), measurements
+        relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
+        if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
+            raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
+        relative = np.where(data.originals == np.arange(m), relative, 0.0)
         reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"
-        rows = measurements.postures, measurements.conditions, measurements.positions[None], weighted
-        return cls(model, *rows, deviation, reliance, prior=prior)
+        if isinstance(sigma, str) and sigma not in RELIANCE:
+            raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
+        numbers = None if isinstance(sigma, str) else sigma
+        stated = next((s for s in (numbers, data.sigma, model.sigma) if s is not None), None)
+        rows = data.postures, data.conditions, data.positions[None]
+        if stated is None and reliance == "given":
+            allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
+            raise InputError(f"sigma: 'given', but none is given, allowed: {allowed}")
+        if stated is None or reliance == "estimated":
+            return cls(model, *rows, relative, None, reliance, prior=prior)
+        deviations = np.asarray(stated, dtype=float)
+        if deviations.shape not in ((), (m,)) or not np.all(np.isfinite(deviations) & (deviations > 0.0)):
+            raise InputError(f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
+        mean = float(np.sqrt(np.mean(deviations**2)))
+        return cls(model, *rows, relative / deviations**2, mean, reliance, prior=prior)
 
     @property
     def exact_form(self) -> PlanarClosedForm | None:
@@ -457,14 +280,9 @@ class Problem:
         return self.model.dimension * int(np.count_nonzero(self.weights))
 
     @cached_property
-    def bounds(self) -> tuple[Array, Array]:
-        """(p,) lower and (p,) upper physical bounds, API units."""
-        return self.model.parameters.lower, self.model.parameters.upper
-
-    @cached_property
     def start(self) -> Array:
         """(p,) best known values, moved inside the bounds."""
-        return np.clip(self.model.values, *self.bounds)
+        return np.clip(self.model.values, self.model.parameters.lower, self.model.parameters.upper)
 
     @cached_property
     def rounding(self) -> Array:
@@ -482,15 +300,6 @@ class Problem:
         """(p,) means of the prior, see `Prior.center`."""
         parameters = self.model.parameters
         return np.zeros(len(parameters)) if self.prior is None else self.prior.center(parameters)
-
-    @property
-    def least_squares(self) -> LeastSquares:
-        """The problem in the solver's form; tall problems are reduced to their QR triangle."""
-
-        def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
-            return compressed(*self.linearize(parameters, index))
-
-        return LeastSquares(linearize, *self.bounds, self.model.scales, self.rounding, self.tolerance)
 
     def residuals(self, parameters: Array) -> Array:
         """(K, m, d) measured less computed [mm], for parameters (p,) or (K, p)."""
@@ -514,38 +323,164 @@ class Problem:
         prior_rows = np.broadcast_to(rows, (k, *rows.shape))
         return np.concatenate([residuals, left], axis=1), np.concatenate([jacobian, prior_rows], axis=1)
 
-    def linearized(self, parameters: Array) -> LinearProblem:
-        """The problem of the first data set about parameters (p,)."""
-        whole = self if self.prior is None else replace(self, prior=None)
-        residuals, jacobians = whole.least_squares.linearize(parameters[None], np.arange(1))
-        return LinearProblem(self, parameters, residuals[0], jacobians[0])
+    def linearized(self, parameters: Array) -> tuple[Array, Array]:
+        """Weighted (N,) residual and (N, p) Jacobian of the first data set about parameters (p,), without the prior, in
+        as few rows as say the same."""
+        bare = self if self.prior is None else replace(self, prior=None)
+        residuals, jacobians = compressed(*bare.linearize(parameters[None], np.arange(1)))
+        return residuals[0], jacobians[0]
 
     def jacobian(self, parameters: Array) -> Array:
         """(m d, p) weighted Jacobian of the plan that the data sets share, at parameters (p,), without the prior."""
         jacobian = self.root_weights[:, :, None] * self.model.jacobian(self.postures, parameters, self.conditions)
         return jacobian.reshape(-1, jacobian.shape[-1])
 
+    def minimized(self, starts: Array, linearize: Linearize | None = None, iterations: int = ITERATIONS) -> Solution:
+        """Stationary points within the bounds from starts (K, p);  linearize : in place of the problem's own"""
+        rows = linearize or (lambda parameters, index: compressed(*self.linearize(parameters, index)))
+        parameters, scales = self.model.parameters, self.model.scales
+        bounds = parameters.lower, parameters.upper
+        form = LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance, iterations=iterations)
+        return levenberg_marquardt(form, starts)
 
-class LinearProblem(NamedTuple):
-    """A problem about values x of its parameters, without its prior, in as few rows as say the same.
 
-    residual : (N,) and jacobian : (N, p), both weighted
+# -- noise and sizes ---------------------------------------------------------------------------------------------------
+def likeliest_noise(target: Array, effects: Array, spare: int, least: float, largest: float) -> tuple[float, float]:
+    """Least -2 log of the likelihood, up to a constant, and the noise there between two values, where residuals are
+    noise and effects of normal sizes.
+
+    target : (N,) residuals and effects : (N, e) columns times the deviation of their prior, both with the parameters
+        without a prior projected out, of which `spare` equations are left
     """
+    square, many = float(target @ target), effects.shape[0] < effects.shape[1]
+    normal = effects @ effects.T if many else effects.T @ effects  # both have the same values, but for zeros
+    values, vectors = np.linalg.eigh(normal)
+    kept = np.flatnonzero(significant(values, PRODUCT_TOLERANCE))[-spare:]
+    # variances of orthogonal combinations of residuals that effects of deviation one make, and squares of these
+    values, vectors = values[kept], vectors[:, kept]
+    squares = (vectors.T @ target) ** 2 if many else (vectors.T @ (effects.T @ target)) ** 2 / values
+    rest, count = max(square - float(squares.sum()), 0.0), spare - len(values)
 
-    problem: Problem
-    x: Array
-    residual: Array
-    jacobian: Array
+    def minus_log(logarithm: ArrayLike) -> Array:
+        noise = np.exp(logarithm)
+        total = values + np.square(noise)[..., None]
+        by_direction = np.sum(np.log(total) + squares / total, axis=-1)
+        return np.asarray(by_direction + count * 2.0 * np.log(noise) + rest / noise**2)
 
-    def squares(self, prior: Prior, noise: float) -> float:
-        """Least weighted squares, of measurements and a prior together, in units of the noise."""
-        parameters = self.problem.model.parameters
-        rows = prior.rows(parameters, noise)
-        whole = np.concatenate([self.jacobian, rows])
-        target = np.concatenate([self.residual, rows @ (prior.center(parameters) - self.x)])
-        scaled = whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
-        left = target - scaled @ np.linalg.lstsq(scaled, target, rcond=None)[0]
-        return float(left @ left) / noise**2
+    low, high = np.log(least), np.log(largest)
+    while high - low > 1e-4:  # then the likelihood is a parabola; each pass finds the noise 16 times as closely
+        grid = np.linspace(low, high, 33)
+        lowest = int(np.argmin(minus_log(grid)))
+        low, high = grid[max(lowest - 1, 0)], grid[min(lowest + 1, 32)]
+    first, middle, last = minus_log([low, 0.5 * (low + high), high])
+    bend = first - 2.0 * middle + last  # of a parabola, whose vertex rounding hardly moves
+    vertex = 0.5 * (low + high) + (0.25 * (high - low) * (first - last) / bend if bend > 0.0 else 0.0)
+    vertex = np.clip(vertex, low, high)
+    return float(minus_log(vertex)), float(np.exp(vertex))
+
+
+def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> tuple[float, tuple[float, float]]:
+    """Noise, no less than a sigma that is given (where intervals rely on that: it), and the widths of the prior of the
+    largest likelihood: a factor on the sizes of the machining, and a further one on those of joint zeros.
+
+    residual, jacobian : of `Problem.linearized` about x (p,)
+    """
+    holds, parameters, prior = problem.reliance == "given", problem.model.parameters, problem.prior
+    factor = np.zeros((len(parameters), 0)) if prior is None else prior.factor(parameters)
+    held = factor.any(axis=1)
+    of_machining = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
+    machined = np.array([name in of_machining for name in parameters.names])
+    zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
+    target = residual + jacobian @ np.where(held, x - problem.prior_center, 0.0)  # all at the center of the prior
+    basis = np.linalg.qr(jacobian[:, ~held])[0]
+    spare = problem.equations - int(np.count_nonzero(~held))
+    target, jacobian = (a - basis @ (basis.T @ a) for a in (target, jacobian))
+    has_sigma = problem.sigma is not None or holds
+    scatter = float(np.linalg.norm(target)) / np.sqrt(max(spare, 1))  # without all that has a prior
+    unit = 1.0 if has_sigma else max(scatter, 1e-12)
+    if spare == 0:
+        return unit, (1.0, 1.0)
+    least, largest = unit if has_sigma else unit / LARGEST, unit if holds else LARGEST * unit
+
+    def fitted(widths: tuple[float, float], share: float) -> tuple[float, float]:
+        """-2 log of the likelihood, and the noise, from a share of the rows."""
+        times = np.where(machined, widths[0], 1.0) * np.where(zeros, widths[1], 1.0)
+        root, left = np.sqrt(share), max(round(share * spare), 1)
+        value, noise = likeliest_noise(root * target, root * (jacobian * times) @ factor, left, least, largest)
+        # 4, by which other sizes than those stated must be likelier: chi2 of one degree of freedom, 5 %
+        return value + 4.0 * sum(width != 1.0 for width in widths), noise
+
+    several = [*product(WIDTHS if machined.any() else WIDTHS[:1], ZERO_WIDTHS if zeros.any() else ZERO_WIDTHS[:1])]
+    # of more equations, rows show the same misfits again, and widths are chosen as from so many
+    share = min(1.0, 3000 / problem.equations)
+    best = several[0] if len(several) == 1 else min(several, key=lambda widths: fitted(widths, share)[0])
+    return fitted(best, 1.0)[1], best
+
+
+# -- an earlier calibration that the measurements contradict -----------------------------------------------------------
+def posterior_squares(
+    problem: Problem, x: Array, residual: Array, jacobian: Array, prior: Prior, noise: float
+) -> float:
+    """Least weighted squares, of measurements and a prior together, in units of the noise, linear about x."""
+    rows = prior.rows(problem.model.parameters, noise)
+    whole = np.concatenate([jacobian, rows])
+    target = np.concatenate([residual, rows @ (prior.center(problem.model.parameters) - x)])
+    scaled = whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
+    left = target - scaled @ np.linalg.lstsq(scaled, target, rcond=None)[0]
+    return float(left @ left) / noise**2
+
+
+def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]], float, Array]:
+    """Parameters whose prior, an earlier calibration, the measurements contradict, the clearest first, each with those
+    that would explain it as well; and the noise without that calibration and the (N, p) Jacobian, about x.
+
+    The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one
+    degree of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors
+    of one parameter look like errors of others, and the fit is made again, from the one before since an error of
+    degrees is not linear, before the others are tested.
+
+    x : (p,) of the fit with the whole prior
+    """
+    model, prior, explained, first = problem.model, problem.prior, dict[str, tuple[str, ...]](), None
+    assert prior is not None
+    assert prior.earlier is not None
+    alone = replace(problem, prior=prior.released(model.names, model.prior))
+    while True:
+        residual, jacobian = problem.linearized(x)
+        noise = likeliest(alone, x, residual, jacobian)[0]
+        first = first or (noise, jacobian)
+        decomposed = spectrum(jacobian, model.scales, prior=replace(alone, noise=noise).prior_rows)
+        freedom = problem.equations - decomposed.determined(jacobian)
+        if problem.reliance == "given" or (problem.sigma is not None and noise == 1.0):
+            freedom = np.inf
+        if freedom < 1.0 or noise <= LEAST:
+            return explained, *first
+
+        left, rest = dict[str, float](), [name for name in prior.earlier.names if name in {*model.names} - {*explained}]
+        for name in ("", *rest):
+            released = prior.released([*explained, name], model.prior)
+            left[name] = posterior_squares(problem, x, residual, jacobian, released, noise)
+        if (worst := worst_contradicted(left, freedom)) is None:
+            return explained, *first
+        explained |= worst
+        freed = replace(problem, prior=prior.released(explained, model.prior), noise=noise)
+        x = freed.minimized(x[None]).parameters[0]
+
+
+def worst_contradicted(left: Mapping[str, float], freedom: float) -> dict[str, tuple[str, ...]] | None:
+    """The parameter whose prior is contradicted most, with those that would explain it as well; None where none is.
+
+    left : name -> least squares without its prior, and with that of all under "";  freedom : of the noise, infinite
+        where it is given
+    """
+    *_, best = sorted(left, key=lambda name: -left[name])
+
+    def p_value(drop: float) -> float:
+        return float(chdtrc(1.0, max(drop, 0.0)) if np.isinf(freedom) else fdtrc(1.0, freedom, max(drop, 0.0)))
+
+    if best == "" or p_value(left[""] - left[best]) * (len(left) - 1) >= CONTRADICTED:
+        return None
+    return {best: tuple(name for name in left if name not in ("", best) and p_value(left[name] - left[best]) > 0.05)}
 
 
 # -- the methods -------------------------------------------------------------------------------------------------------
@@ -557,12 +492,7 @@ def linear(problem: Problem) -> Solution:
         raise InputError(f"method: linear does not fit this model, allowed: {allowed}")
     parameters, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
     status = outcomes(np.isfinite(squares), Status.converged, Status.solver_failed)
-    return Solution(parameters, squares, np.zeros(parameters.shape, dtype=bool), status, np.ones(len(squares), int))
-
-
-def damped_gauss_newton(problem: Problem) -> Solution:
-    """A stationary point within the bounds, by damped Gauss-Newton steps (Levenberg-Marquardt) from `starts`."""
-    return levenberg_marquardt(problem.least_squares, starts(problem))
+    return Solution(parameters, squares, status)
 
 
 def paper_steps(problem: Problem) -> Solution:
@@ -575,32 +505,27 @@ def paper_steps(problem: Problem) -> Solution:
 
     Raises `InputError` for parameters with bounds.
     """
-    model = problem.model
+    model, limit = problem.model, 1e-12 * problem.model.reach
     for parameter in model.parameters:
         if np.isfinite(parameter.lower) or np.isfinite(parameter.upper):
             bounded = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
             raise InputError(f"method: paper_steps knows no bounds, {bounded}; allowed: gauss_newton")
-    errors, status, iteration = np.zeros(len(model.parameters)), Status.iteration_limit, 0  # Step 1
-    while status is Status.iteration_limit and iteration < 50:
-        iteration += 1
+    errors, correction, steps = np.zeros(len(model.parameters)), np.array(np.inf), 0  # Step 1
+    while np.linalg.norm(correction * model.scales) > limit and steps < 50 and np.all(np.isfinite(errors)):  # Step 5
         residuals, jacobian = (rows[0] for rows in problem.linearize(errors[None], np.arange(1)))  # Step 2
         # Step 3, eq. 11: the least-squares solution, the shortest where the rank is not full
-        lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), model.scales)
-        columns = np.where(zero, 0.0, jacobian / lengths)
-        correction = truncated_steps(columns[None], residuals[None], np.zeros(1), problem.tolerance)[0][0] / lengths
-        errors = errors + correction  # Step 4
-        if not np.all(np.isfinite(errors)):
-            errors, status = np.zeros(len(errors)), Status.solver_failed
-        elif np.linalg.norm(correction * model.scales) <= 1e-12 * model.reach:  # Step 5
-            status = Status.converged
-    parameters = errors[None]
-    ends = np.array([status], dtype=object), np.array([iteration])
-    return Solution(parameters, problem.squares(parameters), np.zeros(parameters.shape, dtype=bool), *ends)
+        root = spectrum(jacobian, model.scales, problem.tolerance).root
+        correction = root @ ((jacobian @ root).T @ residuals)
+        errors, steps = errors + correction, steps + 1  # Step 4
+    finite = bool(np.all(np.isfinite(errors)))
+    status = Status.converged if finite and steps < 50 else Status.iteration_limit if finite else Status.solver_failed
+    x = (errors if finite else np.zeros(len(errors)))[None]
+    return Solution(x, problem.squares(x), np.array([status]), iterations=np.array([steps]))
 
 
 METHODS: Mapping[str, Callable[[Problem], Solution]] = {
     "linear": linear,
-    "gauss_newton": damped_gauss_newton,
+    "gauss_newton": lambda problem: problem.minimized(starts(problem)),  # Levenberg-Marquardt: the name is historical
     "paper_steps": paper_steps,
 }
 
@@ -618,14 +543,13 @@ def starts(problem: Problem) -> Array:
             # those of the instrument as they explain the readings best, and all others as they fit best with those of
             # them that the instrument holds first
             settled, held = instrument.settled(best_known, problem.residuals, numbers)
-            least = problem.least_squares
 
             def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
-                residuals, jacobian = least.linearize(parameters, index)
+                residuals, jacobian = compressed(*problem.linearize(parameters, index))
                 jacobian[..., held] = 0.0
                 return residuals, jacobian
 
-            return levenberg_marquardt(replace(least, linearize=linearize), settled).parameters if held else settled
+            return problem.minimized(settled, linearize).parameters if held else settled
     form = problem.model.closed_form
     if form is None:
         return best_known

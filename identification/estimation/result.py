@@ -624,16 +624,17 @@ def dh_places(calibrated: Calibrated, rows: Sequence[DHRow], convention: str = S
     """Beside the values of `dh_values`: the pose of the base (4, 4), and places (3,) of the measured points for the
     last frame of the table, by name. With them the table says what the fit does."""
     drawn, real = drawn_links(rows, convention), calibrated.geometry.real
-    links, nominal = corrected_links(real, drawn), corrected_links(calibrated.geometry.chain, drawn)
-    base = real.base @ links.first @ np.linalg.inv(nominal.first)
-    behind = np.linalg.inv(nominal.last) @ links.last
+    _, first, last = corrected_links(real, drawn)
+    _, nominal_first, nominal_last = corrected_links(calibrated.geometry.chain, drawn)
+    base = real.base @ first @ np.linalg.inv(nominal_first)
+    behind = np.linalg.inv(nominal_last) @ last
     tools = [(f"tool {name}", behind[:3, :3] @ place + behind[:3, 3]) for name, place in real.tools.items()]
     return [("base", base), *tools]
 
 
 def _numbers(chain: KinematicChain, values: Mapping[str, float], drawn: Sequence[Link]) -> dict[tuple[int, str], float]:
     """Joint and name -> number of the corrected table [mm, deg]."""
-    return _flat(corrected_links(corrected(chain, values), drawn).links)
+    return _flat(corrected_links(corrected(chain, values), drawn)[0])
 
 
 def _flat(links: Sequence[Link]) -> dict[tuple[int, str], float]:

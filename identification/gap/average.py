@@ -4,108 +4,202 @@ Where something may be missing that an arm file cannot have (functions of time a
 what it can have alone, so that this describes as much of the data as it can. The parameters of all blocks that are
 likely enough have the mean and the covariance of the mixture of all explanations, E[cov] + cov[E]; the base's follow
 them.
+
+A curve with standard deviation s(q) at angles q is compared with waves and with a step by weighted least squares beside
+a constant. A shape describes the curve if it explains `SHAPED` of its weighted variance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from identification.arm import EffectSpec
 from identification.arrays import Array
-from identification.gap.blocks import Linearized
-from identification.gap.columns import WAVES, Where
-from identification.gap.curve import Curve
-from identification.gap.detectability import LEVEL
-from identification.gap.evidence import Index
+from identification.error_curve import ErrorCurve
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
+from identification.gap.blocks import WAVES, Linearized, curve_waves
+from identification.gap.fit import At, Fit
 from identification.gap.hypotheses import Block
+from identification.gap.likelihood import Index
 from identification.gap.posterior import Posterior
 from identification.information import VISIBLE
-from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.sessions import SESSIONS
 
+SHAPED = 0.8  # convention: of a curve's variance, that makes a shape its name; nothing else depends on it
+MOST_WAVES = 6  # that are listed; derived: each explains at least a sixth of what `SHAPED` allows to lack
+COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")
+
 
 @dataclass(frozen=True, eq=False)
-class Mixture:
-    """Mixture over explanations of the base's g parameters, and of those of the blocks behind them.
+class PredictingModel(At):
+    """The predicting model, and the rows that it was made from.
 
-    places : label of each block -> it and the (k,) places of its parameters
-    mean : (P,);  covariance : (P, P);  response : (g, P) by which the base gives way to each parameter of a block
-    normal : (g, g) covariance of the base's parameters in noise of unit variance
-    sigma : of one coordinate [mm];  effective : number of parameters
+    covariance : (p, p) of its parameters;  specs : entries of the arm file beyond the base's;  curves : among them
+    sigma : of one coordinate [mm];  freedom : residual degrees of freedom
+    spread : (p, p) covariance as of noise, with a mean square distance of 1 mm^2 at the postures measured
     """
 
-    places: Mapping[str, tuple[Block, Index]]
-    mean: Array
     covariance: Array
-    response: Array
-    normal: Array
     sigma: float
-    effective: float
+    freedom: int
+    spread: Array
+    specs: tuple[EffectSpec, ...] = ()
+    curves: tuple[Curve, ...] = ()
+
+    def allowing(self, square: float) -> PredictingModel:
+        """With a further mean square distance [mm^2] in the covariance, as if there were so much more noise."""
+        return replace(self, covariance=self.covariance + max(square, 0.0) * self.spread)
 
 
-def mixture_of(posterior: Posterior) -> Mixture:
-    """Mean and covariance of the parameters of the base and of the blocks that are likely enough.
+def geometry(base: Fit) -> PredictingModel:
+    """The base model as a predicting model."""
+    covariance, columns = base.covariance, base.linearized[1]
+    unit = float(np.sum((columns @ covariance) * columns)) / len(columns)
+    spread = covariance / max(unit, 1e-300)
+    return PredictingModel(base.model, base.values, base.rows, covariance, base.sigma, max(base.freedom, 1), spread)
 
-    The base's are those beside what an arm file can have: what it cannot have stays with the base.
+
+def averaged(posterior: Posterior, rows: int) -> PredictingModel:
+    """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
+    held, library = posterior.writable or posterior, posterior.library
+    places, mean, covariance, response, variance, effective = _mixed(held)
+    base, arm = held.whole.base, library.arm
+    g = len(base)
+    mean[:g] += base
+    members = [(block, at) for block, at in places.values() if block.spec is not None]
+    specs = tuple(block.spec for block, _ in members if block.spec is not None)
+    plain = Model(arm.with_effects(*arm.effects, *specs))
+    names = [p.name for e in library.base.effects for p in e.parameters]
+    longer = [p.name for e in plain.effects for p in e.parameters]
+    renamed = dict(zip(names, longer[: len(names)], strict=True))
+    place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
+    for (_, at), effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
+        place |= {p.name: k for p, k in zip(effect.parameters, at.tolist(), strict=True)}
+    index = np.array([place[name] for name in plain.names], dtype=np.int64)
+    values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
+
+    curves = []
+    for block, at in places.values():
+        if block.span is None:
+            continue
+        # beside the geometry that goes with it: what the two exchange makes no difference to any point
+        joint, start, stop = block.span
+        functions = curve_waves(np.linspace(start, stop, 2 * WAVES + 1), start, stop)
+        beside = beside_known(covariance, at, np.arange(g))
+        std = np.sqrt(np.maximum(np.sum((functions @ beside) * functions, axis=1), 0.0))
+        # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
+        parts = zip(library.base.names, (response[:, at] @ mean[at]).tolist(), strict=True)
+        shifted = {name: value for name, value in parts if not name.startswith(f"{SESSIONS}.")}
+        along = arm.chain.along_base(shifted, plain.parameters.mapping(values), back=True)
+        shifted |= {name: float(value) for name, value in along.items() if name in shifted}
+        nodes = np.radians(np.round(np.degrees((functions @ mean[at])[::2]), 7))
+        curves.append(Curve(joint + 1, ErrorCurve(start, stop, nodes, shifted), std))
+    entries = (*specs, *(curve.spec for curve in curves))
+    model = Model(arm.with_effects(*arm.effects, *entries))
+
+    of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
+    normal = held.problems[held.best.noise].normal
+    spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
+    # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
+    # measured as much more as the curves are uncertain, and what a file cannot have is there
+    jacobian = At(model, values, held.at.rows).linearized[1]
+    tables = [(b.columns(held.at), at) for b, at in places.values() if b.span is not None and b.columns is not None]
+    of_curves = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in tables)])
+    whole, every = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
+    tall = whole.reshape(-1, whole.shape[2])
+    gram = tall.T @ tall / len(whole)  # of a covariance C the mean square distance is the sum of gram * C
+    inside = gram[: len(index), : len(index)]
+    spread /= max(float(np.sum(inside * spread)), 1e-300)
+    beside = beside_known(covariance, index, of_curves)
+    freedom = max(rows - round(effective + g), 1)
+    data = held.at.rows
+    written = PredictingModel(
+        model, values, data, beside, float(np.sqrt(variance)), freedom, spread, entries, tuple(curves)
+    )
+    more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
+    lacking = 0.0 if held is posterior else _noise_variance(held) - _noise_variance(posterior)
+    return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
+
+
+def _noise_variance(posterior: Posterior) -> float:
+    """Expected variance of a whitened coordinate's noise [mm^2]."""
+    variance = 0.0
+    for number, (problem, draws) in enumerate(zip(posterior.problems, posterior.draws, strict=True)):
+        share = sum(e.probability for e in posterior.explanations if e.noise == number) / draws.total()
+        variance += share * sum(n * problem.products.state(key).variance for key, n in draws.items())
+    return variance
+
+
+def _mixed(posterior: Posterior) -> tuple[dict[str, tuple[Block, Index]], Array, Array, Array, float, float]:
+    """The mixture over explanations, with the rest of the library, dozens of effects, only where it is likelier than
+    not: of changes of the base's g parameters, and of the parameters of the blocks that are likely enough behind them.
+
+    Returns label of each block -> it and the (k,) places of its parameters; their mean (P,) and covariance (P, P); (g,
+    P) by which the base gives way to each parameter of a block; the variance of the noise [mm^2], and the number of
+    parameters beside the base's. The base's parameters are those beside what an arm file can have: what it cannot have
+    stays with the base.
     """
-    # with the rest of the library, dozens of effects, only where it is likelier than not
-    rest = sum(one.probability for one in posterior.explanations if one.rest) >= 0.5
-    likely = [one for one in posterior.explanations if rest or not one.rest]
+    rest = sum(e.probability for e in posterior.explanations if any(b.parts for b in e.blocks)) >= 0.5
+    likely = [e for e in posterior.explanations if rest or not any(b.parts for b in e.blocks)]
     total = sum(one.probability for one in likely)
-    shares: dict[str, float] = {}
-    blocks: dict[str, Block] = {}
+    shares, blocks = dict[str, float](), dict[str, Block]()
     for one in likely:
         inside = {part.label: part for b in one.blocks for part in (b.parts or (b,))}
         blocks |= inside
-        for label in inside:
-            shares[label] = shares.get(label, 0.0) + one.probability / total
-    order = {label: k for k, label in enumerate(posterior.order)}
-    kept = [b for b in blocks.values() if shares[b.label] >= LEVEL and not b.row]
+        shares |= {label: shares.get(label, 0.0) + one.probability / total for label in inside}
+    order = {block.label: k for k, block in enumerate(posterior.whole.blocks)}
+    kept = [b for b in blocks.values() if shares[b.label] >= LEVEL and b.row is None]
     kept.sort(key=lambda b: order.get(b.label, len(order)))
     widths = {b.label: c.shape[2] for p in posterior.problems for b, c in zip(p.blocks, p.columns, strict=True)}
-    g = len(posterior.whole.base)
+    base = posterior.whole.base
+    g = len(base)
     ends = g + np.cumsum([0, *(_width(b) or widths[b.label] for b in kept)])
-    places = {b.label: (b, np.arange(low, high)) for b, low, high in zip(kept, ends[:-1], ends[1:], strict=True)}
-    count, base = int(ends[-1]), posterior.whole.base
+    places = {b.label: (b, np.arange(*ends[k : k + 2])) for k, b in enumerate(kept)}
+    count = int(ends[-1])
     mean, second, response = np.zeros(count), np.zeros((count, count)), np.zeros((g, count))
-    squares = effective = 0.0
-    for number, problem in enumerate(posterior.problems):
+    variance = effective = 0.0
+    for number, (problem, drawn) in enumerate(zip(posterior.problems, posterior.draws, strict=True)):
         weight = sum(one.probability for one in likely if one.noise == number) / total
-        drawn = [m for m in posterior.moments[number][: 1 + rest] if m.count]
-        if not drawn or weight == 0.0:
+        without = {k for k, b in enumerate(problem.blocks) if b.parts and not rest}
+        draws = {key: n for key, n in drawn.items() if not without & {b for b, _ in key}}
+        if not draws or weight == 0.0:
             continue
-        turn, draws = _to_parameters(problem, places, g, count), sum(m.count for m in drawn)
-        standing, moved = turn @ sum(m.first for m in drawn) / draws, np.zeros(count)
-        moved[:g] = problem.base - base
-        mean += weight * (standing + moved)
-        across = np.outer(standing, moved)
-        products = turn @ sum(m.second for m in drawn) @ turn.T / draws
-        second += weight * (products + across + across.T + np.outer(moved, moved))
-        variance = sum(m.variance for m in drawn) / draws
-        second[:g, :g] += weight * variance * problem.normal
-        squares += weight * variance
-        effective += weight * sum(m.effective for m in drawn) / draws
+        products, turn = problem.products, _to_parameters(problem, places, g, count)
+        first, of_two = np.zeros(turn.shape[1]), np.zeros((turn.shape[1], turn.shape[1]))
+        noise = 0.0
+        for key, n in draws.items():
+            state, share = products.state(key), n / sum(draws.values())
+            noise += share * state.variance
+            effective += weight * share * float(np.sum(1.0 - np.diag(state.covariance) / np.square(state.sizes)))
+            first[state.places] += share * state.mean
+            moment = state.variance * state.covariance + np.outer(state.mean, state.mean)
+            of_two[np.ix_(state.places, state.places)] += share * moment
+        moved = np.concatenate([problem.base - base, np.zeros(count - g)])
+        across = np.outer(turn @ first, moved)
+        mean += weight * (turn @ first + moved)
+        second += weight * (turn @ of_two @ turn.T + across + across.T + np.outer(moved, moved))
+        second[:g, :g] += weight * noise * problem.normal
+        variance += weight * noise
         for b, block in enumerate(problem.blocks):
             if block.label in places:
-                given = problem.response[:, problem.products.places([b])] @ np.linalg.pinv(problem.roots[b])
+                given = problem.response[:, products.places([b])] @ np.linalg.pinv(problem.roots[b])
                 response[:, places[block.label][1]] = given
     covariance = second - np.outer(mean, mean)
-    covariance = (covariance + covariance.T) / 2.0
-    mean[:g] += base
-    best = posterior.problems[posterior.best.noise].normal
-    return Mixture(places, mean, covariance, response, best, float(np.sqrt(squares)), effective + g)
+    return places, mean, (covariance + covariance.T) / 2.0, response, variance, effective
 
 
 def _width(block: Block) -> int:
     """Number of parameters of what an arm file can have, else 0."""
-    return block.member.size if block.member is not None else WAVES if block.basis is not None else 0
+    return block.size or (WAVES if block.span is not None else 0)
 
 
-def _to_parameters(problem: Linearized, places: Mapping[str, tuple[Block, Index]], g: int, count: int) -> Array:
+def _to_parameters(problem: Linearized, places: dict[str, tuple[Block, Index]], g: int, count: int) -> Array:
     """(P, C) from the coefficients of a problem's columns to the base's parameters and those of the blocks."""
     turn = np.zeros((count, int(problem.products.starts[-1])))
     for b, block in enumerate(problem.blocks):
@@ -115,92 +209,13 @@ def _to_parameters(problem: Linearized, places: Mapping[str, tuple[Block, Index]
             if part.label in places:
                 turn[np.ix_(places[part.label][1], own)] = problem.roots[b][row : row + width]
             row += width
-        if block.row or any(part.written and part.label in places for part in parts):
+        if block.row is not None or any(_width(part) and part.label in places for part in parts):
             turn[:g, own] = problem.response[:, own]
     return turn
 
 
-@dataclass(frozen=True, eq=False)
-class PredictingModel:
-    """The predicting model: its values and covariance in the order of its parameters.
-
-    specs : entries of the arm file beyond the base's;  curves : among them
-    sigma : of one coordinate [mm];  freedom : residual degrees of freedom
-    spread : (p, p) covariance as of noise, with a mean square distance of 1 mm^2 at the postures measured
-    """
-
-    model: Model
-    values: Array
-    covariance: Array
-    specs: tuple[EffectSpec, ...]
-    curves: tuple[Curve, ...]
-    sigma: float
-    freedom: int
-    spread: Array
-
-    @property
-    def by_name(self) -> dict[str, float]:
-        """Parameter name -> value."""
-        return self.model.parameters.mapping(self.values)
-
-    def position_residuals(self, measurements: Measurements, conditions: Conditions) -> Array:
-        """(m, d) measured less computed positions [mm]."""
-        position, _ = self.model.linearize(measurements.postures, self.values, conditions)
-        return measurements.positions - position
-
-    def allowing(self, square: float) -> PredictingModel:
-        """With a further mean square distance [mm^2] in the covariance, as if there were so much more noise."""
-        return replace(self, covariance=self.covariance + max(square, 0.0) * self.spread)
-
-    def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
-        """(m, d, p) derivative of the positions with respect to the parameters, and their (p, p) covariance."""
-        return self.model.jacobian(postures, self.values, conditions), self.covariance
-
-
-def averaged(posterior: Posterior, rows: int) -> PredictingModel:
-    """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
-    held = posterior.writable
-    mixed, library = mixture_of(held), posterior.library
-    g, arm = len(posterior.whole.base), library.arm
-    members = [(b.member, at) for b, at in mixed.places.values() if b.member is not None]
-    specs = tuple(member.spec for member, _ in members)
-    plain = Model(arm.with_effects(*arm.effects, *specs))
-    names = [p.name for e in library.base.effects for p in e.parameters]
-    longer = [p.name for e in plain.effects for p in e.parameters]
-    renamed = dict(zip(names, longer[: len(names)], strict=True))
-    place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
-    for (_, at), effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
-        place |= {p.name: k for p, k in zip(effect.parameters, at.tolist(), strict=True)}
-    index = np.array([place[name] for name in plain.names], dtype=np.int64)
-    values = np.clip(mixed.mean[index], plain.parameters.lower, plain.parameters.upper)
-    curves = tuple(_curve(held, mixed, b, at, values, plain) for b, at in mixed.places.values() if b.basis is not None)
-    entries = (*specs, *(curve.spec for curve in curves))
-    model = Model(arm.with_effects(*arm.effects, *entries))
-    freedom = max(rows - round(mixed.effective), 1)
-    of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
-    spread[np.ix_(of_base, of_base)] = mixed.normal[np.ix_(index[of_base], index[of_base])]
-    # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
-    # measured as much more as the curves are uncertain, and what a file cannot have is there
-    jacobian = model.jacobian(held.rows.postures, values, held.rows.conditions)
-    where = Where(held.at.model, held.at.values, held.rows.postures, held.rows.conditions)
-    tables = [
-        (b.columns(where), at) for b, at in mixed.places.values() if b.basis is not None and b.columns is not None
-    ]
-    of_curves = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in tables)])
-    whole, every = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
-    tall = whole.reshape(-1, whole.shape[2])
-    gram = tall.T @ tall / len(whole)  # of a covariance C the mean square distance is the sum of gram * C
-    inside = gram[: len(index), : len(index)]
-    spread /= max(float(np.sum(inside * spread)), 1e-300)
-    covariance = beside_known(mixed.covariance, index, of_curves)
-    written = PredictingModel(model, values, covariance, entries, curves, mixed.sigma, freedom, spread)
-    more = float(np.sum(gram * mixed.covariance[np.ix_(every, every)]) - np.sum(inside * covariance))
-    lacking = held.noise_variance - posterior.noise_variance
-    return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
-
-
 def beside_known(covariance: Array, kept: Index, conditioned: Index) -> Array:
-    """Covariance of the parameters `kept` once those `known` have their values.
+    """Covariance of the parameters `kept` once those `conditioned` have their values.
 
     Combinations of the known ones that hardly vary are taken as not known: what is there of them is rounding, which
     their inverse would amplify.
@@ -213,22 +228,146 @@ def beside_known(covariance: Array, kept: Index, conditioned: Index) -> Array:
     return covariance[np.ix_(kept, kept)] - across @ across.T
 
 
-def _curve(posterior: Posterior, mixed: Mixture, block: Block, part: Index, values: Array, model: Model) -> Curve:
-    """The error curve of a joint."""
-    basis = block.basis
-    assert basis is not None
-    angles = np.linspace(basis.start, basis.stop, 2 * WAVES + 1)
-    functions = basis.at(angles)
-    # beside the geometry that goes with it: what the two exchange makes no difference to any point
-    base = posterior.library.base.names
-    covariance = beside_known(mixed.covariance, part, np.arange(len(base)))
-    error, variance = functions @ mixed.mean[part], np.sum((functions @ covariance) * functions, axis=1)
-    # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
-    response = zip(base, (mixed.response[:, part] @ mixed.mean[part]).tolist(), strict=True)
-    geometry = {name: value for name, value in response if not name.startswith(f"{SESSIONS}.")}
-    along = model.arm.chain.along_base(geometry, model.parameters.mapping(values), back=True)
-    geometry |= {name: float(value) for name, value in along.items() if name in geometry}
-    table = basis.table(np.radians(np.round(np.degrees(error[::2]), 7)))
-    table = replace(table, geometry=geometry)
-    std = np.sqrt(np.maximum(variance, 0.0))
-    return Curve(basis.joint + 1, table, std)
+# -- error curves ------------------------------------------------------------------------------------------------------
+class Wave(NamedTuple):
+    """The wave amplitude cos(order q - phase), an entry of `waves` (identification/files/README.md, "JSON keys").
+
+    order : periods per turn;  orders : lowest and highest not distinguishable from it within the measured range
+    share : fraction of the curve's weighted variance explained beside the waves before it
+    """
+
+    order: float
+    orders: tuple[float, float]
+    amplitude_deg: float
+    phase_deg: float
+    share: float
+
+    def __str__(self) -> str:
+        lowest, highest = self.orders
+        span = f" ({lowest:.3g} to {highest:.3g})" if highest - lowest >= 0.5 else ""
+        return f"{self.order:g}{span} per turn, {self.amplitude_deg:.2g} deg"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The error of a joint, real less commanded angle, over the range of the measured angles.
+
+    joint : from 1;  table : the function;  std : (a,) standard deviations of its values at `angles` [rad], beside the
+        geometry that is written with it
+    """
+
+    joint: int
+    table: ErrorCurve
+    std: Array
+
+    @property
+    def angles(self) -> Array:
+        """(a,) every half node [rad]."""
+        return np.linspace(self.table.start, self.table.stop, len(self.std))
+
+    @property
+    def error(self) -> Array:
+        """(a,) values of the function [rad]."""
+        return self.table.at(self.angles)
+
+    @property
+    def spec(self) -> EffectSpec:
+        """The effect as an entry of an arm file."""
+        return EffectSpec("joint_error_curve", self.joint, curve=self.table)
+
+    @property
+    def key(self) -> str:
+        """`joint_error_curve:1`"""
+        return self.spec.key
+
+    @cached_property
+    def waves(self) -> tuple[Wave, ...]:
+        """The waves that it consists of, strongest first."""
+        return waves(self.angles, self.error, self.std)
+
+    @property
+    def shape(self) -> str:
+        """Description of its shape."""
+        return shape_text(self.angles, self.error, self.std, self.waves)
+
+    def table_rows(self) -> list[tuple[float, ...]]:
+        """Rows of `--curves`: joint, then angle, correction, standard deviation and error [deg]; with the correction
+        added to the command the joint reaches the angle."""
+        correction = -self.error
+        for _ in range(3):  # the error at the corrected command; slopes are far below one
+            correction = -self.table.at(self.angles + correction)
+        columns = np.degrees([self.angles, correction, self.std, self.error])
+        return [(self.joint, *(round(float(v), 7) for v in row)) for row in columns.T]
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `curves` (identification/files/README.md, "JSON keys")."""
+        columns = list(zip(*self.table_rows(), strict=True))[1:]
+        start, stop, length = np.degrees([self.table.start, self.table.stop, self.table.spacing]).tolist()
+        head = {"joint": self.joint, "from_deg": start, "to_deg": stop, "length_deg": length, "shape": self.shape}
+        tables = {name: list(column) for name, column in zip(COLUMNS, columns, strict=True)}
+        return {**head, "waves": [wave._asdict() for wave in self.waves], **tables}
+
+
+def curves_text(curves: Sequence[Curve]) -> str:
+    """The CSV table of `armcal diagnose --curves`: the correction of the commanded angle at every half node."""
+    rows = [row for curve in curves for row in curve.table_rows()]
+    return "".join(",".join(map(str, line)) + "\n" for line in (("joint", *COLUMNS), *rows))
+
+
+def waves(angles: Array, error: Array, std: Array) -> tuple[Wave, ...]:
+    """The waves that make up most of a curve, strongest first: added one by one, all refitted after each.
+
+    angles, error, std : (a,) of the curve [rad]
+
+    Whole numbers of periods per turn are tried, up to the Nyquist limit of nodes at every other angle.
+    Orders that differ by less than one period over the range are not distinguished.
+    """
+    half = np.pi / float(np.ptp(angles))  # orders that differ by less part by less than half a period over the range
+    tried = np.arange(max(1.0, np.ceil(half)), half * (len(angles) - 1) / 2.0)
+
+    def fitted(orders: Sequence[float]) -> tuple[float, Array]:
+        return _fitted([wave(k * angles) for k in orders for wave in (np.cos, np.sin)], error, std)
+
+    chosen: list[float] = []
+    left = [fitted(())[0]]
+    while left[0] > 0.0 and len(tried) and len(chosen) < MOST_WAVES:
+        trials = [fitted((*chosen, k))[0] for k in tried]
+        best = int(np.argmin(trials))
+        if left[-1] - trials[best] < (1.0 - SHAPED) / MOST_WAVES * left[0]:
+            break
+        chosen.append(float(tried[best]))
+        left.append(trials[best])
+        tried = tried[np.abs(tried - chosen[-1]) >= 2.0 * half]
+    listed = []
+    for k, (a, b), gain in zip(chosen, fitted(chosen)[1].reshape(-1, 2), -np.diff(left), strict=True):
+        amplitude, phase = np.degrees([np.hypot(a, b), np.arctan2(b, a)]).tolist()
+        listed.append(Wave(k, (max(k - half, 0.0), k + half), amplitude, phase, float(gain / left[0])))
+    return tuple(listed)
+
+
+def shape_text(angles: Array, error: Array, std: Array, parts: Sequence[Wave]) -> str:
+    """Description of a curve in words, by name or by its waves."""
+    where = f"over {np.degrees(angles[0]):.0f} to {np.degrees(angles[-1]):.0f} deg"
+    share, whole = sum(wave.share for wave in parts), _fitted([], error, std)[0]
+    steps = [_fitted([np.sign(angles - at)], error, std) for at in (angles[1:] + angles[:-1]) / 2.0]
+    best = min(range(len(steps)), key=lambda k: steps[k][0])
+    if whole > 0.0 and 1.0 - steps[best][0] / whole >= max(SHAPED, share):
+        at, size = np.degrees([angles[best : best + 2].mean(), 2.0 * steps[best][1][0]])
+        return f"step of {size:.2g} deg at {at:.0f} deg {where}"
+    if not parts:
+        return f"smooth curve {where}"
+    amplitudes = {wave.order: wave.amplitude_deg for wave in parts}
+    first = min(amplitudes)  # a sawtooth has waves of orders k, 2k, 3k with amplitudes as 1, 1/2, 1/3
+    ratios = [amplitudes.get(n * first, 0.0) * n / amplitudes[first] for n in (2, 3)]
+    if share >= SHAPED and np.allclose(ratios, 1.0, atol=1.0 / 3.0):
+        return f"sawtooth, {first:g} per turn, {where}"
+    listed = "; ".join(map(str, parts))
+    return f"{'waves' if share >= SHAPED else 'in part waves'}: {listed} ({100.0 * share:.0f} %) {where}"
+
+
+def _fitted(columns: Sequence[Array], error: Array, std: Array) -> tuple[float, Array]:
+    """Weighted squares that a fit of functions (a,) beside a constant leaves of a curve, and their coefficients."""
+    weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-150)
+    table = np.column_stack([np.ones(len(error)), *columns]) * weights[:, None]
+    values = np.linalg.lstsq(table, error * weights, rcond=VISIBLE)[0]
+    return float(np.sum((error * weights - table @ values) ** 2)), np.asarray(values[1:])

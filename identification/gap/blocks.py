@@ -1,4 +1,4 @@
-"""The dictionary: every block that may be missing, linearized at a fitted model, with its columns scaled to unit size.
+"""All blocks that may be missing, linearized at a fitted model, with their columns scaled to unit size.
 
 A block is an effect of the library at a joint with its scanned settings (a family with one similar parameter a joint
 is one block); an error curve of a joint, a Gaussian process; a smooth function of time, or of the workspace; or the
@@ -18,22 +18,205 @@ from scipy.linalg import block_diag
 
 from identification.arrays import Array
 from identification.effects.chain import widths
-from identification.gap.columns import Basis, Where, times
-from identification.gap.evidence import SIZES, Products
-from identification.gap.fit import Fit, Rows
-from identification.gap.hypotheses import Block, HypothesisSet, untested_joints
-from identification.information import VISIBLE, column_space_of, significant
+from identification.error_curve import local_splines
+from identification.gap.fit import At
+from identification.gap.hypotheses import Block, Library, untested_joints
+from identification.gap.likelihood import SIZES, Products, orthonormal
+from identification.information import VISIBLE, column_space_of
 from identification.kinematics.parameters import REVOLUTE
 
 # numerical: expected square of a combination of columns at the block's largest size, below which it is left out
 FAINT = 0.03
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect of the whole arm
+WAVES = 30  # half periods of an error curve over the angles of its joint; convention: what a person would call smooth
 TIMES = 12  # convention: half periods in a session of the fastest smooth function of time
 SLOW = 3  # convention: half periods, of orders of functions of several variables
 REST = "library"  # label of the rest of the library
 REST_SIZES = 2  # of `SIZES` that it may have; prior: what is larger shows one effect at a time
 
 
+# -- outside the library ----------------------------------------------------------------------------------------------
+def curve_waves(angles: Array, start: float, stop: float) -> Array:
+    """(m, K) cosine transform of a cubic spline basis between two angles [rad], scaled to the prior of a random walk;
+    at a node the sum of its functions is the value there."""
+    count, k = WAVES + 1, np.arange(1, WAVES + 1)
+    cosines = np.cos(np.pi / count * np.outer(np.arange(count) + 0.5, k))
+    place, parts = local_splines(angles, start, stop, count)
+    splines = np.zeros((len(place), count + 6))
+    np.put_along_axis(splines, place + 3, parts, axis=1)
+    return np.asarray(splines[:, 3:-3] @ (cosines / np.sin(0.5 * np.pi * k / count)))
+
+
+def times(columns: Array, functions: Array) -> Array:
+    """(m, d, k w) columns (m, d, k) times functions (m, w), each with each."""
+    return np.asarray((columns[..., None] * functions[:, None, None, :]).reshape(*columns.shape[:2], -1))
+
+
+def moved(at: At, functions: Array) -> Array:
+    """(m, d, w') columns of functions (m, w) that move all points, or turn them in the plane."""
+    position = at.linearized[0]
+    m, d = position.shape
+    moves = np.broadcast_to(np.eye(d), (m, d, d))
+    if d == 2:
+        turn = np.stack([-position[:, 1], position[:, 0]], axis=1) / at.model.reach
+        moves = np.concatenate([moves, turn[:, :, None]], axis=2)
+    return times(moves, functions)
+
+
+def of_geometry(at: At, functions: Array) -> Array:
+    """(m, d, p w) columns of functions (m, w) that are added to each of the p parameters of the geometry, in its
+    scale."""
+    of_effects = {p.name for effect in at.model.effects for p in effect.parameters}
+    own = [k for k, name in enumerate(at.model.names) if name not in of_effects]
+    return times(at.linearized[1][:, :, own] * at.model.scales[own], functions)
+
+
+def load_torques(at: At) -> Array:
+    """(m, n) of gravity about the joints, their mean square 1."""
+    torques = at.model.on_chain(lambda chain: chain.torques)(at.rows.postures, at.rows.conditions)
+    return np.asarray(torques / max(float(np.sqrt(np.mean(np.square(torques)))), 1e-300))
+
+
+def in_time(at: At, count: int) -> Array:
+    """(m, count) waves over the session, the slow ones larger."""
+    assert at.rows.conditions.time is not None
+    orders = np.arange(1, count + 1)
+    return np.cos(np.pi * (at.rows.conditions.time + 0.5)[:, None] * orders) / orders
+
+
+def wobble(at: At, j: int) -> Array:
+    """(m, d, 8 SLOW) columns of a revolute joint's axis (from 0) that tilts and shifts as the joint turns: along two
+    directions across it, in units in which tilts and shifts move the point alike."""
+    chain, levers = at.model.arm.chain, at.model.place_levers(at.rows.postures, at.values, at.rows.conditions)[0]
+    n, sizes, q = len(chain), widths(chain), at.rows.postures[:, j]
+    ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
+    plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T
+    turns = np.stack([f(k * q) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)], axis=1)
+    parts = []
+    for kind in chain.bends:
+        first = ends[kind] - 3 * n + 3 * j
+        part = levers[:, :, first : first + 3] @ plane
+        parts.append(part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300))
+    return times(np.concatenate(parts, axis=2), turns)
+
+
+def outside_blocks(at: At) -> Iterator[Block]:
+    """Blocks outside the library, with constants that suit these rows."""
+    q, arm, conditions, (position, _) = at.rows.postures, at.model.arm, at.rows.conditions, at.linearized
+    n, d = q.shape[1], position.shape[1]
+    low, span = q.min(axis=0), np.maximum(np.ptp(q, axis=0), 1e-9)
+    corner, size = position.min(axis=0), np.maximum(np.ptp(position, axis=0), 1e-9)
+    seen = d > 1 and not arm.chain.instrument.contact  # readings say where in the workspace the point is
+    turning, unseen = [j for j in range(n) if span[j] > 1e-9], untested_joints(at)
+    curved = {spec.joint for spec in arm.effects if spec.curve is not None}
+    timed, warmed = (v is not None and bool(np.ptp(v) > 0.0) for v in (conditions.time, conditions.temperature))
+    unit = float(np.std(conditions.temperature)) if conditions.temperature is not None else 1.0
+    fast, every = np.arange(1, TIMES + 1), np.eye(d)
+
+    def turned(j: int, functions: Callable[[At], Array]) -> Callable[[At], Array]:
+        """Columns of functions (m, w) that are added to the angle of a joint."""
+        return lambda w: w.levers[:, :, j, None] * functions(w)[:, None, :]
+
+    def curve(j: int) -> Callable[[At], Array]:
+        return turned(j, lambda w: curve_waves(w.rows.postures[:, j], low[j], low[j] + span[j]))
+
+    def shared(j: int, other: int) -> Callable[[At], Array]:
+        """Of smooth functions of two joints' angles."""
+        few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
+
+        def functions(w: At) -> Array:
+            x, y = ((w.rows.postures[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))
+            return np.stack([np.cos(a * x) * np.cos(b * y) / (a * a + b * b) for a, b in few], axis=1)
+
+        return turned(j, functions)
+
+    def history(j: int) -> Callable[[At], Array]:
+        """Of the joint's angle and last move, with another sign by the direction of approach."""
+
+        def functions(w: At) -> Array:
+            x, given = w.rows.postures[:, j], w.rows.conditions
+            assert given.directions is not None
+            move = np.zeros(len(x)) if given.past is None else np.abs(x - np.asarray(given.past)[:, j, -1])
+            waves = np.stack([np.ones(len(x)), np.cos(x), np.sin(x), np.exp(-move)], axis=1)
+            return np.asarray(given.directions[:, j, None] * waves)
+
+        return turned(j, functions)
+
+    def load(j: int) -> Callable[[At], Array]:
+        """Of the moment of gravity about the joint."""
+
+        def functions(w: At) -> Array:
+            t = load_torques(w)[:, j]
+            return np.stack([t, np.abs(t), t * np.abs(t), np.sign(t)], axis=1)
+
+        return turned(j, functions)
+
+    def warm(w: At) -> Array:
+        return np.asarray(w.rows.conditions.temperature)[:, None] / unit
+
+    def smooth(w: At) -> Array:
+        """Of all coordinates together."""
+        x, few = np.pi * (w.linearized[0] - corner) / size, product(range(SLOW + 1), repeat=d)
+        orders = [np.array(k) for k in few if 1 <= sum(k) <= SLOW]
+        return moved(w, np.stack([np.prod(np.cos(k * x), axis=1) / (1.0 + k @ k) for k in orders], axis=1))
+
+    def squares(w: At) -> Array:
+        """Squares and products of the coordinates, in each direction."""
+        x = w.linearized[0] / w.model.reach
+        bent = np.stack([x[:, a] * x[:, b] for a in range(d) for b in range(a, d)], axis=1)
+        return times(np.broadcast_to(every, (len(x), d, d)), bent)
+
+    def along_axes(w: At) -> Array:
+        """Waves of each coordinate by itself, in each direction."""
+        x = np.pi * (w.linearized[0] - corner) / size
+        waves = (np.cos(x[:, :, None] * fast) / np.sqrt(fast)).reshape(len(x), -1)
+        return times(np.broadcast_to(every, (len(x), d, d)), waves)
+
+    def outward(w: At) -> Array:
+        """Waves of the distance from the base, along it."""
+        x, reach = w.linearized[0], w.model.reach
+        radius = np.linalg.norm(x, axis=1)
+        rings = np.cos(np.pi * radius[:, None] / reach * fast) / np.sqrt(fast)
+        return (x / np.maximum(radius, 1e-9 * reach)[:, None])[:, :, None] * rings[:, None]
+
+    def loads(w: At) -> Array:
+        return times(w.levers * load_torques(w)[:, None, :], in_time(w, SLOW))
+
+    # whether these rows can show it, label, prior weight beside OUTSIDE, columns
+    table: list[tuple[bool, str, float, Callable[[At], Array]]] = []
+    for j in turning:
+        if j + 1 in unseen:
+            continue
+        weight, revolute = n**-0.5, not arm.chain.planar and arm.chain.joints[j].type == REVOLUTE
+        table.append((j + 1 not in curved, f"curve:{j + 1}", weight, curve(j)))
+        others = [(k != j, f"shared:{j + 1},{k + 1}", 0.3 * weight / max(n - 1, 1), shared(j, k)) for k in turning]
+        table += [
+            *others,
+            (conditions.directions is not None, f"history:{j + 1}", 0.3 * weight, history(j)),
+            (arm.gravity is not None, f"load:{j + 1}", 0.3 * weight, load(j)),
+            (revolute, f"wobble:{j + 1}", 0.3 * weight, partial(wobble, j=j)),
+        ]
+    table += [
+        (timed, "time", 1.0, lambda w: moved(w, in_time(w, TIMES))),
+        (timed, "time[parameters]", 0.3, lambda w: of_geometry(w, in_time(w, SLOW))),
+        (timed and arm.gravity is not None, "time[load]", 0.3, loads),
+        (warmed, "temperature", 1.0, lambda w: moved(w, warm(w))),
+        (warmed, "temperature[parameters]", 0.3, lambda w: of_geometry(w, warm(w))),
+        (seen, "workspace", 0.25, smooth),
+        (seen, "workspace[squares]", 0.25, squares),
+        (seen, "workspace[axes]", 0.25, along_axes),
+        (seen, "workspace[radius]", 0.25, outward),
+    ]
+    for possible, label, weight, columns in table:
+        if possible:
+            kind, _, joints = label.partition(":")
+            place = f"joint:{joints.partition(',')[0]}" if joints else kind.partition("[")[0]
+            j = int(joints) - 1 if kind == "curve" else -1
+            ends = (j, float(low[j]), float(low[j] + span[j])) if j >= 0 else None
+            yield Block(label, place, OUTSIDE * weight, span=ends, columns=columns)
+
+
+# -- all of them, in the space of their columns ------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Linearized:
     """All blocks at a fitted model.
@@ -41,8 +224,7 @@ class Linearized:
     blocks : B of them;  products : of their columns, projected off the base;  roots : of each block the (p, w) matrix
     from the coefficients of its columns in `products` to its own parameters [API units]
     response : (g, P) by which the base's parameters give way to each of these coefficients;  base : (g,) their values
-    without
-    normal : (g, g) inverse of J^T J;  columns : of each block (m, d, p), not whitened
+    without;  normal : (g, g) inverse of J^T J;  columns : of each block (m, d, p), not whitened
     """
 
     blocks: tuple[Block, ...]
@@ -53,208 +235,39 @@ class Linearized:
     normal: Array
     columns: tuple[Array, ...]
 
-    def of(self, blocks: Sequence[int]) -> Linearized:
+    def of(self, kept: Sequence[int]) -> Linearized:
         """That of a few blocks alone."""
-        kept = list(blocks)
-        return Linearized(
-            tuple(self.blocks[b] for b in kept),
-            self.products.of_blocks(kept),
-            tuple(self.roots[b] for b in kept),
-            self.response[:, self.products.places(kept)],
-            self.base,
-            self.normal,
-            tuple(self.columns[b] for b in kept),
-        )
+        blocks, roots = tuple(self.blocks[b] for b in kept), tuple(self.roots[b] for b in kept)
+        columns = tuple(self.columns[b] for b in kept)
+        response = self.response[:, self.products.places(kept)]
+        return Linearized(blocks, self.products.of_blocks(kept), roots, response, self.base, self.normal, columns)
 
     @cached_property
     def numbers(self) -> dict[str, int]:
         """Label of each block -> its number."""
         return {block.label: k for k, block in enumerate(self.blocks)}
 
-    @property
-    def apart(self) -> frozenset[tuple[int, int]]:
-        """Pairs of blocks of which one contains the other: a family, and the same effect at one joint."""
-        named = [(k, b.member) for k, b in enumerate(self.blocks) if b.member is not None]
-        families = {h.spec.name: k for k, h in named if h.family}
-        return frozenset(
-            (families[h.spec.name], k) for k, h in named if h.spec.name in families and families[h.spec.name] != k
-        )
 
-    def needy_and_givers(self, library: HypothesisSet) -> tuple[frozenset[int], frozenset[int]]:
-        """Blocks that show only through others in the set (`Effect.through`), and these others."""
-        named = {k: b.member for k, b in enumerate(self.blocks) if b.member is not None}
-        needy = frozenset(k for k, h in named.items() if not library.acts(h))
-        kinds = {named[k].effect.through for k in needy}
-        return needy, frozenset(k for k, h in named.items() if h.effect.needs & kinds) - needy
+def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: bool = True) -> Linearized:
+    """All blocks at a fitted model, which may have effects of the library in it, for rows with any noise model.
 
-
-def outside_blocks(rows: Rows, at: Where) -> Iterator[Block]:
-    """Blocks outside the library, with constants that suit these rows."""
-    n, d, arm, conditions = rows.postures.shape[1], rows.dimension, at.model.arm, rows.conditions
-    low, span = rows.postures.min(axis=0), np.maximum(np.ptp(rows.postures, axis=0), 1e-9)
-    corner, size = at.position.min(axis=0), np.maximum(np.ptp(at.position, axis=0), 1e-9)
-    unseen = untested_joints(at.model, rows)
-    seen = d > 1 and not arm.chain.instrument.contact  # readings say where in the workspace the point is
-    turning = [j for j in range(n) if np.ptp(rows.postures[:, j]) > 0.0]
-    curved = {spec.joint for spec in arm.effects if spec.curve is not None}
-    bases = {f"curve:{j + 1}": Basis(j, float(low[j]), float(low[j] + span[j])) for j in turning}
-    timed, warmed = (v is not None and bool(np.ptp(v) > 0.0) for v in (conditions.time, conditions.temperature))
-    unit = float(np.std(conditions.temperature)) if conditions.temperature is not None else 1.0
-
-    def warm(w: Where) -> Array:
-        assert w.conditions.temperature is not None
-        return w.conditions.temperature[:, None] / unit
-
-    # whether these rows can show it, label, prior weight, columns
-    table: list[tuple[bool, str, float, Callable[[Where], Array]]] = []
-    for j in turning:
-        if j + 1 in unseen:
-            continue
-        weight, revolute = OUTSIDE / np.sqrt(n), not arm.chain.planar and arm.chain.joints[j].type == REVOLUTE
-        table.append((j + 1 not in curved, f"curve:{j + 1}", weight, partial(_curve, basis=bases[f"curve:{j + 1}"])))
-        for other in turning:
-            functions = partial(_shared, joints=[j, other], low=low, span=span)
-            table.append((other != j, f"shared:{j + 1},{other + 1}", 0.3 * weight / max(n - 1, 1), functions))
-        table += [
-            (conditions.directions is not None, f"history:{j + 1}", 0.3 * weight, partial(_one_sided, j=j)),
-            (arm.gravity is not None, f"load:{j + 1}", 0.3 * weight, partial(_loaded, j=j)),
-            (revolute, f"wobble:{j + 1}", 0.3 * weight, partial(_wobble, j=j)),
-        ]
-    table += [
-        (timed, "time", OUTSIDE, lambda w: w.moved(_in_time(w, TIMES))),
-        (timed, "time[parameters]", 0.3 * OUTSIDE, lambda w: w.varied(_in_time(w, SLOW))),
-        (
-            timed and arm.gravity is not None,
-            "time[load]",
-            0.3 * OUTSIDE,
-            lambda w: times(w.levers * w.moments[:, None, :], _in_time(w, SLOW)),
-        ),
-        (warmed, "temperature", OUTSIDE, lambda w: w.moved(warm(w))),
-        (warmed, "temperature[parameters]", 0.3 * OUTSIDE, lambda w: w.varied(warm(w))),
-        (seen, "workspace", OUTSIDE / 4.0, partial(_smooth, corner=corner, size=size)),
-        (seen, "workspace[squares]", OUTSIDE / 4.0, _bent),
-        (seen, "workspace[axes]", OUTSIDE / 4.0, partial(_along_axes, corner=corner, size=size)),
-        (seen, "workspace[radius]", OUTSIDE / 4.0, _outward),
-    ]
-    for possible, label, weight, columns in table:
-        if possible:
-            kind, _, joints = label.partition(":")
-            place = f"joint:{joints.partition(',')[0]}" if joints else kind.partition("[")[0]
-            yield Block(label, place, weight, basis=bases.get(label), columns=columns)
-
-
-def _curve(w: Where, basis: Basis) -> Array:
-    return w.turned(basis.joint, basis.at(w.postures[:, basis.joint]))
-
-
-def _shared(w: Where, joints: Sequence[int], low: Array, span: Array) -> Array:
-    """Columns of smooth functions of two joints' angles that are added to the angle of the first."""
-    x, y = ((w.postures[:, k] - low[k]) * (np.pi / span[k]) for k in joints)
-    few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
-    functions = [np.cos(a * x) * np.cos(b * y) / (a * a + b * b) for a, b in few]
-    return w.turned(joints[0], np.stack(functions, axis=1))
-
-
-def _one_sided(w: Where, j: int) -> Array:
-    """Columns of functions of a joint's angle and of its last move that change sign with the direction of approach."""
-    assert w.conditions.directions is not None
-    q = w.postures[:, j]
-    moved = np.zeros(len(q)) if w.conditions.past is None else np.abs(q - np.asarray(w.conditions.past)[:, j, -1])
-    functions = np.stack([np.ones(len(q)), np.cos(q), np.sin(q), np.exp(-moved)], axis=1)
-    return w.turned(j, w.conditions.directions[:, j, None] * functions)
-
-
-def _loaded(w: Where, j: int) -> Array:
-    """Columns of functions of the moment of gravity about a joint."""
-    t = w.moments[:, j]
-    return w.turned(j, np.stack([t, np.abs(t), t * np.abs(t), np.sign(t)], axis=1))
-
-
-def _wobble(w: Where, j: int) -> Array:
-    """(m, d, 8 SLOW) columns of a revolute joint's axis (from 0) that tilts and shifts as the joint turns: along two
-    directions across it, in units in which tilts and shifts move the point alike."""
-    chain, levers = w.model.arm.chain, w.model.place_levers(w.postures, w.values, w.conditions)[0]
-    n, sizes = len(chain), widths(chain)
-    ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
-    plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T
-    turns = np.stack([f(k * w.postures[:, j]) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)], axis=1)
-    parts = []
-    for kind in chain.bends:
-        first = ends[kind] - 3 * n + 3 * j
-        part = levers[:, :, first : first + 3] @ plane
-        parts.append(part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300))
-    return times(np.concatenate(parts, axis=2), turns)
-
-
-def _in_time(w: Where, count: int) -> Array:
-    """(m, count) waves over the session, the slow ones larger."""
-    assert w.conditions.time is not None
-    orders = np.arange(1, count + 1)
-    return np.cos(np.pi * (w.conditions.time + 0.5)[:, None] * orders) / orders
-
-
-def _smooth(w: Where, corner: Array, size: Array) -> Array:
-    """Columns of smooth functions of all coordinates together that move the point."""
-    x, few = np.pi * (w.position - corner) / size, product(range(SLOW + 1), repeat=w.position.shape[1])
-    orders = [np.array(k) for k in few if 1 <= sum(k) <= SLOW]
-    return w.moved(np.stack([np.prod(np.cos(k * x), axis=1) / (1.0 + k @ k) for k in orders], axis=1))
-
-
-def _bent(w: Where) -> Array:
-    """(m, d, w) columns of squares and products of the coordinates, in each direction."""
-    m, d = w.position.shape
-    x = w.position / w.model.reach
-    squares = np.stack([x[:, a] * x[:, b] for a in range(d) for b in range(a, d)], axis=1)
-    return times(np.broadcast_to(np.eye(d), (m, d, d)), squares)
-
-
-def _along_axes(w: Where, corner: Array, size: Array) -> Array:
-    """(m, d, w) columns of waves of each coordinate by itself, in each direction."""
-    (m, d), fast = w.position.shape, np.arange(1, TIMES + 1)
-    along = np.cos((np.pi * (w.position - corner) / size)[:, :, None] * fast) / np.sqrt(fast)
-    return times(np.broadcast_to(np.eye(d), (m, d, d)), along.reshape(m, -1))
-
-
-def _outward(w: Where) -> Array:
-    """(m, d, TIMES) columns of waves of the distance from the base, along it."""
-    radius, fast = np.linalg.norm(w.position, axis=1), np.arange(1, TIMES + 1)
-    rings = np.cos(np.pi * radius[:, None] / w.model.reach * fast) / np.sqrt(fast)
-    return (w.position / np.maximum(radius, 1e-9 * w.model.reach)[:, None])[:, :, None] * rings[:, None]
-
-
-def linearized(
-    library: HypothesisSet,
-    at: Fit,
-    rows: Rows,
-    wrong: Sequence[int] = (),
-    outside: bool = True,
-) -> Linearized:
-    """All blocks at a fitted model `at`, which may have effects of the library in it, for rows with any noise model.
-
-    wrong : rows that may be outlying
-    outside : whether blocks outside the library are among them
+    wrong : rows that may be outlying;  outside : whether blocks outside the library are among them
     """
-    model, (y, jacobian, base) = at.model, library.as_base(at, rows)
+    model, rows, (y, jacobian, base) = at.model, at.rows, library.as_base(at)
+    blocks, columns = [*library.members], library.columns(at)
     # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
-    fitted = {
-        e.label: [model.names.index(p.name) for p in e.parameters if p.name in model.names] for e in model.effects
-    }
-    neutral = library.columns(rows, at.by_name, model)
-    of_library = [
-        jacobian[:, :, fitted[h.label]] if h.label in fitted else c
-        for h, c in zip(library.members, neutral, strict=True)
-    ]
-    where = Where(model, at.values, rows.postures, rows.conditions)
-    further = list(outside_blocks(rows, where)) if outside else []
-    columns = [*of_library, *(one.columns(where) for one in further if one.columns is not None)]
-    blocks: list[Block] = [*library.members, *further]
+    place = {block.label: k for k, block in enumerate(blocks)}
+    for effect in model.effects:
+        if effect.label in place:
+            names = [p.name for p in effect.parameters if p.name in model.names]
+            columns[place[effect.label]] = jacobian[:, :, [model.names.index(name) for name in names]]
+    for block in outside_blocks(at) if outside else ():
+        blocks.append(block)
+        columns += [] if block.columns is None else [block.columns(at)]
     for k in wrong:
-        shift = np.zeros((len(rows), rows.dimension, rows.dimension))
-        shift[k] = np.eye(rows.dimension)
-        columns.append(shift)
+        columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
-    starts = np.concatenate([[0], np.cumsum([c.shape[2] for c in columns])])
-    parts = [slice(low, high) for low, high in pairwise(starts)]
+    parts = [slice(*ends) for ends in pairwise(np.cumsum([0, *(c.shape[2] for c in columns)]))]
     white, target = rows.whiten(np.concatenate(columns, axis=2)), rows.whiten(y)
     u, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
     inside, gram = u.T @ white, white.T @ white
@@ -268,10 +281,11 @@ def linearized(
     turn = sparse.block_diag([root.T for root in every], format="csr")  # (P, p)
     gram = turn @ np.ascontiguousarray((turn @ gram).T)
     right, inside = turn @ right, np.ascontiguousarray((turn @ np.ascontiguousarray(inside.T)).T)
-    ends = np.concatenate([[0], np.cumsum([root.shape[1] for root in roots])])
-    many = [k for k, b in enumerate(blocks) if _common(b, library)]
+    ends = np.cumsum([0, *(root.shape[1] for root in roots)])
+    # the rest of the library as one block of many small errors that an arm may have, unscanned effects that are not
+    # rare and error curves: each with the same expected square
+    many = [k for k, b in enumerate(blocks) if b.span is not None or (b.plain and b.effect and b.effect.prior == 1.0)]
     if len(many) > 1 and outside:
-        # the rest of the library as one block: each of its effects, and each error curve, with the same expected square
         own = np.concatenate([np.arange(*ends[k : k + 2]) for k in many])
         values, vectors = np.linalg.eigh(gram[np.ix_(own, own)] / len(many))
         vectors = vectors[:, values * SIZES[REST_SIZES - 1] ** 2 > FAINT] / np.sqrt(len(many))
@@ -282,25 +296,11 @@ def linearized(
         roots.append(np.asarray(block_diag(*(roots[k] for k in many))) @ vectors)
         columns.append(np.concatenate([columns[k] for k in many], axis=2))
         blocks.append(Block(REST, REST, 1.0, parts=tuple(blocks[k] for k in many)))
-    products = Products(
-        gram,
-        right,
-        float(left @ left),
-        len(target) - u.shape[1],
-        ends,
-        np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
-        np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64),
-    )
-    place = at.values[base] + back @ (u.T @ target)
-    return Linearized(tuple(blocks), products, tuple(roots), -back @ inside, place, back @ back.T, tuple(columns))
-
-
-def _common(block: Block, library: HypothesisSet) -> bool:
-    """Whether it is among the many small errors that an arm may have: an unscanned effect, not rare, or a curve."""
-    member = block.member
-    if member is None:
-        return block.basis is not None
-    return not member.scanned and member.effect.prior == 1.0 and library.acts(member)
+    signs = np.array([b.size == 1 and b.bounded for b in blocks], dtype=bool)
+    limits = np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64)
+    products = Products(gram, right, float(left @ left), len(target) - u.shape[1], ends, signs, limits)
+    values = at.values[base] + back @ (u.T @ target)
+    return Linearized(tuple(blocks), products, tuple(roots), -back @ inside, values, back @ back.T, tuple(columns))
 
 
 def _root(gram: Array, before: float, block: Block) -> Array:
@@ -313,14 +313,12 @@ def _root(gram: Array, before: float, block: Block) -> Array:
     """
     if not np.trace(gram) > VISIBLE * before:
         return np.zeros((len(gram), 0))
-    if block.member is None:
+    if block.effect is None:
         values, vectors = np.linalg.eigh(gram / np.trace(gram))
         return np.asarray(vectors[:, values * SIZES[-1] ** 2 > FAINT] / np.sqrt(np.trace(gram)))
-    if block.member.family:
+    if block.family:
         alike = 1.0 + 0.3**2 * np.eye(len(gram))
         return np.asarray(np.linalg.cholesky(alike / np.sum(gram * alike)))
-    lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
-    seen = significant(values, VISIBLE)
-    root = vectors[:, seen] / np.sqrt(values[seen] * seen.sum()) / lengths[:, None]
-    return np.asarray(np.abs(root) if len(gram) == 1 else root)
+    root = orthonormal(gram)
+    root = root / np.sqrt(max(root.shape[1], 1))
+    return np.abs(root) if len(gram) == 1 else root

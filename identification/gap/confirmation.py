@@ -7,29 +7,44 @@ asked of the squared distances b of the base model and a of the model tested:
     is it as large as predicted?       mean of a      <= what the posterior expects
 
 Of means of rows that are not independent: `estimation.grouped`.
+
+Where base or instrument of a hold-out stand elsewhere, or the measured point is another one, what is predicted of a
+point y_i with the axes R_i of the tip for the instrument becomes
+
+    A (y_i + R_i t) + s,    A, s: motion of base or instrument;  t: from the old to the new point, in the tip's frame
+
+These few numbers are found in the hold-out, as `armcal validate` finds them; nothing else of the models is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, softmax, stdtrit
 
 from identification.arrays import Array
+from identification.effects.chain import widths
 from identification.errors import InputError
+from identification.estimation.doubts import FALL
 from identification.estimation.uncertainty import GROUPS, Groups, Mean, groups_of, mean_of
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.average import PredictingModel
-from identification.gap.detectability import LEVEL, POWER
-from identification.gap.fit import Fit
+from identification.gap.detectability import POWER
+from identification.gap.fit import At
 from identification.gap.noise import NoiseFloor
 from identification.gap.posterior import Posterior
 from identification.gap.search import MOST
-from identification.gap.set_up import SESSION, held_out_conditions, placed_residuals, transfer_of
 from identification.information import RANK_TOLERANCE, column_space_of
+from identification.instruments.registration import registered
 from identification.measurements import POINT, Conditions, Measurements, distances
+
+SESSION, OTHER_ROWS = "another session", "other rows"
 
 
 # -- the test ----------------------------------------------------------------------------------------------------------
@@ -66,11 +81,6 @@ class Confirmation:
     refitted: tuple[str, ...] = ()
 
     @property
-    def where(self) -> str:
-        """The rows in words."""
-        return self.file or self.transfer
-
-    @property
     def confirmed(self) -> bool | None:
         """Overall conclusion; None where the rows are too few."""
         if self.shrinks is False or self.as_predicted is False:
@@ -80,16 +90,17 @@ class Confirmation:
     @property
     def answer(self) -> str:
         """The conclusion in words."""
+        where = self.file or self.transfer
         if self.confirmed is None:
-            return f"too few rows to say whether it holds for {self.where}"
+            return f"too few rows to say whether it holds for {where}"
         if self.confirmed:
-            few = f"the error shrinks for {self.where}; too few independent rows to say whether by as much as expected"
-            return f"holds for {self.where}" if self.as_predicted else few
+            few = f"the error shrinks for {where}; too few independent rows to say whether by as much as expected"
+            return f"holds for {where}" if self.as_predicted else few
         if self.shrinks:
-            return f"for {self.where} the gap shrinks, but by less than predicted"
+            return f"for {where} the gap shrinks, but by less than predicted"
         grows = ["the gap does not shrink"] if self.shrinks is False else []
         exceeds = ["the gap exceeds the prediction"] if self.as_predicted is False else []
-        return f"does not hold for {self.where}, {' and '.join(grows + exceeds)}"
+        return f"does not hold for {where}, {' and '.join(grows + exceeds)}"
 
     def __str__(self) -> str:
         kind = "held-out" if self.by == "holdout" else "cross-validated"
@@ -159,8 +170,7 @@ def confirm(
     )
 
 
-@dataclass(frozen=True)
-class Gap:
+class Gap(NamedTuple):
     """RMS distances between model and measurement [mm]; None where not available.
 
     rms_before, rms_after : of the base model as `identify` fits it, and of the predicting model; both without outliers
@@ -170,15 +180,10 @@ class Gap:
 
     rms_before: float
     rms_after: float
-    floor: NoiseFloor = field(default_factory=NoiseFloor)
+    floor: NoiseFloor = NoiseFloor()
     held_out_before: float | None = None
     held_out_after: float | None = None
     predicted: float | None = None
-
-    @classmethod
-    def of(cls, before: float, after: float, floor: NoiseFloor, test: Confirmation | None) -> Gap:
-        """With the figures of a test on held-out rows, if there is one."""
-        return cls(before, after, floor, *(() if test is None else (test.before, test.after, test.predicted)))
 
     @property
     def noise_floor(self) -> float | None:
@@ -190,8 +195,8 @@ class Gap:
 
     def to_json(self) -> dict[str, float | str | None]:
         """Keys of `gap` (identification/files/README.md, "JSON keys")."""
-        names = ("rms_before", "rms_after", "held_out_before", "held_out_after", "predicted")
-        return {f"{name}_mm": getattr(self, name) for name in names} | self.floor.to_json()
+        lengths = {f"{name}_mm": value for name, value in self._asdict().items() if name != "floor"}
+        return lengths | self.floor.to_json()
 
 
 # -- rows held out -----------------------------------------------------------------------------------------------------
@@ -218,10 +223,134 @@ def split(
     return measurements.rows(~held_out), measurements.rows(held_out)
 
 
+def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
+    """Kind of transfer that a hold-out tests, judged by the order of measurement.
+
+    An order number identifies one row of a session, so numbers that occur in both mean two sessions; so does a pause
+    between them that is longer than the data.
+    """
+    ours, other = measurements.order, holdout.order
+    if ours is None or other is None:
+        return OTHER_ROWS
+    pause = max(other.min() - ours.max(), ours.min() - other.max())
+    if len(np.intersect1d(ours, other)) or pause > np.ptp(ours):
+        return SESSION
+    if other.min() > ours.max():
+        return "a later time"
+    return "an earlier time" if other.max() < ours.min() else "other postures"
+
+
+def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Conditions:
+    """Conditions of the hold-out on the scales of the data.
+
+    Temperatures count from where those of the data do; time is on the scale of the data if both are of one session.
+    Measured points have the numbers of the data, those that the data do not have that of the first.
+    """
+    conditions = replace(holdout.conditions, marker=point_names(measurements, holdout)[0])
+    if measurements.temperature is not None and holdout.temperature is not None:
+        conditions = replace(conditions, temperature=holdout.temperature - measurements.reference_temperature)
+    ours, other = measurements.order, holdout.order
+    if ours is None or other is None or transfer_of(measurements, holdout) == SESSION or np.ptp(ours) == 0.0:
+        return conditions
+    return replace(conditions, time=(other - ours.min()) / np.ptp(ours) - 0.5)
+
+
+def point_names(measurements: Measurements, holdout: Measurements) -> tuple[Array | None, tuple[str, ...]]:
+    """(m,) number of each held-out row's point among those of the data, 0 for others; and the names of these others.
+
+    One point of the data is the one of the hold-out, whatever it is called there, as in an arm file.
+    """
+    names, numbers = measurements.marker_names, holdout.marker_numbers
+    if numbers is None or holdout.marker is None or not names:
+        return None, ()
+    there = set(holdout.marker.tolist())
+    if len(names) == 1 == len(there):
+        return np.zeros(len(holdout)), ()
+    number = {name: k for k, name in enumerate(names)}
+    ours = np.array([number.get(name, 0) for name in holdout.marker_names], dtype=float)
+    return ours[numbers], tuple(name for name in holdout.marker_names if name in there and name not in number)
+
+
+class Placed(NamedTuple):
+    """What a model predicts of the rows of a hold-out.
+
+    points : (m, d) [mm];  axes : (m, 3, 3) of the tip for the instrument, None in a plane and where lengths are read
+    measured : (m, d) [mm];  names : (m,) of the measured points, "" where there are none
+    """
+
+    points: Array
+    axes: Array | None
+    measured: Array
+    names: NDArray[np.str_]
+
+    def refitted(self, base: bool, points: Sequence[str]) -> tuple[int, Array]:
+        """How many values are fitted where the base, and points with these names, are elsewhere; and (m, d) residuals
+        [mm] then, larger by as much as these values make them smaller."""
+        d, full = self.measured.shape[1], np.zeros((len(self.points), 3))
+        full[:, :d] = self.points
+        frame = registered(full, self.measured) if base else np.eye(4)
+        left, count = self.measured - self.points @ frame[:d, :d].T - frame[:d, 3], 3 * (d - 1) * base + 3 * len(points)
+        if points and self.axes is not None:  # everything but the turn A of the base is linear
+            which, shift = [self.names == name for name in points], [np.tile(np.eye(3), (len(full), 1, 1))] * base
+
+            def turned(by: Array) -> Array:
+                turn = Rotation.from_rotvec(by).as_matrix() @ frame[:3, :3]
+                columns = np.concatenate([*((turn @ self.axes) * own[:, None, None] for own in which), *shift], axis=2)
+                table, target = columns.reshape(left.size, -1), (self.measured - self.points @ turn.T).ravel()
+                return np.asarray(target - table @ np.linalg.lstsq(table, target, rcond=RANK_TOLERANCE)[0])
+
+            by = least_squares(turned, np.zeros(3), method="lm").x if base else np.zeros(3)
+            left = turned(by).reshape(left.shape)
+        return count, left * np.sqrt(left.size / max(left.size - count, 1.0)) if count else left
+
+
+def set_up_of(rows: Placed, fresh: tuple[str, ...], elsewhere: bool) -> tuple[bool, tuple[str, ...]]:
+    """The least that has to be refitted, whether the base and which points: points of names that the data do not have,
+    and where rows may be of another set-up (`elsewhere`) what makes the RMS fall by `FALL`."""
+    every, options = tuple(dict.fromkeys(rows.names.tolist())), list[tuple[bool, tuple[str, ...]]]([(False, ())])
+    if rows.axes is None:
+        options += [(True, ())] * (elsewhere and rows.points.shape[1] == 2)
+    elif fresh:
+        options = [(False, fresh), (True, fresh)]
+    elif elsewhere:
+        options += [(False, every), (True, ()), (True, every)]
+    tried = [(option, *rows.refitted(*option)) for option in options]
+    squares = {option: float(np.sum(left**2)) for option, count, left in tried if left.size > 2 * count}
+    if not squares or squares.get(options[0], 0.0) <= FALL**2 * (least := [*squares.values()][-1]):
+        return options[0]
+    # one more set of parameters must save a tenth of the RMS error
+    return next(option for option, left in squares.items() if left <= 1.25 * least)
+
+
+def placed_residuals(
+    base: At, model: At, measurements: Measurements, holdout: Measurements
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """(m, d) residuals [mm] of both models in a hold-out, and in words what another set-up of it has had refitted: the
+    least that the second model needs, the same for both."""
+    conditions, (_, fresh) = held_out_conditions(measurements, holdout), point_names(measurements, holdout)
+    renamed = not {*holdout.marker_names} <= {*measurements.marker_names}
+    elsewhere = renamed or transfer_of(measurements, holdout) in (SESSION, OTHER_ROWS)
+    both = []
+    for one in (base, model):
+        left, chain, axes = one.residuals(holdout, conditions)[:, POINT], one.model.arm.chain, None
+        if not chain.planar and chain.instrument.reads_positions:
+            sizes = widths(chain)
+            first = sum([*sizes.values()][: [*sizes].index("tool")])
+            levers = one.model.place_levers(holdout.postures, one.values, conditions)[0]
+            axes = levers[:, POINT, first : first + left.shape[1]]
+        names = np.full(len(holdout), "") if holdout.marker is None else np.asarray(holdout.marker)
+        measured = holdout.positions[:, POINT]
+        both.append(Placed(measured - left, axes, measured, names))
+    base_moved, points = set_up_of(both[1], fresh, elsewhere)
+    words = ("base",) * base_moved + tuple(f"reflector {name}" if name else "reflector" for name in points)
+    before, after = (one.refitted(base_moved, points)[1] for one in both)
+    return before, after, words
+
+
 def confirmed_on(
     holdout: Measurements,
-    base: Fit,
-    model: Fit | PredictingModel,
+    base: At,
+    model: PredictingModel,
     measurements: Measurements,
     kept: NDArray[np.bool_],
     named: bool,
@@ -234,7 +363,7 @@ def confirmed_on(
     to them, and what the errors of the parameters add in the new rows.
     """
     before, after, refitted = placed_residuals(base, model, measurements, holdout)
-    own = np.square(model.position_residuals(measurements, measurements.conditions)[kept, POINT]).sum(axis=1)
+    own = np.square(model.residuals(measurements)[kept, POINT]).sum(axis=1)
     white = 2.0 * float(np.mean(own)) ** 2 / max(model.freedom, 1)  # the variance that white Gaussian noise gives
     left = mean_of(own, groups_of(measurements, kept), white)
     scale = len(own) * model.model.dimension / max(model.freedom, 1)
@@ -242,39 +371,31 @@ def confirmed_on(
     predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
     sigma, transfer = float(np.sqrt(scale * left.value / after.shape[1])), transfer_of(measurements, holdout)
     test = confirm(before, after, predicted, sigma, groups_of(holdout), transfer, named=named)
-    file = holdout.provenance.get("file") if transfer == SESSION else None
-    return replace(test, file=file, refitted=refitted)
+    return replace(test, file=holdout.provenance.get("file") if transfer == SESSION else None, refitted=refitted)
 
 
-def other_set_up(test: Confirmation | None) -> list[str]:
-    """A sentence about what another set-up of the rows held out has had refitted, if anything."""
-    words = " and ".join(() if test is None else test.refitted)
-    return [f"the hold-out is of another set-up: {words} refitted to its rows, for both models"] if words else []
-
-
-def parameter_part(fitted: Fit | PredictingModel, rows: Measurements, there: Conditions) -> Mean:
+def parameter_part(model: PredictingModel, rows: Measurements, there: Conditions) -> Mean:
     """Mean square distance [mm^2] in other rows due to errors of the parameters.
 
     With G = mean of J_i^T J_i over the rows and C the covariance, the mean of |J_i e|^2 is e^T G e: its expectation is
     tr(G C), its variance 2 tr(G C G C).
     """
-    columns, covariance = fitted.uncertain(rows.postures, there)
+    columns = model.model.jacobian(rows.postures, model.values, there)
     tall = columns[:, POINT].reshape(-1, columns.shape[-1])
-    product = tall.T @ tall / len(rows) @ covariance
+    product = tall.T @ tall / len(rows) @ model.covariance
     return Mean(float(np.trace(product)), 2.0 * float(np.trace(product @ product)), np.inf)
 
 
-def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements) -> None:
+def check_same_arm(base: PredictingModel, measurements: Measurements, holdout: Measurements) -> None:
     """Raise `InputError` for a hold-out whose residuals are larger than any missing effect could make them, also where
     it may be of another set-up and that is refitted.
 
     The limit is the larger of ten times the expected residual of the base model and a hundredth of the reach: another
     payload or part of the workspace stays below it; other links do not.
     """
-    there = held_out_conditions(measurements, holdout)
-    left = distances(base.position_residuals(measurements, measurements.conditions)) ** 2
-    expected = float(np.sqrt(np.mean(left) + parameter_part(base, holdout, there).value))
-    limit = max(10.0 * expected, 0.01 * base.model.reach)
+    left = distances(base.residuals(measurements)) ** 2
+    added = parameter_part(base, holdout, held_out_conditions(measurements, holdout)).value
+    limit = max(10.0 * float(np.sqrt(np.mean(left) + added)), 0.01 * base.model.reach)
     residuals, _, words = placed_residuals(base, base, measurements, holdout)
     missed = float(np.median(distances(residuals)))  # a few outliers do not make it another arm
     if missed > limit:
@@ -325,17 +446,13 @@ def predicted_from_others(posterior: Posterior, kept: NDArray[np.bool_], folds: 
     """
     number = posterior.best.noise
     problem, rows, model = posterior.problems[number], posterior.noises[number].rows.pick(kept), posterior.at.model
-    y, jacobian, base = posterior.library.as_base(posterior.at, rows)
+    y, jacobian, base = posterior.library.as_base(At(model, posterior.at.values, rows))
     sets = [one for one in posterior.explanations if one.noise == number][:MOST]
-    blocks = sorted({b for one in sets for b in one.weighed.blocks if not problem.blocks[b].row})
+    blocks = sorted({b for one in sets for b, _ in one.key if problem.blocks[b].row is None})
     part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
-    pairs = [
-        [(local[b], size) for b, size in zip(one.weighed.blocks, one.weighed.sizes, strict=True) if b in local]
-        for one in sets
-    ]
+    pairs = [[(local[b], size) for b, size in one.key if b in local] for one in sets]
     # the prior of a set is what its odds have beyond its likelihood with all rows
-    whole = [problem.products.state([*zip(one.weighed.blocks, one.weighed.sizes, strict=True)]) for one in sets]
-    priors = [np.log(o.probability) - state.ratio for o, state in zip(sets, whole, strict=True)]
+    priors = [np.log(one.probability) - problem.products.state(one.key).ratio for one in sets]
     # the base's columns, orthonormal when white, the others, and y: in mm, and white
     m, d = y.shape
     back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])[1]
@@ -358,16 +475,14 @@ def predicted_from_others(posterior: Posterior, kept: NDArray[np.bool_], folds: 
         inside = turn.T @ others[:rank, rank:]
         rest = others[rank:, rank:] - inside.T @ inside
         freedom = max(np.count_nonzero(~test) - turn.shape[1], 1)
-        products = replace(
-            part.products, gram=rest[:-1, :-1], right=rest[:-1, -1], squares=float(rest[-1, -1]), freedom=freedom
-        )
-        states = [products.state(own_pairs) for own_pairs in pairs]
+        parts = {"gram": rest[:-1, :-1], "right": rest[:-1, -1], "squares": float(rest[-1, -1]), "freedom": freedom}
+        states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
         shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
         means, covariance, variance = np.zeros((len(sets), count)), np.zeros((count, count)), 0.0
         for share, mean, state in zip(shares, means, states, strict=True):
             mean[state.places] = state.mean
-            covariance[np.ix_(state.places, state.places)] += share * state.covariance * state.squares / freedom
-            variance += share * state.squares / freedom
+            covariance[np.ix_(state.places, state.places)] += share * state.covariance * state.variance
+            variance += share * state.variance
         mean = shares @ means
         covariance += (means - mean).T @ (shares[:, None] * (means - mean))
         turned = table[test, :rank] @ turn

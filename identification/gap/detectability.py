@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import betaincinv, fdtrc, ncfdtr, nctdtr, stdtrit
+from scipy.special import betaincinv, ncfdtr, nctdtr, stdtrit
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
@@ -22,11 +22,11 @@ from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import Linearized, linearized
-from identification.gap.evidence import SIZES, Index
 from identification.gap.fit import Fit, Rows, fit
-from identification.gap.hypotheses import HypothesisSet, hypotheses
+from identification.gap.hypotheses import Block, Library, hypotheses
+from identification.gap.likelihood import Index, Products, orthonormal
 from identification.gap.noise import SPARE
-from identification.information import VISIBLE, product_inverse, significant
+from identification.information import VISIBLE, product_inverse
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.threads import single_thread
@@ -81,21 +81,15 @@ class Detectability:
     aliases: Mapping[str, str]
 
     def pairs(self) -> list[tuple[str, str, float]]:
-        """As `pairs_of`."""
+        """Pairs (effect, effect like it, likeness) with a likeness of at least `NEAR`, strongest first."""
         return pairs_of(self.names, self.likeness)
 
     def to_json(self) -> dict[str, object]:
         """Plain data for `--json`."""
+        sizes = [self.detectable[name] for name in self.names]
+        listed = zip(self.names, self.norm_fractions.tolist(), sizes, strict=True)
         return {
-            "effects": [
-                {
-                    "effect": name,
-                    "share": float(fraction),
-                    "detectable": self.detectable[name].value,
-                    "unit": self.detectable[name].unit,
-                }
-                for name, fraction in zip(self.names, self.norm_fractions, strict=True)
-            ],
+            "effects": [{"effect": e, "share": f, "detectable": s.value, "unit": s.unit} for e, f, s in listed],
             "alias_pairs": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.pairs()],
             "degrees_of_freedom": self.freedom,
             "skipped": dict(self.skipped),
@@ -136,7 +130,8 @@ def detectability(arm: Arm, postures: Array, conditions: Conditions | None = Non
     library = hypotheses(arm, frozenset({"temperature"} & {*given}), rows)
     exact = fit(library.base, rows, {})
     require_spare(exact.freedom, len(rows))
-    return assess(library, Beside(linearized(library, exact, rows, outside=False)), rows, arm.sigma or 1.0)
+    problem = linearized(library, exact, outside=False)
+    return assess(library, problem, problem.products, rows, arm.sigma or 1.0)
 
 
 def require_spare(freedom: int, rows: int) -> None:
@@ -148,76 +143,47 @@ def require_spare(freedom: int, rows: int) -> None:
         )
 
 
-class Beside:
-    """The columns of a problem beside the base model, and beside shifts of the rows that are left out, too large for
-    anything else to explain them.
+def assess(library: Library, problem: Linearized, products: Products, rows: Rows, sigma: float) -> Detectability:
+    """Detectability of the library's effects in the rows of a problem.
 
-    wrong : blocks of these rows;  left, scores : these, and what they leave of the products
-    freedom : residual degrees of freedom
+    products : of the problem, beside rows that are left out;  sigma : of one whitened coordinate [mm]
     """
-
-    def __init__(self, problem: Linearized, wrong: Sequence[int] = ()) -> None:
-        self.problem, self.products = problem, problem.products
-        self.left = self.products.state([(block, len(SIZES) - 1) for block in wrong])
-        self.scores = self.left.without().scores
-        self.freedom = self.products.freedom - len(self.products.places(wrong))
-
-    def gram(self, places: Index) -> Array:
-        """(k, k) products of these columns."""
-        across = self.left.rows[:, places]
-        return np.asarray(self.products.gram[np.ix_(places, places)] - across.T @ self.left.covariance @ across)
-
-    def f_test(self, blocks: Sequence[int]) -> tuple[float, float]:
-        """F statistic of a few blocks against the base model, and its p-value."""
-        places = self.products.places(blocks)
-        count, spare = max(len(places), 1), max(self.freedom - len(places), 1)
-        scores = self.scores[places]
-        # of unit size; a row that is left out may have a column alone
-        gain = float(scores @ np.linalg.solve(self.gram(places) + 1e-12 * np.eye(len(places)), scores))
-        f = gain / count / (max(self.left.squares - gain, 1e-300) / spare)
-        return f, float(fdtrc(count, spare, f))
-
-
-def assess(library: HypothesisSet, beside: Beside, rows: Rows, sigma: float) -> Detectability:
-    """Detectability of the library's effects in the rows of a problem;  sigma : of one whitened coordinate [mm]"""
-    problem, products, freedom = beside.problem, beside.products, beside.freedom
     plain: list[tuple[str, float, Index]] = []
     level = LEVEL / sum(member.weight for member in library.members)
     detectable: dict[str, Size] = {}
-    for member in filter(library.acts, library.members):
-        parameter, count, number = member.effect.parameters[0], member.size, problem.numbers.get(member.label)
+    for block in library.members:
+        if block.effect is None or block.through:
+            continue
+        parameter, count, number = block.effect.parameters[0], block.size, problem.numbers.get(block.label)
         size, fraction = Size(None, parameter.file_unit), 0.0
         places = products.places([] if number is None else [number])
         if number is not None and len(places) == count:  # else a combination of its parameters cannot be seen
             back = np.linalg.inv(problem.roots[number])  # from the parameters to the coefficients of the columns
-            gram, moving = back.T @ beside.gram(places) @ back, problem.columns[number]
+            gram, moving = back.T @ products.gram[np.ix_(places, places)] @ back, problem.columns[number]
             lengths = np.maximum(np.linalg.norm(rows.whiten(moving), axis=0), 1e-150)
-            least, fraction = np.sqrt([_least(gram), _least(gram / np.outer(lengths, lengths))]).tolist()
-            if count < freedom and least > VISIBLE * lengths.max():
-                needed = detectable_lambda(count, freedom - count, level * member.weight, member.one_sided)
+            smallest = [np.linalg.eigvalsh(each)[0] for each in (gram, gram / np.outer(lengths, lengths))]
+            least, fraction = np.sqrt(np.maximum(smallest, 0.0)).tolist()
+            if count < products.freedom and least > VISIBLE * lengths.max():
+                one_sided = count == 1 and block.bounded
+                needed = detectable_lambda(count, products.freedom - count, level * block.weight, one_sided)
                 moved = needed * sigma / least * float(np.linalg.norm(moving, axis=(0, 1)).max()) / np.sqrt(len(rows))
                 # an effect that moves the tip farther is seen without a test, and is not linear
                 if moved <= 0.1 * library.base.reach:
                     value = needed * sigma / least * parameter.to_file
                     size = Size(float(value), parameter.file_unit, float(moved))
         # of several settings the one that is hardest to see
-        detectable[member.key] = max(detectable.get(member.key, size), size, key=Size.order)
-        if not member.scanned:
-            plain.append((member.key, fraction, places))
+        detectable[block.key] = max(detectable.get(block.key, size), size, key=Size.order)
+        if not block.effect.chosen:
+            plain.append((block.key, fraction, places))
     return Detectability(
         tuple(key for key, _, _ in plain),
         readonly(np.array([fraction for _, fraction, _ in plain])),
-        readonly(likenesses(products.gram, [places for _, _, places in plain])),
+        readonly(likenesses(problem.products.gram, [places for _, _, places in plain])),
         detectable,
-        freedom,
+        products.freedom,
         library.skipped,
         library.aliases,
     )
-
-
-def _least(gram: Array) -> float:
-    """The smallest eigenvalue, not negative."""
-    return max(float(gram[0, 0] if len(gram) == 1 else np.linalg.eigvalsh(gram)[0]), 0.0)
 
 
 @lru_cache(4096)  # hundreds of hypotheses share a few cases
@@ -246,26 +212,22 @@ def detectable_lambda(size: int, freedom: int, level: float, one_sided: bool = F
     return high
 
 
+# -- look-alikes -------------------------------------------------------------------------------------------------------
 def likenesses(gram: Array, parts: Sequence[Index]) -> Array:
     """(H, H) root mean square fraction of the one's columns (row) that another's explain.
 
     gram : (P, P) products of projected columns;  parts : of each one the indices of its columns
     """
-    bases, ends = [], np.cumsum([0, *map(len, parts)])
-    for part in parts:
-        within = gram[np.ix_(part, part)]
-        lengths = np.sqrt(np.maximum(np.diag(within), 1e-300))
-        values, vectors = np.linalg.eigh(within / np.outer(lengths, lengths))
-        seen = significant(values, VISIBLE)
-        bases.append(vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None])
-    widths, every = np.array([basis.shape[1] for basis in bases], dtype=np.int64), np.concatenate([ends[:0], *parts])
+    bases = [orthonormal(gram[np.ix_(part, part)]) for part in parts]
+    widths = np.array([basis.shape[1] for basis in bases], dtype=np.int64)
+    every = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
     owner, turn = np.repeat(np.eye(len(parts)), widths, axis=0), block_diag(*bases) if bases else np.zeros((0, 0))
     squares = owner.T @ np.square(turn.T @ gram[np.ix_(every, every)] @ turn) @ owner
     return np.asarray(np.minimum(np.sqrt(squares / np.maximum(widths, 1)[:, None]), 1.0))
 
 
 def pairs_of(names: Sequence[str], likeness: Array) -> list[tuple[str, str, float]]:
-    """Pairs (effect, effect like it, likeness) with a likeness of at least `NEAR`, strongest first."""
+    """As `Detectability.pairs`."""
     rows, columns = np.nonzero((likeness >= NEAR) & ~np.eye(len(names), dtype=bool))
     pairs = [(names[i], names[j], float(likeness[i, j])) for i, j in zip(rows.tolist(), columns.tolist(), strict=True)]
     return sorted(pairs, key=lambda pair: -round(pair[2], 9))
@@ -278,13 +240,14 @@ def look_alikes(problem: Linearized, sees: Detectability, labels: Set[str]) -> t
     On a grid of angles a ripple of 15 periods per turn can have the same column as an eccentric encoder.
     """
     places = {b.place for b in problem.blocks if b.label in labels and b.place.startswith("joint:")}
-    near = [
-        (k, block.label)
-        for k, block in enumerate(problem.blocks)
-        if block.member is not None and block.place in places and (block.member.scanned or block.label in labels)
-    ]
-    products, names = problem.products, [label for _, label in near]
-    waves = pairs_of(names, likenesses(products.gram, [products.places([k]) for k, _ in near]))
+
+    def rival(block: Block) -> bool:
+        scanned = block.effect is not None and bool(block.effect.chosen)
+        return block.effect is not None and block.place in places and (scanned or block.label in labels)
+
+    near = [(k, block.label) for k, block in enumerate(problem.blocks) if rival(block)]
+    likeness = likenesses(problem.products.gram, [problem.products.places([k]) for k, _ in near])
+    waves = pairs_of([label for _, label in near], likeness)
     scanned = [pair for pair in waves if pair[0] in labels and "[" in pair[1]]
     never = [(name, like, 1.0) for name, like in sees.aliases.items()]
     return (*scanned, *(pair for pair in sees.pairs() if pair[0] in labels), *never)
@@ -312,29 +275,21 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
     beside other waves they cannot be separated: the named order is one of many that fit.
     """
     model, rows, ranges = fitted.model, fitted.rows, list[OrderRange]()
-    levers = model.joint_levers(rows.postures, fitted.values, rows.conditions)
     harmonics = {"encoder_eccentricity": 1.0, "encoder_second_harmonic": 2.0}
-    orders = {e: e.chosen.get("k", harmonics.get(e.name)) for e in model.effects if e.label in labels and e.joint}
-    waves = [(e, k) for e, order in orders.items() if order is not None for k in (order, order - 1.0, order + 1.0)]
-    moved = []
-    for effect, order in waves:
-        turns = rows.postures[:, effect.joint_index] * order
-        moved.append(levers[:, :, effect.joint_index, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)[:, None])
-    columns = np.concatenate([fitted.jacobian / model.scales, *(rows.whiten(each) for each in moved)], axis=1)
-    gram, p = columns.T @ columns, len(model.names)
-    for number, (effect, order) in enumerate(waves):
-        if order != orders[effect]:
+    base = fitted.jacobian / model.scales
+    gram = base.T @ base
+    for effect in model.effects:
+        order = effect.chosen.get("k", harmonics.get(effect.name))
+        if effect.label not in labels or not effect.joint or order is None:
             continue
-        names = {parameter.name for parameter in effect.parameters}
-        rest = np.array([k for k, name in enumerate(model.names) if name not in names], dtype=np.int64)
-        block = p + 2 * number + np.arange(6)  # of the wave, and of those beside it
-        block = block if order > 1.0 else np.delete(block, [2, 3])
-        across = gram[np.ix_(block, rest)]
-        inner = product_inverse(gram[np.ix_(rest, rest)])
-        left = gram[np.ix_(block, block)] - across @ inner @ across.T
-        parts = list(np.arange(len(block)).reshape(-1, 2))
-        if likenesses(left, parts)[0, 1:].max() >= NEAR:
-            q = rows.postures[:, effect.joint_index]
+        q = rows.postures[:, effect.joint_index]
+        angles = q[:, None] * np.array([k for k in (order, order - 1.0, order + 1.0) if k > 0.0])
+        waves = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), 1, -1)
+        moved = rows.whiten(fitted.levers[:, :, effect.joint_index, None] * waves)
+        rest = np.setdiff1d(np.arange(len(gram)), [model.names.index(p.name) for p in effect.parameters])
+        across = moved.T @ base[:, rest]
+        left = moved.T @ moved - across @ product_inverse(gram[np.ix_(rest, rest)]) @ across.T
+        if likenesses(left, list(np.arange(len(left)).reshape(-1, 2)))[0, 1:].max() >= NEAR:
             apart = 2.0 * np.pi / (np.sqrt(12.0) * np.std(q))  # the range of even angles with this standard deviation
             span = float(np.degrees(q.min())), float(np.degrees(q.max()))
             whole = max(1, int(np.ceil(order - apart))), int(np.floor(order + apart))

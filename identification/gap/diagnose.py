@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -16,25 +16,17 @@ from identification.errors import InputError
 from identification.estimation.doubts import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.estimation.problem import check_measurements
 from identification.estimation.uncertainty import outlying, together
-from identification.gap.average import PredictingModel, averaged
+from identification.gap.average import averaged, geometry
 from identification.gap.blocks import REST
-from identification.gap.confirmation import (
-    Gap,
-    check_same_arm,
-    confirmed_on,
-    cross_validation,
-    other_set_up,
-)
-from identification.gap.curve import Curve
-from identification.gap.detectability import Beside, assess, look_alikes, order_ranges, require_spare
-from identification.gap.fit import Fit, Rows, fit
+from identification.gap.confirmation import Gap, check_same_arm, confirmed_on, cross_validation
+from identification.gap.detectability import assess, look_alikes, order_ranges, require_spare
+from identification.gap.fit import At, Fit, Rows, fit
 from identification.gap.hypotheses import hypotheses
-from identification.gap.noise import misfit, noise_floor, repeat_finding
+from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
 from identification.gap.posterior import MOST_ROWS, NOISES, PASSES, Explanation, Posterior, posterior_of
-from identification.gap.replication import curve_columns, replications
+from identification.gap.replication import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, candidate_of, trials
-from identification.gap.scatter import Finding
-from identification.gap.verdict import Probabilities, likeliest_with, probabilities
+from identification.gap.verdict import likeliest_with, probabilities
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, distances, rms_distance
 from identification.model import Model
@@ -89,7 +81,7 @@ def diagnose(
     base = fit(library.base, rows)
     require_spare(base.freedom, len(rows))
     if holdout is not None:
-        check_same_arm(base, measurements, holdout)
+        check_same_arm(geometry(base), measurements, holdout)
     shares = iter(np.linspace(0.1, 0.7, PASSES + NOISES + 1, endpoint=False).tolist())
     posterior = posterior_of(
         library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}")
@@ -104,8 +96,7 @@ def diagnose(
         replace(one, calibration=without_sessions(one.calibration))
         for one in (result.named, result.predicting, *result.candidates)
     )
-    arm = with_base(given)
-    return replace(result, arm=arm, candidates=tuple(candidates), named=named, predicting=predicting)
+    return replace(result, arm=with_base(given), candidates=tuple(candidates), named=named, predicting=predicting)
 
 
 def check_input(arm: object, measurements: Measurements, holdout: Measurements | None) -> None:
@@ -115,16 +106,16 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
         chain = "whose chain says where effects act, which no other model does"
         raise InputError(f"arm: {type(arm).__name__}, allowed: an Arm, {chain}")
     check_measurements(Model(arm), measurements)
-    touching = arm.chain.instrument.contact  # contacts have no positions
+    instrument = arm.chain.instrument
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
-        if not (touching and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
+        if not (instrument.contact and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
     if holdout is None:
         return
     from scipy.spatial import KDTree  # deferred: only a hold-out pays for the import
 
-    if arm.chain.instrument.own_targets and (new := {*holdout.marker_names} - {*measurements.marker_names}):
-        what, names = arm.chain.instrument.target, ", ".join(measurements.marker_names)
+    if instrument.own_targets and (new := {*holdout.marker_names} - {*measurements.marker_names}):
+        what, names = instrument.target, ", ".join(measurements.marker_names)
         raise InputError(f"holdout: found {what} {min(new)!r}, allowed: {names}, as in the data; or armcal validate")
     if holdout.links != measurements.links:
         raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
@@ -147,23 +138,20 @@ def diagnosis_of(
     numbers: NDArray[np.int64],
 ) -> Diagnosis:
     """Everything that is read off the posterior;  numbers : (m,) of the rows in the table that was given, from 1"""
-    library, conditions, rows = posterior.library, measurements.conditions, posterior.rows
+    library, rows, best, whole = posterior.library, posterior.at.rows, posterior.best, posterior.whole
     kept = np.ones(len(rows), dtype=bool)
-    kept[list(posterior.best.wrong)] = False
+    kept[best.wrong] = False
     base = fit(library.base, rows.pick(kept))
-    beside = Beside(
-        posterior.whole, [posterior.whole.numbers[block.label] for block in posterior.best.blocks if block.row]
-    )
+    products = whole.products.beside([whole.numbers[block.label] for block in best.blocks if block.row is not None])
 
     # what predicts best, and what it leaves
     predicting = averaged(posterior, int(kept.sum()) * rows.dimension)
-    after = predicting.position_residuals(measurements, conditions)
+    after = predicting.residuals(measurements)
     rank = after[kept].size - predicting.freedom
     repeats = repeat_finding(after, rank, measurements, kept)
     over_sigma = misfit(after, rank, measurements, library.arm.sigma, kept)
     if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
-        scale = rows.dimension * predicting.sigma**2
-        predicting = predicting.allowing(scale * (1.0 - over_sigma.ratio**-2))
+        predicting = predicting.allowing(rows.dimension * predicting.sigma**2 * (1.0 - over_sigma.ratio**-2))
 
     # the verdict, and the sets that it speaks of, each fitted once more
     likely = probabilities(posterior)
@@ -174,51 +162,64 @@ def diagnosis_of(
     unknown, something = likely.verdict == "unknown", likely.verdict != "none"
     sets = [likeliest_with(posterior, names) for names in likely.rivals]
     sets = sets or [likeliest_with(posterior, (), outside=unknown and likely.place is not None)]
-    fits = [
-        fit(library.model(one.effects), posterior.noises[one.noise].rows.pick(kept), posterior.at.by_name)
-        for one in sets
-    ]
-    shown, fitted = sets[0], fits[0]
-    candidates = [candidate_in(posterior, likely, beside, *pair) for pair in zip(sets, fits, strict=True)]
-    named = candidates[0]
+    fits, candidates = [], list[Candidate]()
+    for one in sets:
+        noise = posterior.noises[one.noise]
+        fits.append(fit(library.model(one.effects), noise.rows.pick(kept), posterior.at.by_name))
+        made = candidate_of(fits[-1], len(one.effects), library.arm.sigma, doubtful=bool(noise.name))
+        made = replace(made, f=products.f_test([whole.numbers[block.label] for block in one.effects])[0])
+        if not unknown:
+            share, highest = (max(likely.of(keys), 1e-300) for keys in ([b.key for b in one.effects], likely.best))
+            behind = 2.0 * float(np.log(highest / share)) if likely.rivals else 0.0
+            made = replace(made, probability=share, delta_bic=behind)
+        candidates.append(made)
+    shown, fitted, named = sets[0], fits[0], candidates[0]
 
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something)
     if tests[0].shrinks is False and tests[0].after > tests[0].before:
         predicting = geometry(base)
-        after = predicting.position_residuals(measurements, conditions)
+        after = predicting.residuals(measurements)
     confirmation = None
     if holdout is not None:
         confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something)
+    figures = () if confirmation is None else (confirmation.before, confirmation.after, confirmation.predicted)
 
     # what these rows show
-    before = base.position_residuals(measurements, conditions)
-    floor = noise_floor(after, measurements, kept, library.arm.sigma)
-    sees = assess(library, beside, posterior.noises[0].rows, predicting.sigma)
+    before, floor = base.residuals(measurements), noise_floor(after, measurements, kept, library.arm.sigma)
+    sees = assess(library, whole, products, posterior.noises[0].rows, predicting.sigma)
     place = likely.place if unknown and likely.place != REST else None
-    joints = {b.basis.joint + 1 for b in shown.outside if b.basis is not None}
-    curves = tuple(curve for curve in predicting.curves if curve.joint in joints)
-    error = rows.whiten(fitted.position_residuals(rows, conditions)).reshape(before.shape)
-    jacobian = fitted.model.jacobian(rows.postures, fitted.values, conditions) / fitted.model.scales
+    curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})
+    here = At(fitted.model, fitted.values, rows)
+    error, jacobian = rows.whiten(here.left).reshape(before.shape), here.linearized[1] / fitted.model.scales
     far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
+    of_curves = {
+        f"joint_error_curve:{b.span[0] + 1}": (
+            b.span[0] + 1,
+            b.columns(fitted) @ posterior.problems[shown.noise].roots[number],
+            size,
+        )
+        for b, (number, size) in zip(shown.blocks, shown.key, strict=True)
+        if b.span and b.columns and b.span[0] + 1 in {curve.joint for curve in curves}
+    }
     freedom = np.full(len(predicting.values), float(predicting.freedom))
-    average = as_calibration(
-        predicting.model, predicting.values, predicting.covariance, freedom, predicting.sigma, base.rows.postures
-    )
+    average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
+    words = " and ".join(confirmation.refitted) if confirmation is not None else ""
+    moved = f"the hold-out is of another set-up: {words} refitted to its rows, for both models"
     result = Diagnosis(
         arm=library.arm,
         verdict=likely.verdict,
         candidates=tuple(candidates) if likely.rivals or (unknown and named.effects) else (),
         named=named,
         predicting=replace(named, specs=predicting.specs, calibration=average, freedom=tuple(freedom.tolist())),
-        aliases=look_alikes(posterior.whole, sees, {label for one in candidates for label in one.effects}),
+        aliases=look_alikes(whole, sees, {label for one in candidates for label in one.effects}),
         where=place,
-        shape=shape_of(place, curves, shown),
+        shape=shape_of(place, {c.joint: c.shape for c in curves}, shown),
         scatter=noise_findings(posterior, repeats),
         outlier_rows=tuple(numbers[~kept].tolist()),
         unexplained_rows=tuple(numbers[far].tolist()),
-        gap=Gap.of(rms_distance(before[kept]), rms_distance(after[kept]), floor, confirmation),
-        trials=trials(posterior, beside),
+        gap=Gap(rms_distance(before[kept]), rms_distance(after[kept]), floor, *figures),
+        trials=trials(posterior, products),
         detectability=sees,
         residuals=Residuals.of(library.arm, measurements, before, after),
         sigma=fitted.sigma,
@@ -233,31 +234,16 @@ def diagnosis_of(
             *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
             *another_frame(library.arm, measurements),
             *outside_limits(library.arm, measurements),
-            *other_set_up(confirmation),
+            *([moved] if words else []),
         ),
         shapes=order_ranges(fitted, named.effects),
-        replication=replications(
-            fitted, measurements.session_names, named.effects, curve_columns(posterior, shown, fitted, curves)
-        ),
+        replication=replications(fitted, measurements.session_names, named.effects, of_curves),
         curves=curves,
     )
-    return replace(result, notes=tuple(notes(result, posterior, measurements, fitted, holdout, numbers)))
+    return replace(result, notes=tuple(notes(result, posterior, measurements, fitted, holdout is not None, numbers)))
 
 
-def candidate_in(
-    posterior: Posterior, likely: Probabilities, beside: Beside, one: Explanation, fitted: Fit
-) -> Candidate:
-    """A fitted explanation with its probability."""
-    numbers, noise = [posterior.whole.numbers[h.label] for h in one.effects], posterior.noises[one.noise].name
-    candidate = candidate_of(fitted, len(numbers), posterior.library.arm.sigma, doubtful=bool(noise))
-    candidate = replace(candidate, f=beside.f_test(numbers)[0])
-    if likely.verdict == "unknown":
-        return candidate
-    p, best = (max(likely.of(names), 1e-300) for names in ([h.key for h in one.effects], likely.best))
-    return replace(candidate, probability=p, delta_bic=2.0 * float(np.log(best / p)) if likely.rivals else 0.0)
-
-
-def noise_findings(posterior: Posterior, repeats: Sequence[Finding]) -> tuple[Finding, ...]:
+def noise_findings(posterior: Posterior, repeats: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Properties of the noise that are likelier than not, and what repeats say that is none of them."""
     shares: dict[str, float] = {}
     sizes: dict[str, float] = {}
@@ -269,22 +255,12 @@ def noise_findings(posterior: Posterior, repeats: Sequence[Finding]) -> tuple[Fi
     return (*findings, *(finding for finding in repeats if finding.name not in {f.name for f in findings}))
 
 
-def geometry(base: Fit) -> PredictingModel:
-    """The base model as a predicting model."""
-    covariance = base.covariance()
-    columns = base.model.jacobian(base.rows.postures, base.values, base.rows.conditions)
-    unit = float(np.sum((columns @ covariance) * columns)) / len(columns)
-    spread = covariance / max(unit, 1e-300)
-    return PredictingModel(base.model, base.values, covariance, (), (), base.sigma, max(base.freedom, 1), spread)
-
-
-def shape_of(place: str | None, curves: Sequence[Curve], one: Explanation) -> str | None:
-    """Of what is outside the library, in words;  one : the likeliest explanation with something outside"""
-    there = (c.shape for c in curves if place == f"joint:{c.joint}")
-    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
+def shape_of(place: str | None, curves: dict[int, str], one: Explanation) -> str | None:
+    """Of what is outside the library, in words;  curves : joint -> shape;  one : the likeliest with it"""
     if place is None:
         return KINDS[REST] if any(b.parts for b in one.outside) else None
-    return next(filter(None, kinds), None) or next(there, None)
+    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
+    return next(filter(None, kinds), None) or {f"joint:{joint}": shape for joint, shape in curves.items()}.get(place)
 
 
 def notes(
@@ -292,53 +268,52 @@ def notes(
     posterior: Posterior,
     measurements: Measurements,
     best: Fit,
-    holdout: Measurements | None,
+    held_out: bool,
     numbers: NDArray[np.int64],
-) -> list[str]:
+) -> Iterator[str]:
     """Sentences to read before the verdict is trusted;  best : fit of the likeliest set;  numbers : of the rows"""
-    listed = []
     for effect in result.effects:
         waves = [(like, share) for key, like, share in result.aliases if key == effect and "[" in like]
         if waves:
-            same = waves[0][1] > 0.9999  # the odds stay below 20 up to lambda = 173
-            word = "cannot be distinguished from" if same else "is hard to distinguish from"
+            # the odds stay below 20 up to lambda = 173
+            word = "cannot be distinguished from" if waves[0][1] > 0.9999 else "is hard to distinguish from"
             rest = f" and {len(waves) - 3} more" if len(waves) > 3 else ""
             likes = f"{', '.join(like for like, _ in waves[:3])}{rest}"
-            listed.append(f"at these postures {effect} {word} {likes}; to decide, measure at other joint angles")
+            yield f"at these postures {effect} {word} {likes}; to decide, measure at other joint angles"
     if result.curves:
         spans = [np.degrees([curve.angles[0], curve.angles[-1]]) for curve in result.curves]
         ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]
         beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
-        listed.append(f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}")
+        yield f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}"
     if any(test.shrinks is False and test.after > test.before for test in result.cross_validation[:1]):
-        listed.append("other rows are predicted better by the geometry alone: that is what --out writes")
-    listed += untested(posterior.library.skipped)
+        yield "other rows are predicted better by the geometry alone: that is what --out writes"
+    yield from untested(posterior.library.skipped)
     if len(measurements) > MOST_ROWS:
         searched = f"{MOST_ROWS} of the {len(measurements)} rows, taken at random"
-        listed.append(f"effects were looked for in {searched}; what was found is fitted to all")
+        yield f"effects were looked for in {searched}; what was found is fitted to all"
     if best.status is not Status.converged:
-        listed.append(f"the fit of the best model did not converge: {best.status.value}")
+        yield f"the fit of the best model did not converge: {best.status.value}"
     if measurements.directions is None:
-        listed += ["directions of approach were derived from the order of measurement", *gap_notes(measurements)]
+        yield "directions of approach were derived from the order of measurement"
+        yield from gap_notes(measurements)
     for j in np.flatnonzero(np.ptp(measurements.postures, axis=0) == 0.0).tolist():
         first = "its offset cannot be separated from the orientation of the base"
         link = f"the parameters of link {j + 1} cannot be separated from those of link {j}" if j else first
-        listed.append(f"joint {j + 1} does not move in these data: {link}")
+        yield f"joint {j + 1} does not move in these data: {link}"
     if result.misfit is not None and measurements.sigma is None and not 0.67 < result.misfit.ratio < 1.5:
         of_file = f"{result.misfit.ratio:.3g} times the sigma_mm of the arm file"
-        listed.append(f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm")
+        yield f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm"
     after, predicted = result.gap.held_out_after, result.gap.predicted
     if after is not None and predicted is not None and after > 3.0 * predicted:
         times = f"{after / predicted:.2g} times larger than predicted"
-        listed.append(f"the held-out residuals are {times}: other postures or set-up?")
-    if once := [h.key for h in posterior.best.effects if h.effect.once]:
+        yield f"the held-out residuals are {times}: other postures or set-up?"
+    if once := [b.key for b in posterior.best.effects if b.effect and b.effect.once]:
         which = f"{', '.join(once)}: of this session only; the extended model has what is left of it at the end, as"
-        listed.append(f"{which} validate and compensate take it")
-    if holdout is not None and any("drift" in h.key for h in posterior.best.effects):
-        listed.append("a drift of one session does not carry over to another; confirm it on held-out rows of this one")
+        yield f"{which} validate and compensate take it"
+    if held_out and any("drift" in b.key for b in posterior.best.effects):
+        yield "a drift of one session does not carry over to another; confirm it on held-out rows of this one"
     if result.unexplained_rows:
-        far = distances(result.residuals.after)[np.isin(numbers, result.unexplained_rows)].max()
-        far = f"up to {far:.3g} mm off"
+        unexplained = np.isin(numbers, result.unexplained_rows)
+        far = f"up to {distances(result.residuals.after)[unexplained].max():.3g} mm off"
         which = rows_in_words(np.isin(np.arange(numbers[-1]) + 1, result.unexplained_rows))
-        listed.append(f"{which} are not explained ({far}); they stay in, as whole postures or neighbors")
-    return listed
+        yield f"{which} are not explained ({far}); they stay in, as whole postures or neighbors"

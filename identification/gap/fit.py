@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.estimation.doubts import FAR
-from identification.estimation.levenberg_marquardt import Index, levenberg_marquardt
+from identification.estimation.levenberg_marquardt import Index
 from identification.estimation.problem import Problem, starts
 from identification.information import column_space, spectrum
 from identification.measurements import Conditions, Measurements, repeats_of, rms_distance
@@ -29,9 +29,9 @@ class Rows:
     """m measured rows; conditions that follow from the whole session are fixed, so that rows can be left out.
 
     postures : (m, n) [rad];  positions : (m, d) [mm];  order : (m,) rank of each row in time
+    posture_numbers : (m,) equal numbers mark rows of one posture
     spread : (m, d, d) symmetric square root of the relative covariance of each row, None: the same for all
     correlation : lag-1 correlation of the noise between consecutive rows
-    numbers : (m,) equal numbers mark rows of one posture, None: equal angles do
     sigma : standard deviation [mm] of a whitened coordinate as given by the data, None: not given
     shared : variance that all rows of one posture have in common, relative to that of each row
     """
@@ -40,9 +40,9 @@ class Rows:
     positions: Array
     conditions: Conditions
     order: Array
+    posture_numbers: NDArray[np.int64]
     spread: Array | None = None
     correlation: float = 0.0
-    numbers: NDArray[np.int64] | None = None
     sigma: float | None = None
     shared: float = 0.0
 
@@ -52,19 +52,18 @@ class Rows:
     @classmethod
     def of(cls, measurements: Measurements) -> Rows:
         """The rows of a data set; a sigma for each row becomes a relative weight."""
-        m = len(measurements)
-        order = np.empty(m)
-        order[measurements.sequence] = np.arange(m)  # one session after another
+        order = np.empty(len(measurements))
+        order[measurements.sequence] = np.arange(len(order))  # one session after another
         spread, sigma = None, None
         if measurements.sigma is not None:
             sigma = float(np.exp(np.mean(np.log(measurements.sigma))))
             spread = (measurements.sigma / sigma)[:, None, None] * np.eye(measurements.dimension)
-        found = cls(measurements.postures, measurements.positions, measurements.conditions, order, spread)
-        return replace(found, numbers=measurements.posture_numbers, sigma=sigma)
+        numbers = np.unique(measurements.posture_numbers, return_inverse=True)[1]
+        data = measurements.postures, measurements.positions, measurements.conditions
+        return cls(*data, order, numbers, spread, sigma=sigma)
 
     def pick(self, index: Any) -> Rows:
         """Some of the rows, by index, mask or slice."""
-        spread = None if self.spread is None else self.spread[index]
         postures = self.postures[index]
         postures.setflags(write=False)  # models know what they found for the same postures
         return replace(
@@ -73,8 +72,8 @@ class Rows:
             positions=self.positions[index],
             conditions=self.conditions.rows(index),
             order=self.order[index],
-            spread=spread,
-            numbers=None if self.numbers is None else self.numbers[index],
+            posture_numbers=np.unique(self.posture_numbers[index], return_inverse=True)[1],
+            spread=None if self.spread is None else self.spread[index],
         )
 
     @property
@@ -86,13 +85,6 @@ class Rows:
     def sequence(self) -> NDArray[np.int64]:
         """(m,) row numbers in the order of measurement."""
         return np.argsort(self.order, kind="stable")
-
-    @property
-    def posture_numbers(self) -> NDArray[np.int64]:
-        """(m,) number of each row's posture, from 0."""
-        if self.numbers is None:
-            return np.unique(np.round(self.postures, 9), axis=0, return_inverse=True)[1].ravel()
-        return np.unique(self.numbers, return_inverse=True)[1]
 
     @property
     def repeat_numbers(self) -> NDArray[np.int64]:
@@ -109,56 +101,73 @@ class Rows:
         """Log determinant of the relative covariance of all m d coordinates."""
         memory = self.dimension * (len(self) - 1) * np.log1p(-(self.correlation**2))
         spread = 0.0 if self.spread is None else 2.0 * np.sum(np.linalg.slogdet(self.spread)[1])
-        repeats = np.bincount(self.posture_numbers) if self.shared else np.zeros(1)
-        return float(memory + spread + self.dimension * np.sum(np.log1p(self.shared * repeats)))
+        common = np.log1p(self.shared * np.bincount(self.posture_numbers))
+        return float(memory + spread + self.dimension * np.sum(common))
 
     def whiten(self, values: Array) -> Array:
         """Transform (m, d, ...) to (m d, ...) with white noise; linear, so that it serves residuals and columns."""
-        m, d = len(self), self.dimension
+        shape, values = values.shape, values.reshape(len(values), self.dimension, -1)
         if self.spread is not None:
-            values = (self._inverse @ values.reshape(m, d, -1)).reshape(values.shape)
-        if self.shared:
-            values = self._parted(values)
-        if self.correlation:
-            values = self._decorrelated(values)
-        return values.reshape(m * d, *values.shape[2:])
-
-    def _parted(self, values: Array) -> Array:
-        """With the mean over the n rows of each posture shrunk by (1 + n shared)^(-1/2); (m, d, ...)."""
-        numbers = self.posture_numbers
-        counts = np.bincount(numbers)
-        flat = values.reshape(len(values), -1)
-        sums = np.zeros((len(counts), flat.shape[1]))
-        np.add.at(sums, numbers, flat)
-        taken = (1.0 - (1.0 + counts * self.shared) ** -0.5) / counts
-        return (flat - (sums * taken[:, None])[numbers]).reshape(values.shape)
-
-    def _decorrelated(self, values: Array) -> Array:
-        """Subtract from each row what the previous row predicts, for a first-order autoregression; (m, d, ...)."""
-        rho, sequence, root = self.correlation, self.sequence, np.sqrt(1.0 - self.correlation**2)
-        if np.array_equal(sequence, np.arange(len(sequence))):
-            changed = values / root
-            changed[0] = values[0]
-            changed[1:] -= values[:-1] * (rho / root)
-            return changed
-        changed = values.copy()
-        before, after = values[sequence[:-1]], values[sequence[1:]]
-        changed[sequence[1:]] = (after - rho * before) / root
-        return changed
+            values = self._inverse @ values
+        if self.shared:  # the mean over the n rows of each posture is shrunk by (1 + n shared)^(-1/2)
+            numbers, counts = self.posture_numbers, np.bincount(self.posture_numbers)
+            sums = np.zeros((len(counts), *values.shape[1:]))
+            np.add.at(sums, numbers, values)
+            taken = (1.0 - (1.0 + counts * self.shared) ** -0.5) / counts
+            values = values - (sums * taken[:, None, None])[numbers]
+        if self.correlation:  # from each row what the previous one predicts, for a first-order autoregression
+            rho, sequence = self.correlation, self.sequence
+            given = slice(None) if np.array_equal(sequence, np.arange(len(sequence))) else sequence
+            ordered = values[given] / np.sqrt(1.0 - rho**2)
+            ordered[1:] -= rho * ordered[:-1]
+            ordered[0] = values[given][0]
+            values = np.empty_like(values)
+            values[given] = ordered
+        return values.reshape(-1, *shape[2:])
 
 
-@dataclass(frozen=True)
-class Fit:
-    """A model fitted to m rows, in N = m d whitened coordinates. The (N, p) Jacobian is not stored: many fits are kept.
+@dataclass(frozen=True, eq=False)
+class At:
+    """A model with values (p,) of its parameters [API units], and rows."""
 
-    rows : data of the fit;  values : (p,) parameters [API units];  residual : (N,) whitened
-    triangle : (p, p) or (N, p) matrix R with R^T R = J^T J for the whitened Jacobian J
+    model: Model
+    values: Array
+    rows: Rows
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Parameter name -> value."""
+        return self.model.parameters.mapping(self.values)
+
+    @cached_property
+    def linearized(self) -> tuple[Array, Array]:
+        """(m, d) computed positions [mm] and (m, d, p) their derivatives."""
+        return self.model.linearize(self.rows.postures, self.values, self.rows.conditions)
+
+    @cached_property
+    def levers(self) -> Array:
+        """(m, d, n) of the joints [mm/rad]."""
+        return self.model.joint_levers(self.rows.postures, self.values, self.rows.conditions)
+
+    @property
+    def left(self) -> Array:
+        """(m, d) measured less computed positions [mm], not whitened."""
+        return self.rows.positions - self.linearized[0]
+
+    def residuals(self, measurements: Measurements, conditions: Conditions | None = None) -> Array:
+        """(m, d) measured less computed positions [mm] of other rows;  conditions : None: as they say"""
+        conditions = measurements.conditions if conditions is None else conditions
+        return measurements.positions - self.model.position(measurements.postures, self.values, conditions)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(At):
+    """A model fitted to m rows, in N = m d whitened coordinates.
+
+    residual : (N,) whitened;  triangle : (p, p) or (N, p) matrix R with R^T R = J^T J for the whitened Jacobian J
     free : (p,) False where a bound is active
     """
 
-    model: Model
-    rows: Rows
-    values: Array
     residual: Array
     triangle: Array
     free: NDArray[np.bool_]
@@ -170,14 +179,9 @@ class Fit:
         return float(self.residual @ self.residual)
 
     @property
-    def left(self) -> Array:
-        """(m, d) measured less computed positions [mm] of the rows of the fit, not whitened."""
-        return self.position_residuals(self.rows, self.rows.conditions)
-
-    @property
     def jacobian(self) -> Array:
         """(N, p) derivative of the whitened positions with respect to the parameters."""
-        return self.rows.whiten(self.model.jacobian(self.rows.postures, self.values, self.rows.conditions))
+        return self.rows.whiten(self.linearized[1])
 
     @cached_property
     def rank(self) -> int:
@@ -195,30 +199,12 @@ class Fit:
         return float(np.sqrt(self.squares / max(self.freedom, 1)))
 
     @property
-    def by_name(self) -> dict[str, float]:
-        """Parameter name -> value."""
-        return self.model.parameters.mapping(self.values)
-
-    def position_residuals(self, measurements: Measurements | Rows, conditions: Conditions) -> Array:
-        """(m, d) measured less computed positions [mm], not whitened, of these rows or of others."""
-        position, _ = self.model.linearize(measurements.postures, self.values, conditions)
-        return measurements.positions - position
-
-    def covariance(self, bounded: bool = True) -> Array:
-        """(p, p) covariance of the estimates [unit of row x unit of column].
-
-        bounded : True for predictions: a parameter with an active bound counts as known, its row and column are zero;
-            False for intervals: computed as if there were no bounds
-        """
-        free = self.free if bounded else np.ones(len(self.values), dtype=bool)
-        full = np.zeros((len(self.values), len(self.values)))
+    def covariance(self) -> Array:
+        """(p, p) of the estimates [unit of row x unit of column]; a parameter with an active bound counts as known."""
+        full, free = np.zeros((len(self.values), len(self.values))), np.flatnonzero(self.free)
         spread = spectrum(self.triangle[:, free], self.model.scales[free]).covariance
         full[np.ix_(free, free)] = self.sigma**2 * spread
         return full
-
-    def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
-        """(m, d, q) derivative of the positions with respect to the q estimates, and their (q, q) covariance."""
-        return self.model.jacobian(postures, self.values, conditions), self.covariance()
 
 
 def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> Fit:
@@ -246,8 +232,8 @@ def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> F
     if values is None or left(values) > FAR * model.reach:  # with a base offset the closed form holds in any frame
         closed = starts(problem)[0]
         values = closed if values is None or left(closed) < left(values) else values
-    solution = levenberg_marquardt(replace(problem.least_squares, linearize=linearize), values[None])
+    solution = problem.minimized(values[None], linearize)
     values = solution.parameters[0]
     residual, jacobian = linearize(values[None], np.arange(1))
     triangle = np.asarray(np.linalg.qr(jacobian[0], mode="r"))
-    return Fit(model, rows, values, residual[0], triangle, ~solution.active[0], solution.status[0])
+    return Fit(model, values, rows, residual[0], triangle, ~solution.active[0], solution.status[0])

@@ -30,7 +30,7 @@ from identification.effects import Effect, library, unknown_effect
 from identification.effects.chain import contribution
 from identification.errors import InputError
 from identification.estimation.problem import Prior
-from identification.gap.hypotheses import EFFECT, ORDER, Hypothesis, hypotheses
+from identification.gap.hypotheses import EFFECT, ORDER, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -95,53 +95,47 @@ def library_prior(
     every = hypotheses(arm, given)
     left_out = {key: why for key, why in every.skipped.items() if names is None or key.partition(":")[0] in names}
     with_curve = {spec.joint for spec in arm.effects if spec.curve is not None}
-    whole = {h.effect.name for h in every.members if h.effect.joint is None}  # then not at single joints besides
-    chosen: list[Hypothesis] = []
-    for hypothesis in every.members:
-        effect = hypothesis.effect
-        if effect.joint is not None and effect.name in whole:
+    members = [(b.key, b.effect, b.spec) for b in every.members if b.effect is not None and b.spec is not None]
+    whole = {e.name for _, e, _ in members if e.joint is None}  # then not at single joints besides
+    chosen: list[tuple[str, Effect, EffectSpec]] = []
+    for key, effect, spec in members:
+        wanted = effect.prior == 1.0 if names is None else effect.name in names  # the rare ones only by name
+        if not wanted or (effect.joint is not None and effect.name in whole):
             continue
-        if effect.prior < 1.0 if names is None else effect.name not in names:
-            continue  # the rare ones only by name
         if missing := sorted((effect.needs - given) & {"time", "directions", "past", "temperature"}):
-            left_out[hypothesis.key] = f"needs {', '.join(missing)}"
+            left_out[key] = f"needs {', '.join(missing)}"
         elif any(p.typical is None for p in effect.parameters):
-            left_out[hypothesis.key] = "no typical size"
+            left_out[key] = "no typical size"
         elif effect.joint in with_curve and is_function_of(effect, (effect.joint or 0) - 1, every.base):
-            left_out[hypothesis.key] = "its joint has an error curve"
+            left_out[key] = "its joint has an error curve"
         else:
-            chosen.append(hypothesis)
+            chosen.append((key, effect, spec))
     if not chosen:
         raise InputError("effects: none of the library's is left for the prior, allowed: at least one")
-    settings = Counter(h.key for h in chosen)
-
-    def deviation(hypothesis: Hypothesis, typical: float) -> float:
-        curve = 0.0
-        if names is None and hypothesis.effect.name == EFFECT:
-            # [rad] of an error curve's wave once per turn, as `a` and `b`: a typical compliance under 100 N m
-            curve = 1e-3 / hypothesis.effect.chosen[ORDER]
-        return float(np.hypot(typical * np.sqrt(hypothesis.effect.prior / settings[hypothesis.key]), curve))
-
-    added, faster = [], np.zeros(arm.links)
-    for hypothesis in chosen:
-        effect = hypothesis.effect
-        if effect.name == EFFECT and effect.chosen[ORDER] > fastest:
-            faster[(effect.joint or 0) - 1] += deviation(hypothesis, effect.parameters[0].typical or 0.0) ** 2
+    settings = Counter(key for key, _, _ in chosen)
+    added, deviations, faster = list[EffectSpec](), list[float](), np.zeros(arm.links)
+    for key, effect, spec in chosen:
+        wave = effect.chosen[ORDER] if effect.name == EFFECT else 0.0
+        # [rad] of an error curve's wave once per turn, as `a` and `b`: a typical compliance under 100 N m
+        curve, share = 1e-3 / wave if wave and names is None else 0.0, np.sqrt(effect.prior / settings[key])
+        each = [float(np.hypot((p.typical or 0.0) * share, curve)) for p in effect.parameters]
+        if wave > fastest:
+            faster[effect.joint_index] += each[0] ** 2
         else:
-            added.append(hypothesis)
-    wide = arm.with_effects(*arm.effects, *(h.spec for h in added))
+            added.append(spec)
+            deviations += each
+    wide = arm.with_effects(*arm.effects, *added)
     if arm.calibration is not None:  # its values follow the new names of its parameters
         before, after = ([p.name for effect in Model(one).effects for p in effect.parameters] for one in (arm, wide))
         renamed = dict(zip(before, after, strict=False))
         values = {renamed.get(name, name): value for name, value in arm.calibration.values.items()}
         calibration = replace(arm.calibration, values=values, parameter_names=(), covariance=None)
         wide = replace(wide, calibration=calibration)
-    effects = Model(wide).effects[-len(added) :]
-    pairs = [(p, h) for e, h in zip(effects, added, strict=True) for p in e.parameters]
-    deviations = {p.name: deviation(h, p.typical or 0.0) for p, h in pairs}
+    parameters = [p.name for effect in Model(wide).effects[-len(added) :] for p in effect.parameters]
     # a posture's own error, in one coordinate; calibrated robots keep 1e-4 of the reach in three coordinates
-    prior = Prior(deviations, own_error=6e-5 * arm.reach if names is None else 0.0)
-    return LibraryPrior(wide, tuple(h.spec for h in added), prior, MappingProxyType(left_out), faster)
+    own_error = 6e-5 * arm.reach if names is None else 0.0
+    prior = Prior(dict(zip(parameters, deviations, strict=True)), own_error=own_error)
+    return LibraryPrior(wide, tuple(added), prior, MappingProxyType(left_out), faster)
 
 
 def given_by(measurements: Measurements) -> frozenset[str]:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
-from identification.arrays import Array
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import together
 from identification.gap.blocks import Linearized, linearized
-from identification.gap.detectability import LEVEL
-from identification.gap.evidence import State
-from identification.gap.fit import Fit, Rows, fit
-from identification.gap.hypotheses import Block, Hypothesis, HypothesisSet, with_further_orders
-from identification.gap.scatter import NoiseModel, log_likelihoods, noises
-from identification.gap.search import ROUNDING, Moments, Search, Walked, Weighed
+from identification.gap.fit import At, Rows, fit
+from identification.gap.hypotheses import Block, Library, with_further_orders
+from identification.gap.likelihood import Key, State
+from identification.gap.noise import NoiseModel, log_likelihoods, noises
+from identification.gap.search import ROUNDING, Search, Weighed
 from identification.progress import Tell, say_nothing
 
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
@@ -27,253 +26,196 @@ NOISES = 3  # effort: noise models that are searched
 
 @dataclass(frozen=True)
 class Explanation:
-    """One set of blocks under one noise model.
+    """One set of blocks, in the order of the dictionary, under one noise model.
 
-    blocks : labels in the order of the dictionary;  noise : number of the noise model
+    key : numbers of the blocks and of their sizes in the problem of that noise;  noise : number of the noise model
     """
 
     blocks: tuple[Block, ...]
+    key: Key
     noise: int
-    weighed: Weighed
     probability: float
 
     @property
-    def effects(self) -> tuple[Hypothesis, ...]:
+    def effects(self) -> tuple[Block, ...]:
         """Its effects of the library."""
-        return tuple(b.member for b in self.blocks if b.member is not None)
+        return tuple(b for b in self.blocks if b.effect is not None)
 
     @property
     def outside(self) -> tuple[Block, ...]:
         """Its blocks outside the library."""
-        rest = tuple(b for b in self.blocks if not b.named and not b.row)
+        rest = tuple(b for b in self.blocks if b.effect is None and b.row is None)
         return () if self.effects and all(b.parts for b in rest) else rest
 
     @property
-    def rest(self) -> bool:
-        """Whether the rest of the library is in it."""
-        return any(b.parts for b in self.blocks)
-
-    @property
-    def wrong(self) -> tuple[int, ...]:
+    def wrong(self) -> list[int]:
         """Rows (from 0) that it takes for outlying."""
-        return tuple(_row_of(b) for b in self.blocks if b.row)
+        return [b.row for b in self.blocks if b.row is not None]
 
 
 @dataclass(frozen=True)
 class Posterior:
     """explanations : likeliest first, with sum 1
-    noises, problems, moments : searched, with the blocks that are not negligible, and what the walk among these drew
-    whole : problem of the likeliest noise, with all blocks;  at : fit where it is linearized
-    given_file : the posterior if nothing is missing but what an arm file can have; None where that is the same
+    noises, problems, draws : searched, with the blocks that are not negligible, and the sets drawn by the walk there
+    whole : problem of the likeliest noise, with all blocks;  at : fit where it is linearized, with all rows
+    writable : the posterior if nothing is missing but what an arm file can have; None where that is the same
     """
 
     explanations: tuple[Explanation, ...]
     noises: tuple[NoiseModel, ...]
     problems: tuple[Linearized, ...]
+    draws: tuple[Counter[Key], ...]
     whole: Linearized
-    library: HypothesisSet
-    rows: Rows
-    at: Fit
-    moments: tuple[tuple[Moments, Moments], ...] = ()
-    given_file: Posterior | None = None
+    library: Library
+    at: At
+    writable: Posterior | None = None
 
     @property
     def best(self) -> Explanation:
         """The likeliest."""
         return self.explanations[0]
 
-    @property
-    def writable(self) -> Posterior:
-        """The posterior if nothing is missing but what an arm file can have."""
-        return self.given_file or self
 
-    @property
-    def noise_variance(self) -> float:
-        """Expected variance of a whitened coordinate's noise [mm^2]."""
-        shares = [sum(e.probability for e in self.explanations if e.noise == k) for k in range(len(self.noises))]
-        both = [(sum(m.variance for m in pair), sum(m.count for m in pair)) for pair in self.moments]
-        return sum(share * variance / max(count, 1) for share, (variance, count) in zip(shares, both, strict=True))
-
-    @property
-    def order(self) -> tuple[str, ...]:
-        """Labels of all blocks in the order of the dictionary."""
-        return tuple(block.label for block in self.whole.blocks)
+Walked = tuple[NoiseModel, Linearized, list[Weighed], Counter[Key], float]  # the last: log odds of the noise, for none
 
 
-class Climbed(NamedTuple):
-    """A likely set (blocks of `problem`), where the problem is linearized, and what could be in its place.
-
-    noise : number among `every`;  scores : (K,) log posterior odds of each noise, of the set or of none
-    offset : (K,) log prior odds and likelihood ratios of each noise without blocks
-    """
-
-    library: HypothesisSet
-    at: Fit
-    every: list[NoiseModel]
-    noise: int
-    wrong: list[int]
-    problem: Linearized
-    search: Search
-    top: State
-    scores: Array
-    offset: Array
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Of the set's blocks."""
-        return tuple(self.problem.blocks[b].label for b in self.top.blocks)
-
-    @property
-    def likely(self) -> list[int]:
-        """Numbers of the noises that are not unlikely, likeliest first."""
-        order = np.argsort(-self.scores, kind="stable").tolist()
-        return [k for k in order if self.scores[k] > self.scores.max() + np.log(LEVEL)]
-
-
-def posterior_of(
-    library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell = say_nothing
-) -> Posterior:
+def posterior_of(library: Library, rows: Rows, generator: np.random.Generator, tell: Tell = say_nothing) -> Posterior:
     """The posterior of these rows, around a likely set, under each noise that is not unlikely.
 
     Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same
     angle); the last pass has all of them, with the set and the noises that are not unlikely in the sample.
     """
-    climbed = _climbed(library, rows, generator, tell)
-    models = []
-    for k in [climbed.noise, *(k for k in climbed.likely if k != climbed.noise)][:NOISES]:
-        noise, under = climbed.every[k], climbed
-        tell(f"sets of effects{', noise: ' + noise.name if noise.name else ''}")
-        if k != climbed.noise:
-            problem = linearized(climbed.library, climbed.at, noise.rows, climbed.wrong)
-            search = search_of(climbed.library, problem)
-            under = climbed._replace(problem=problem, search=search, top=_same_set(climbed, problem, search))
-        models.append((noise, *_near_walk(under, generator), float(climbed.offset[k])))
-    mixture = _mixture(models, climbed.problem, climbed.library, rows, climbed.at)
-    lacking = sum(one.probability for one in mixture.explanations if not all(map(_holds, one.blocks)))
-    if lacking < LEVEL:
-        return mixture
-    # the likely set of what an arm file can have
-    problem = climbed.problem.of([k for k, block in enumerate(climbed.problem.blocks) if _holds(block)])
-    search = search_of(climbed.library, problem, climbed.search.total)
-    top = search.climb(tuple(sorted(problem.numbers[label] for label in climbed.labels if label in problem.numbers)))
-    alone = climbed._replace(problem=problem, search=search, top=top)
-    tell("what an arm file can have")
-    model = climbed.every[climbed.noise], *_near_walk(alone, generator), 0.0
-    return replace(mixture, given_file=_mixture([model], alone.problem, climbed.library, rows, climbed.at))
-
-
-def _climbed(library: HypothesisSet, rows: Rows, generator: np.random.Generator, tell: Tell) -> Climbed:
-    """A likely set, linearized at itself and under its likeliest noise."""
     few = rows if len(rows) <= MOST_ROWS else rows.pick(np.sort(generator.permutation(len(rows))[:MOST_ROWS]))
-    at, noise, names, turn = fit(library.base, few), ("", 0.0), set[str](), 0
-    climbed: Climbed | None = None
-    while True:
-        turn += 1
+    at, noise, names, chosen = fit(library.base, few), ("", 0.0), set[str](), dict[str, int]()
+    for turn in range(1, PASSES + 1):
         tell(f"pass {turn}")
-        wrong, every = _striking(few, at), [n for n in noises(few, at) if not names or n.name in names]
+        here = _at(at, few)
+        wrong, every = _striking(here), [n for n in noises(here) if not names or n.name in names]
         number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)
-        problem = linearized(library, at, every[number].rows, wrong)
-        search, chosen = search_of(library, problem), () if climbed is None else climbed.labels
-        top = search.products.nothing if climbed is None else _same_set(climbed, problem, search)
+        problem = linearized(library, _at(at, every[number].rows), wrong)
+        search, before = search_of(problem), [*chosen]
+        top = _same_set(problem, search, chosen)
         top = top if names else search.climb(top.blocks)
+        chosen = {problem.blocks[b].label: size for b, size in top.key}
+        effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].effect is not None]
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
         # with the outlying rows of the set alone, which noise of another kind may need, too
-        rows_only = search.products.state([(b, size) for b, size in top.key if problem.blocks[b].row])
-        y, jacobian, base = library.as_base(at, every[0].rows)
+        y, jacobian, base = library.as_base(here)
         plain, prior, each = jacobian[:, :, base] / at.model.scales[base], np.array([n.prior for n in every]), []
-        for one in {one.key: one for one in (search.products.nothing, top, rows_only)}.values():
+        rows_only = [pair for pair in top.key if problem.blocks[pair[0]].row is not None]
+        for key in dict.fromkeys([(), top.key, tuple(rows_only)]):
+            one = search.products.state(key)
             free = np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2)
             likelihoods = log_likelihoods(every, y, free)
             each.append(likelihoods - likelihoods[number] + search.log_odds(one) + prior)
         scores = np.max(each, axis=0)
-        climbed = Climbed(library, at, every, number, wrong, problem, search, top, scores, each[0])
-        likely = int(np.argmax(np.where(np.arange(len(every)) == number, scores + ROUNDING, scores)))
-        settled = climbed.labels == chosen and likely == number
+        order = np.argsort(-scores, kind="stable").tolist()
+        likely = [k for k in order if scores[k] > scores.max() + np.log(LEVEL)]
+        best = int(np.argmax(np.where(np.arange(len(every)) == number, scores + ROUNDING, scores)))
+        settled = [*chosen] == before and best == number
         if turn == PASSES:
-            return climbed
+            break
         if not settled:
-            noise = every[likely].name, every[likely].size
-            kept = np.ones(len(few), dtype=bool)
-            kept[[_row_of(problem.blocks[k]) for k in top.blocks if problem.blocks[k].row]] = False
-            at = fit(library.model(_named(climbed)), every[likely].rows.pick(kept), at.by_name)
-        wider = with_further_orders(library, every[likely].rows, at, _named(climbed))
+            noise, kept = (every[best].name, every[best].size), np.ones(len(few), dtype=bool)
+            kept[[k for k in (problem.blocks[b].row for b, _ in rows_only) if k is not None]] = False
+            at = fit(library.model(effects), every[best].rows.pick(kept), at.by_name)
+        wider = with_further_orders(library, _at(at, every[best].rows), effects)
         if few is not rows and turn == PASSES - 1:
             few, at = rows, fit(at.model, rows, at.by_name)
-            names = {noise[0], *(every[k].name for k in climbed.likely)}
+            names = {noise[0], *(every[k].name for k in likely)}
         elif settled and wider is library and few is rows:
-            return climbed
+            break
         library = wider
 
+    walked = []
+    for k in [number, *(k for k in likely if k != number)][:NOISES]:
+        tell(f"sets of effects{', noise: ' + every[k].name if every[k].name else ''}")
+        if k == number:
+            under = problem, search, top
+        else:
+            other = linearized(library, _at(at, every[k].rows), wrong)
+            under = other, search_of(other), _same_set(other, search_of(other), chosen)
+        walked.append((every[k], *_walked(*under, generator), float(each[0][k])))
+    mixture = _mixture(walked, problem, library, _at(at, rows))
+    if sum(one.probability for one in mixture.explanations if not all(map(_holds, one.blocks))) < LEVEL:
+        return mixture
+    tell("what an arm file can have")
+    problem = problem.of([k for k, block in enumerate(problem.blocks) if _holds(block)])
+    search = search_of(problem)
+    top = search.climb(sorted(problem.numbers[label] for label in chosen if label in problem.numbers))
+    alone = [(every[number], *_walked(problem, search, top, generator), 0.0)]
+    return replace(mixture, writable=_mixture(alone, problem, library, _at(at, rows)))
 
-def _same_set(climbed: Climbed, problem: Linearized, search: Search) -> State:
-    """A set, as far as another problem has its blocks."""
-    sized = zip(climbed.labels, climbed.top.key, strict=True)
-    return search.products.state(
-        [(problem.numbers[label], size) for label, (_, size) in sized if label in problem.numbers]
-    )
+
+def _at(at: At, rows: Rows) -> At:
+    """The same model at other rows, or with another noise."""
+    return At(at.model, at.values, rows)
 
 
-def _named(climbed: Climbed) -> tuple[Hypothesis, ...]:
-    """Effects of the library in the set."""
-    blocks = (climbed.problem.blocks[b] for b in climbed.top.blocks)
-    return tuple(b.member for b in blocks if b.member is not None)
+def _same_set(problem: Linearized, search: Search, chosen: dict[str, int]) -> State:
+    """A set, label -> number of the size, as far as a problem has its blocks."""
+    return search.products.state([(problem.numbers[x], size) for x, size in chosen.items() if x in problem.numbers])
 
 
 def _holds(block: Block) -> bool:
     """Whether an arm file can have a block, or its row be left out."""
-    return block.written or block.row or bool(block.parts)
+    return bool(block.effect or block.span or block.parts or block.row is not None)
 
 
-def _near_walk(climbed: Climbed, generator: np.random.Generator) -> tuple[Linearized, Walked]:
+def _walked(
+    problem: Linearized, search: Search, top: State, generator: np.random.Generator
+) -> tuple[Linearized, list[Weighed], Counter[Key]]:
     """The problem with the blocks alone that are not negligible, and the walk there."""
-    search, near = climbed.search, climbed.search.near(climbed.top)
-    problem, place = climbed.problem.of(near), {b: i for i, b in enumerate(near)}
-    total = search.total or float(np.sum(search.weights[search.counted]))
-    walk = search_of(climbed.library, problem, total)
-    start = walk.products.state([(place[b], size) for b, size in climbed.top.key])
-    return problem, walk.walk(start, generator)
+    near = search.near(top)
+    few, place = problem.of(near), {b: i for i, b in enumerate(near)}
+    walk = search_of(few, search.total)
+    return few, *walk.walk(walk.products.state([(place[b], size) for b, size in top.key]), generator)
 
 
-def _mixture(
-    models: Sequence[tuple[NoiseModel, Linearized, Walked, float]],
-    whole: Linearized,
-    library: HypothesisSet,
-    rows: Rows,
-    at: Fit,
-) -> Posterior:
-    """All explanations of all noise models, with their log prior odds and likelihoods, together."""
-    listed = [(number, one) for number, (_, _, walked, _) in enumerate(models) for one in walked.sets]
-    odds = np.array([models[number][3] + one.log_odds for number, one in listed])
+def _mixture(models: Sequence[Walked], whole: Linearized, library: Library, at: At) -> Posterior:
+    """All explanations of all noise models together."""
+    problems = tuple(problem for _, problem, *_ in models)
+    listed = [
+        (number, key, of_noise + log_odds)
+        for number, (_, _, sets, _, of_noise) in enumerate(models)
+        for key, log_odds in sets
+    ]
+    odds = np.array([one for *_, one in listed])
     probabilities = np.exp(odds - logsumexp(odds))
-    order = np.argsort(-np.round(probabilities, 9), kind="stable")
     explanations = []
-    for k in order.tolist():
-        number, one = listed[k]
-        blocks = tuple(models[number][1].blocks[b] for b in one.blocks)
-        explanations.append(Explanation(blocks, number, one, float(probabilities[k])))
-    noises_, problems = tuple(m[0] for m in models), tuple(m[1] for m in models)
-    moments = tuple(m[2].moments for m in models)
-    return Posterior(tuple(explanations), noises_, problems, whole, library, rows, at, moments)
+    for k in np.argsort(-np.round(probabilities, 9), kind="stable").tolist():
+        number, key, _ = listed[k]
+        blocks = tuple(problems[number].blocks[b] for b, _ in key)
+        explanations.append(Explanation(blocks, key, number, float(probabilities[k])))
+    every, draws = tuple(noise for noise, *_ in models), tuple(counted for *_, counted, _ in models)
+    return Posterior(tuple(explanations), every, problems, draws, whole, library, at)
 
 
-def search_of(library: HypothesisSet, problem: Linearized, total: float | None = None) -> Search:
+def search_of(problem: Linearized, total: float = 0.0) -> Search:
     """The search of a linearized problem;  total : weight of all blocks, where the problem has not all of them"""
-    blocks = problem.blocks
-    weights, rows = np.array([b.weight for b in blocks]), np.array([b.row for b in blocks], dtype=bool)
-    rest = frozenset(k for k, b in enumerate(blocks) if b.parts)
-    return Search(problem.products, weights, rows, rest, problem.apart, *problem.needy_and_givers(library), total=total)
+    named = {k: b for k, b in enumerate(problem.blocks) if b.effect is not None and b.spec is not None}
+    families = {b.key: k for k, b in named.items() if b.family}
+    needy = frozenset(k for k, b in named.items() if b.through)
+    kinds = {named[k].through for k in needy}
+    pairs = {(families.get(b.spec.name, k) if b.spec else k, k) for k, b in named.items()}
+    return Search(
+        problem.products,
+        np.array([b.weight for b in problem.blocks]),
+        np.array([b.row is not None for b in problem.blocks], dtype=bool),
+        frozenset(k for k, b in enumerate(problem.blocks) if b.parts),
+        frozenset((family, k) for family, k in pairs if family != k),
+        needy,
+        frozenset(k for k, b in named.items() if b.effect and b.effect.needs & kinds) - needy,
+        total,
+    )
 
 
-def _row_of(block: Block) -> int:
-    return int(block.place.partition(":")[2])
-
-
-def _striking(rows: Rows, at: Fit) -> list[int]:
+def _striking(at: At) -> list[int]:
     """Rows whose residual is large, and that do not come together as whole postures or neighbors do."""
-    left = rows.whiten(at.position_residuals(rows, rows.conditions)).reshape(len(rows), -1)
+    rows = at.rows
+    left = rows.whiten(at.left).reshape(len(rows), -1)
     sizes = np.sqrt(np.mean(np.square(left), axis=1))
     limit = 3.0 * float(np.median(sizes)) / 0.83  # robust standard deviations
-    order = np.argsort(-sizes, kind="stable")
     far = np.zeros(len(rows), dtype=bool)
-    far[[k for k in order[:30] if sizes[k] > limit]] = True  # 30, as 3 above, to save effort
+    far[[k for k in np.argsort(-sizes, kind="stable")[:30] if sizes[k] > limit]] = True  # 30, as 3 above: effort
     return np.flatnonzero(far & ~together(far, rows.postures, rows.posture_numbers)).tolist()

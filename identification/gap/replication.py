@@ -6,7 +6,7 @@ there are four explanations, beside everything else that is named:
     same        t = o (1 + SAME e),  e ~ N(0, 1)        own         t and o independent
     elsewhere   t = 0                                   here        o = 0
 
-Beforehand they are equally likely; how likely the data are under each says `evidence`, the effect's columns times the
+Beforehand they are equally likely; how likely the data are under each says `likelihood`, the effect's columns times the
 indicator of the session, and of the others, being blocks. The effect *replicates* in the session where `same` has the
 probability `CREDIBLE`, and does not where `own` and `elsewhere` have it together. Else it is open: as where the session
 can say little, or where the others know nothing of the effect.
@@ -20,32 +20,21 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from identification.arrays import Array
-from identification.gap.columns import Where
-from identification.gap.curve import Curve
-from identification.gap.evidence import SIZES, Products
-from identification.gap.fit import Fit, Rows
-from identification.gap.posterior import Explanation, Posterior
+from identification.gap.fit import Fit
+from identification.gap.likelihood import SIZES, Index, Products, orthonormal
 from identification.gap.verdict import CREDIBLE
-from identification.information import VISIBLE, column_space, column_space_of
+from identification.information import PRODUCT_TOLERANCE, VISIBLE
 from identification.kinematics.parameters import Parameter
 
 SAME = 0.1  # relative difference of values that are the same; convention: temperature and load differ by session
 
-
-class CurveColumns(NamedTuple):
-    """Of the error curve of a joint (from 1): its (m, d, K) columns in the rows of a fit, and its number in `SIZES`."""
-
-    joint: int
-    columns: Array
-    size: int
+Columns = tuple[int, Array, int]  # of the error curve of a joint (from 1): (m, d, K), and its number in `SIZES`
 
 
-@dataclass(frozen=True)
-class InSession:
+class InSession(NamedTuple):
     """An effect in one session.
 
     values, deviations : in this session, if it is independent of the others, with standard deviations [unit of files]
@@ -53,10 +42,10 @@ class InSession:
     """
 
     session: str
-    values: tuple[float, ...]
-    deviations: tuple[float, ...]
-    probability: float
-    replicates: bool | None
+    values: tuple[float, ...] = ()
+    deviations: tuple[float, ...] = ()
+    probability: float = 0.25
+    replicates: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -80,47 +69,26 @@ class Replication:
 
     def figures(self, there: InSession) -> str:
         """Its values in a session, as text."""
-        shown = self.parameters if there.values else ()
-        figures = zip(shown, there.values, there.deviations, strict=True)
+        figures = zip(self.parameters, there.values, there.deviations, strict=False)
         listed = [f"{p.name.rpartition('.')[2]} = {v:.3g} +- {d:.1g} {p.file_unit}" for p, v, d in figures]
         return ", ".join(listed) if 0 < len(listed) <= 3 else f"the same with probability {there.probability:.2f}"
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `replication` (identification/files/README.md, "JSON keys")."""
-        return {
-            "effect": self.effect,
-            "replicates": self.replicates,
-            "sessions": [
-                {
-                    "session": s.session,
-                    "replicates": s.replicates,
-                    "probability": s.probability,
-                    "parameters": [
-                        {"name": p.name, "unit": p.file_unit, "value": v, "std": d}
-                        for p, v, d in zip(self.parameters if s.values else (), s.values, s.deviations, strict=True)
-                    ],
-                }
-                for s in self.sessions
-            ],
-        }
-
-
-def curve_columns(found: Posterior, one: Explanation, fitted: Fit, curves: Sequence[Curve]) -> dict[str, CurveColumns]:
-    """Key of each of these curves -> its columns in the rows of a fit;  one : the explanation that has them"""
-    where = Where(fitted.model, fitted.values, fitted.rows.postures, fitted.rows.conditions)
-    keys, listed = {curve.joint: curve.key for curve in curves}, {}
-    for block, number, size in zip(one.blocks, one.weighed.blocks, one.weighed.sizes, strict=True):
-        if block.basis is not None and block.columns is not None and (joint := block.basis.joint + 1) in keys:
-            columns = block.columns(where) @ found.problems[one.noise].roots[number]
-            listed[keys[joint]] = CurveColumns(joint, columns, size)
-    return listed
+        sessions = []
+        for s in self.sessions:
+            figures = zip(self.parameters, s.values, s.deviations, strict=False)
+            listed = [{"name": p.name, "unit": p.file_unit, "value": v, "std": d} for p, v, d in figures]
+            said = {"session": s.session, "replicates": s.replicates, "probability": s.probability}
+            sessions.append({**said, "parameters": listed})
+        return {"effect": self.effect, "replicates": self.replicates, "sessions": sessions}
 
 
 def replications(
     fitted: Fit,
     names: Sequence[str],
     labels: Sequence[str],
-    curves: Mapping[str, CurveColumns] = MappingProxyType({}),
+    curves: Mapping[str, Columns] = MappingProxyType({}),
 ) -> tuple[Replication, ...]:
     """Replication of the named effects and of error curves across sessions; empty for a single session.
 
@@ -131,90 +99,80 @@ def replications(
     session = rows.conditions.session
     if session is None or np.ptp(session) == 0.0:
         return ()
-    jacobian = model.jacobian(rows.postures, fitted.values, rows.conditions) / model.scales
-    scaled, target = fitted.values * model.scales, fitted.left[:, :, None]
-    effects = [effect for effect in model.effects if effect.label in labels]
-    parameters = [tuple(p for p in effect.parameters if p.name in model.names) for effect in effects]
-    places = [[model.names.index(p.name) for p in own] for own in parameters]
-    there: dict[str, list[InSession]] = {label: [] for label in (*(effect.label for effect in effects), *curves)}
+    jacobian, scaled = fitted.linearized[1] / model.scales, fitted.values * model.scales
+    table = np.concatenate([fitted.left[:, :, None], jacobian, *(columns for _, columns, _ in curves.values())], axis=2)
+    ends = np.cumsum([1 + jacobian.shape[2], *(columns.shape[2] for _, columns, _ in curves.values())])
+    size, p = table.shape[2], int(ends[0])
+    # columns of the table, standard deviations of an error curve's, and parameters of each effect or curve
+    own: dict[str, tuple[Index, tuple[Parameter, ...]]] = {}
+    for effect in (e for e in model.effects if e.label in labels):
+        parameters = tuple(x for x in effect.parameters if x.name in model.names)
+        own[effect.label] = np.array([1 + model.names.index(x.name) for x in parameters], dtype=np.int64), parameters
+    of_curves = {key: np.arange(*ends[k : k + 2]) for k, key in enumerate(curves)}
+    there: dict[str, list[InSession]] = {label: [] for label in (*own, *curves)}
     for number in np.unique(session).astype(int).tolist():
-        here = (session == number)[:, None, None]
-        count, (left, every, alone, beside) = _white(rows, [target, jacobian, jacobian * here], [*curves.values()])
-        for effect, own, at in zip(effects, parameters, places, strict=True):
-            units = np.array([p.to_file for p in own]) / model.scales[at]
-            response, rest = left[:, 0] + every[:, at] @ scaled[at], np.hstack([np.delete(every, at, axis=1), beside])
-            asked = _in_session(names[number], count, response, rest, every[:, at], alone[:, at], units)
-            there[effect.label].append(asked)
-        for key, curve in curves.items():
-            common = _common(rows.postures[:, curve.joint - 1], here)
-            tables = [target * common, jacobian * common, curve.columns * common, curve.columns * (common & here)]
-            others = [other._replace(columns=other.columns * common) for other in curves.values() if other is not curve]
-            count, (left, every, columns, alone, beside) = _white(rows, tables, others)
-            count -= rows.dimension * int(np.sum(~common))
-            rest = np.hstack([every, beside])
-            there[key].append(_in_session(names[number], count, left[:, 0], rest, columns, alone))
-    found = [Replication(e.label, own, tuple(there[e.label])) for e, own in zip(effects, parameters, strict=True)]
-    return (*found, *(Replication(key, (), tuple(there[key])) for key in curves))
-
-
-def _white(rows: Rows, tables: Sequence[Array], beside: Sequence[CurveColumns]) -> tuple[int, list[Array]]:
-    """Tables (m, d, k), whitened, and curves: as (n, k) that have the same products, with the prior of the curves as
-    further rows; and how many rows they have without such a reduction."""
-    every = [*tables, np.concatenate([np.zeros((*tables[0].shape[:2], 0)), *(c.columns for c in beside)], axis=2)]
-    ends = np.cumsum([table.shape[2] for table in every])
-    white = rows.whiten(np.concatenate(every, axis=2))
-    precision = [np.full(curve.columns.shape[2], 1.0 / SIZES[curve.size]) for curve in beside]
-    prior = np.diag(np.concatenate([np.zeros(ends[-2]), *precision]))[ends[-2] :]
-    reduced = np.concatenate([np.linalg.qr(white, mode="r"), prior])
-    return len(white) + len(prior), np.split(reduced, ends[:-1], axis=1)
-
-
-def _common(angles: Array, here: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(m, 1, 1) which angles (m,) are within those both of the rows `here` (m, 1, 1) and of the others."""
-    parts = angles[here[:, 0, 0]], angles[~here[:, 0, 0]]
-    common = (angles >= max(part.min() for part in parts)) & (angles <= min(part.max() for part in parts))
-    return np.asarray(common[:, None, None])
+        here = session == number
+        for keys, joint in ([*own], 0), *(([key], joint) for key, (joint, _, _) in curves.items()):
+            common = np.ones(len(here), dtype=bool)
+            if joint:  # a curve is compared at the angles that both have
+                angles = rows.postures[:, joint - 1]
+                parts = angles[here], angles[~here]
+                common = (angles >= max(x.min() for x in parts)) & (angles <= min(x.max() for x in parts))
+            masks = common[:, None, None], (common & here)[:, None, None]
+            white = rows.whiten(np.concatenate([table * mask for mask in masks], axis=2))
+            gram = white.T @ white
+            for key in keys:
+                at, parameters = (of_curves[key], ()) if joint else own[key]
+                beside = [(k, curves[name][2]) for name, ks in of_curves.items() if name != key for k in ks.tolist()]
+                prior = gram.copy()
+                prior[[k for k, _ in beside], [k for k, _ in beside]] += [SIZES[s] ** -2.0 for _, s in beside]
+                target = np.zeros(2 * size)
+                target[0] = 1.0
+                target[at] = 0.0 if joint else scaled[at - 1]  # the fit has the effect, but not the curve
+                rest = np.concatenate([np.setdiff1d(np.arange(1, p), at), np.array([k for k, _ in beside], dtype=int)])
+                coordinates = rows.dimension * int(common.sum()) + len(beside)
+                units = None if joint else np.array([x.to_file for x in parameters]) / model.scales[at - 1]
+                there[key].append(InSession(names[number], *_in_session(prior, target, rest, at, coordinates, units)))
+    return tuple(Replication(key, own[key][1] if key in own else (), tuple(asked)) for key, asked in there.items())
 
 
 def _in_session(
-    name: str, coordinates: int, target: Array, rest: Array, every: Array, alone: Array, units: Array | None = None
-) -> InSession:
-    """An effect in one session, from whitened tables with a row for each of the coordinates, or any with the same
-    products.
+    gram: Array, target: Array, rest: Index, every: Index, coordinates: int, units: Array | None
+) -> tuple[Any, ...]:
+    """Fields of `InSession` behind its name, from the products (2 n, 2 n) of n whitened columns and of their parts in
+    the session.
 
-    target : (N,) to be explained;  rest : (N, g) of everything else that is fitted
-    every : (N, w) of the effect, in all sessions;  alone : (N, w) in this one
+    target : (2 n,) combination to be explained;  rest, every : of everything else, and of the effect, among the n
     units : (w,) from its parameters to those of files, None: an error curve
     """
-    basis = column_space(rest, np.ones(rest.shape[1]))
-    freedom = max(coordinates - basis.shape[1], 1)
-    if not every.any():  # of a curve, without common angles
-        return InSession(name, (), (), 0.25, None)
-
-    def apart(columns: Array) -> Array:
-        return np.asarray(columns - basis @ (basis.T @ columns))
-
-    columns, root = apart(every), np.eye(every.shape[1])
-    if np.linalg.norm(columns) <= VISIBLE * np.linalg.norm(every):  # nothing that the rest does not have
-        return InSession(name, (), (), 0.25, None)
+    asked = np.zeros((len(gram), 1 + 2 * len(every)))  # what is to be explained, the effect, its part in the session
+    asked[:, 0], width = target, len(every)
+    asked[[*every, *(every + len(gram) // 2)], np.arange(1, 1 + 2 * width)] = 1.0
+    basis = orthonormal(gram[np.ix_(rest, rest)], PRODUCT_TOLERANCE)
+    across = asked.T @ gram[:, rest] @ basis
+    left = asked.T @ gram @ asked - across @ across.T
+    both, here = np.eye(1 + 2 * width)[:, 1 : 1 + width], np.eye(1 + 2 * width)[:, 1 + width :]
+    seen = np.trace(both.T @ left @ both)
+    if seen <= VISIBLE * np.trace(gram[np.ix_(every, every)]):  # nothing that the rest does not have, or no such rows
+        return ()
+    root = np.eye(width)
     if units is not None:  # the prior covariance of an effect is the inverse of its information
-        root = column_space_of(columns, np.ones(len(root)))[1]
+        root = orthonormal(both.T @ left @ both)
         root = root / np.sqrt(max(root.shape[1], 1))
-    both, here = columns @ root, apart(alone) @ root
-    blocks, width = np.hstack([here, both - here, both, SAME * here]), root.shape[1]
+    both, here, width = both @ root, here @ root, root.shape[1]
+    blocks = np.hstack([here, both - here, both, SAME * here])
     starts, signs, limits = np.array([0, 1, 2, 4]) * width, np.zeros(3, dtype=bool), np.full(3, len(SIZES))
-    products = Products.of(blocks, apart(target), freedom, starts, signs, limits)
-    in_here, in_others, in_both = products.added(products.nothing.without())  # each (sizes,)
-    second = [products.added(products.state([(1, size)]).without())[0] for size in range(len(SIZES))]
-    double = in_others[:, None] + np.array(second)
+    freedom, squares = max(coordinates - basis.shape[1], 1), float(left[0, 0])
+    products = Products(blocks.T @ left @ blocks, left[0] @ blocks, squares, freedom, starts, signs, limits)
+    in_here, in_others, in_both = products.added(products.state())  # each (sizes,)
+    double = in_others[:, None] + np.array([products.added(products.state([(1, s)]))[0] for s in range(len(SIZES))])
     tables = in_both, double, in_others, in_here
     same, own, absent, _ = softmax([logsumexp(table) - np.log(table.size) for table in tables]).tolist()
     answer = True if same >= CREDIBLE else False if own + absent >= CREDIBLE else None
     if units is None:
-        return InSession(name, (), (), same, answer)
+        return (), (), same, answer
     elsewhere, inside = np.unravel_index(np.argmax(double), double.shape)
     apiece = products.state([(0, int(inside)), (1, int(elsewhere))])
-    mean, covariance = apiece.mean, apiece.covariance * apiece.squares / freedom
     turn = root * units[:, None]
-    deviations = np.sqrt(np.diag(turn @ covariance[:width, :width] @ turn.T))
-    return InSession(name, tuple((turn @ mean[:width]).tolist()), tuple(deviations.tolist()), same, answer)
+    deviations = np.sqrt(np.diag(turn @ apiece.covariance[:width, :width] @ turn.T) * apiece.variance)
+    return tuple((turn @ apiece.mean[:width]).tolist()), tuple(deviations.tolist()), same, answer

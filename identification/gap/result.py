@@ -19,17 +19,17 @@ from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
-from identification.document import Document
+from identification.document import Document, html
 from identification.documents import diagnosis as words
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
+from identification.gap.average import Curve, PredictingModel
 from identification.gap.confirmation import Confirmation, Gap
-from identification.gap.curve import Curve
-from identification.gap.detectability import Beside, Detectability, OrderRange, Size
+from identification.gap.detectability import Detectability, OrderRange, Size
 from identification.gap.fit import Fit
-from identification.gap.noise import Misfit
+from identification.gap.likelihood import Products
+from identification.gap.noise import Finding, Misfit
 from identification.gap.posterior import Posterior
 from identification.gap.replication import Replication
-from identification.gap.scatter import Finding
 from identification.gap.verdict import Probabilities
 from identification.information import spectrum
 from identification.kinematics.counting import joint_range
@@ -159,7 +159,7 @@ def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: 
         tuple(effect.label for effect in effects),
         tuple(sorted({effect.family for effect in effects})),
         model.arm.effects[len(model.arm.effects) - added :],
-        as_calibration(model, fitted.values, sure.covariance, sure.freedom, fitted.sigma, rows.postures),
+        as_calibration(fitted, sure.covariance, sure.freedom, rows.postures),
         tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in figures if p.name in names),
         tuple(sure.freedom.tolist()),
         sure.kind,
@@ -167,28 +167,29 @@ def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: 
     )
 
 
-def as_calibration(
-    model: Model, values: Array, covariance: Array, freedom: Array, sigma: float, postures: Array
-) -> Calibration:
+def as_calibration(fitted: Fit | PredictingModel, covariance: Array, freedom: Array, postures: Array) -> Calibration:
     """Estimates (p,) as an arm file has them, with the postures (m, n) and the scatter [mm] that they come from."""
-    origin = {"source": DIAGNOSED, **joint_range(postures, model.joint_types), "scatter_mm": sigma}
-    origin |= freedom_kept(model.names, freedom)
-    return Calibration(model.parameters.mapping(values), model.names, covariance, MappingProxyType(origin))
+    names, joints = fitted.model.names, joint_range(postures, fitted.model.joint_types)
+    origin = {"source": DIAGNOSED, **joints, "scatter_mm": fitted.sigma, **freedom_kept(names, freedom)}
+    return Calibration(fitted.by_name, names, covariance, MappingProxyType(origin))
 
 
-def trials(posterior: Posterior, beside: Beside) -> tuple[Trial, ...]:
-    """Every effect alone against the base model, likeliest first; of a scanned setting only the best value."""
-    blocks, limits, shares = posterior.whole.blocks, posterior.whole.products.limits, defaultdict[str, float](float)
+def trials(posterior: Posterior, products: Products) -> tuple[Trial, ...]:
+    """Every effect alone against the base model, likeliest first; of a scanned setting only the best value.
+
+    products : of the whole problem, beside rows that are left out
+    """
+    blocks, shares = posterior.whole.blocks, defaultdict[str, float](float)
     for one in posterior.explanations:
-        for key in {h.key for h in one.effects}:
+        for key in {block.key for block in one.effects}:
             shares[key] += one.probability  # that the effect is missing
-    ratios = logsumexp(posterior.whole.products.added(beside.left.without()), axis=1) - np.log(limits)
-    total = sum(block.weight for block in blocks if not block.row)
-    best: dict[str, Trial] = {}
+    whole = replace(products, freedom=posterior.whole.products.freedom)  # shifts of rows cost none
+    ratios = logsumexp(whole.added(whole.state()), axis=1) - np.log(whole.limits)
+    total, best = sum(block.weight for block in blocks), dict[str, Trial]()
     for k, block in enumerate(blocks):
-        if block.named:
+        if block.effect is not None:
             odds = float(ratios[k] + np.log(block.weight / total))
-            trial = Trial(block.label, *beside.f_test([k]), 1.0 - shares[block.key], -2.0 * odds)
+            trial = Trial(block.label, *products.f_test([k]), 1.0 - shares[block.key], -2.0 * odds)
             best[block.key] = min(best.get(block.key, trial), trial, key=lambda one: one.delta_bic)
     return tuple(sorted(best.values(), key=lambda one: (round(one.delta_bic, 9), one.effect)))
 
@@ -284,7 +285,7 @@ class Diagnosis:
     @property
     def sentence(self) -> str:
         """The verdict in one line."""
-        return words.sentence(self)
+        return str(self.to_json()["sentence"])
 
     @property
     def probability(self) -> dict[str, float]:
@@ -299,7 +300,7 @@ class Diagnosis:
     @property
     def likely(self) -> str:
         """The probabilities in one line, including `other_sets`."""
-        return words.likely(self)
+        return words.likely(self.to_json())
 
     @property
     def other_sets(self) -> dict[str, float]:
@@ -356,9 +357,8 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""
-        return {
+        data: dict[str, Any] = {
             "verdict": self.verdict,
-            "sentence": self.sentence,
             "warnings": list(self.warnings),
             "effects": list(self.effects),
             "named": self.named.to_json(),
@@ -382,7 +382,7 @@ class Diagnosis:
             "offered": None if self.offered is None else self.offered.to_json(),
             "confirmation": None if self.confirmation is None else self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
-            "misfit": None if self.misfit is None else self.misfit._asdict(),
+            "misfit": self.misfit and self.misfit._asdict() | {"significant": self.misfit.significant},
             "rows": len(self.residuals.before),
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
@@ -390,6 +390,7 @@ class Diagnosis:
             "predicting": [spec.key for spec in self.predicting.specs],
             "notes": list(self.notes),
         }
+        return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
 
     def to_frame(self, kind: str = "polars") -> Any:
         """Data frame with a row for each parameter of each candidate;  kind : `polars` or `pandas`."""
@@ -411,4 +412,4 @@ class Diagnosis:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return self.document().without_pictures()._repr_html_()
+        return html(self.document(), picture=None)

@@ -18,16 +18,14 @@ from bisect import bisect
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from math import lgamma
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, zeta
 
 from identification.arrays import Array
-from identification.gap.evidence import SIZES, Key, Left, Products, State
+from identification.gap.likelihood import SIZES, Key, Products, State
 
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
@@ -38,47 +36,7 @@ MOST = 10  # effort: pairs of blocks, candidates, and explanations cross-validat
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
 
-Set = tuple[int, ...]
-
-
-class Weighed(NamedTuple):
-    """A set of blocks (ascending numbers) with the numbers of its likeliest sizes and its log posterior odds against
-    nothing."""
-
-    blocks: Set
-    sizes: tuple[int, ...]
-    log_odds: float
-
-
-class Moments:
-    """Means over draws from the posterior, of P coefficients that are zero where their block is not in the set.
-
-    count : of draws;  first, second : (P,) and (P, P) sums of the coefficients and of their products
-    variance : sum of the noise's variances;  effective : sum of the numbers of parameters
-    """
-
-    def __init__(self, products: Products) -> None:
-        size = int(products.starts[-1])
-        self.count, self.variance, self.effective = 0, 0.0, 0.0
-        self.first, self.second = np.zeros(size), np.zeros((size, size))
-        self._freedom = products.freedom
-
-    def add(self, state: State) -> None:
-        """One draw of a set with its sizes, its coefficients averaged over."""
-        variance = state.squares / max(self._freedom, 1)
-        self.count += 1
-        self.variance += variance
-        self.effective += float(np.sum(1.0 - np.diag(state.covariance) / np.square(state.sizes)))
-        self.first[state.places] += state.mean
-        products = variance * state.covariance + np.outer(state.mean, state.mean)
-        self.second[np.ix_(state.places, state.places)] += products
-
-
-class Walked(NamedTuple):
-    """The sets that matter, likeliest first, and the moments of draws without and with the rest of the library."""
-
-    sets: list[Weighed]
-    moments: tuple[Moments, Moments]
+Weighed = tuple[Key, float]  # a set with its likeliest sizes, and its log posterior odds against nothing
 
 
 @dataclass(eq=False)
@@ -99,52 +57,44 @@ class Search:
     apart: frozenset[tuple[int, int]] = frozenset()
     needy: frozenset[int] = frozenset()
     givers: frozenset[int] = frozenset()
-    total: float | None = None
+    total: float = 0.0
     _tables: dict[Key, Array] = field(default_factory=dict)
 
-    @cached_property
-    def counted(self) -> NDArray[np.bool_]:
-        """(B,) blocks that count among the K."""
-        counted = ~self.rows
-        counted[list(self.rest)] = False
-        return counted
-
-    @cached_property
-    def _log_weights(self) -> Array:
+    def __post_init__(self) -> None:
+        self.counted = ~self.rows  # (B,) blocks that count among the K
+        self.counted[list(self.rest)] = False
+        self.total = self.total or max(float(np.sum(self.weights[self.counted])), 1e-300)
         with np.errstate(divide="ignore"):
-            log_weights = np.log(self.weights / max(self.total or np.sum(self.weights[self.counted]), 1e-300))
-        log_weights[self.rows] = np.log(WRONG)
-        log_weights[list(self.rest)] = np.log(REST_ODDS)
-        return np.asarray(log_weights)
+            self._log_weights = np.log(self.weights / self.total)
+        self._log_weights[self.rows] = np.log(WRONG)
+        self._log_weights[list(self.rest)] = np.log(REST_ODDS)
 
     def log_prior(self, blocks: Sequence[int]) -> float:
         """Log prior odds of a set against nothing missing; -inf where it may not be."""
-        chosen = set(blocks)
+        chosen, inside = set(blocks), list(blocks)
         if any(chosen >= {*pair} for pair in self.apart) or (chosen & self.needy and not chosen & self.givers):
             return -np.inf
-        count = int(np.sum(self.counted[list(blocks)]))
-        return log_odds_of_count(count) + float(np.sum(self._log_weights[list(blocks)]))
+        return log_odds_of_count(int(np.sum(self.counted[inside]))) + float(np.sum(self._log_weights[inside]))
 
     def log_odds(self, state: State) -> float:
         """Log posterior odds of a set with its sizes against nothing missing."""
         of_sizes = -float(np.sum(np.log(self.products.limits[list(state.blocks)])))
         return state.ratio + state.signed + self.log_prior(state.blocks) + of_sizes
 
-    def climb(self, start: Set = ()) -> State:
+    def climb(self, start: Sequence[int] = ()) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
-        nothing, every = self.products.nothing, np.ones(len(self.weights), dtype=bool)
-        others = every.copy()
+        nothing, others = self.products.state(), np.ones(len(self.weights), dtype=bool)
         others[list(self.rest)] = False
         tops = [nothing, self._up(self.products.state([(block, 2) for block in start]), others)]
-        table = self._each(nothing.without())
+        table = self._each(nothing)
         for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
-                single = nothing.without().put(block, int(np.argmax(table[block])))
-                best = self._likeliest(self._each(single.without()), every)
-                pair = single if best is None else single.without().put(*best)
-                tops += [single, self._up(pair, ~every)]  # its sizes alone
+                single = nothing.beside(block, int(np.argmax(table[block])))
+                best = self._likeliest(self._each(single), others | True)
+                pair = single if best is None else single.beside(*best)
+                tops += [single, self._up(pair, others & False)]  # its sizes alone
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
-        return self._up(self._up(self._up(top, others), others), every)
+        return self._up(self._up(self._up(top, others), others), others | True)
 
     def _up(self, state: State, allowed: NDArray[np.bool_]) -> State:
         """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each.
@@ -157,12 +107,9 @@ class Search:
                 own[block] = True
                 best = self._likeliest(self._each(left), own, block, np.isfinite(self.log_prior(left.blocks)))
                 if best != (block, dict(state.key)[block]):
-                    state = left.rest if best is None else left.put(*best)
-            while len(state.key) < self.products.freedom:  # rows that are fitted exactly would take all blocks
-                best = self._likeliest(self._each(state.without()), allowed)
-                if best is None:
-                    break
-                state = state.without().put(*best)
+                    state = left if best is None else left.beside(*best)
+            while (best := self._likeliest(self._each(state), allowed)) is not None:
+                state = state.beside(*best)
         return state
 
     def _likeliest(
@@ -181,23 +128,19 @@ class Search:
 
     def near(self, top: State) -> list[int]:
         """All blocks but those that are together negligible beside a set and in place of one of its blocks."""
-        nothing = self.products.nothing
-        odds = [
-            self.log_odds(one.rest) + log_sums(self._each(one))
-            for one in (nothing.without(), top.without(), *map(top.without, top.blocks))
-        ]
+        lefts = (self.products.state(), top, *map(top.without, top.blocks))
+        odds = [self.log_odds(left) + log_sums(self._each(left)) for left in lefts]
         shares = np.exp(np.minimum(np.max(odds, axis=0) - self.log_odds(top), 0.0))
         order = np.argsort(shares, kind="stable")
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
 
-    def walk(self, top: State, generator: np.random.Generator) -> Walked:
-        """The posterior, from a set to start from."""
+    def walk(self, top: State, generator: np.random.Generator) -> tuple[list[Weighed], Counter[Key]]:
+        """The sets that matter, likeliest first, and how often each was drawn, from a set to start from."""
         thin = 1 + len(top.places) // 64  # effort: moves for each draw, with the columns of the set
-        state, steps, odds = top, dict[Key, Array](), dict[Key, float]()
-        visits, moments = Counter[Key](), (Moments(self.products), Moments(self.products))
+        state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
         for move in range(MOVES):
             taken = int(generator.integers(len(state.key) + 1))
-            left = state.without(state.blocks[taken] if taken < len(state.key) else None)
+            left = state.without(state.blocks[taken]) if taken < len(state.key) else state
             visits[left.key] += 1
             if left.key not in steps:
                 each = self._each(left) - np.log(len(left.key) + 2)
@@ -209,15 +152,15 @@ class Search:
             drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
             pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
             if (key := left.key if pair is None else tuple(sorted((*left.key, pair)))) != state.key:
-                state = left.rest if pair is None else left.put(*pair)
+                state = left if pair is None else left.beside(*pair)
             if move % thin == 0:
-                moments[not self.rest.isdisjoint(state.blocks)].add(state)
-                odds[key] = odds[key] if key in odds else self.log_odds(state)
-        return Walked(self._counted_up(visits, steps, odds), moments)
+                draws[key] += 1
+        return self._counted_up(visits, steps, draws), draws
 
-    def _counted_up(self, visits: Counter[Key], steps: dict[Key, Array], odds: dict[Key, float]) -> list[Weighed]:
-        """The sets, from the probabilities with which each was drawn;  odds : log odds of some that were"""
-        total: defaultdict[Set, defaultdict[tuple[int, ...], float]] = defaultdict(lambda: defaultdict(float))
+    def _counted_up(self, visits: Counter[Key], steps: dict[Key, Array], draws: Counter[Key]) -> list[Weighed]:
+        """The sets, from the probabilities with which each was drawn."""
+        total: defaultdict[tuple[int, ...], defaultdict[tuple[int, ...], float]]
+        total = defaultdict(lambda: defaultdict(float))
         for key, count in visits.items():
             shares = steps[key] * (count / visits.total())
             blocks, sizes = tuple(b for b, _ in key), tuple(s for _, s in key)
@@ -227,25 +170,23 @@ class Search:
                 at = bisect(blocks, block)
                 total[(*blocks[:at], block, *blocks[at:])][(*sizes[:at], size, *sizes[at:])] += float(shares[k])
         # these draws have these odds together, and this share of the probability: of a single one, its frequency
-        share = sum(total[tuple(b for b, _ in key)][tuple(s for _, s in key)] for key in odds)
-        evidence = float(logsumexp(list(odds.values())) - np.log(max(share, 1.0 / visits.total())))
+        share = sum(total[tuple(b for b, _ in key)][tuple(s for _, s in key)] for key in draws)
+        odds = [self.log_odds(self.products.state(key)) for key in draws]
+        evidence = float(logsumexp(odds) - np.log(max(share, 1.0 / visits.total())))
         listed = [(sum(of_sizes.values()), blocks, of_sizes) for blocks, of_sizes in total.items()]
-        return [
-            Weighed(blocks, max(of_sizes, key=lambda sizes: (of_sizes[sizes], sizes)), float(np.log(p)) + evidence)
-            for p, blocks, of_sizes in sorted(listed, key=lambda one: (-one[0], one[1]))
-            if p > LEAST
-        ]
+        ordered = [one for one in sorted(listed, key=lambda one: (-one[0], one[1])) if one[0] > LEAST]
+        likeliest = [max(of_sizes, key=lambda s: (of_sizes[s], s)) for _, _, of_sizes in ordered]
+        keys = [tuple(zip(blocks, s, strict=True)) for (_, blocks, _), s in zip(ordered, likeliest, strict=True)]
+        return [(key, float(np.log(p)) + evidence) for key, (p, _, _) in zip(keys, ordered, strict=True)]
 
-    def _each(self, left: Left) -> Array:
+    def _each(self, left: State) -> Array:
         """(B, S) log odds of a set with each further block in each size against the set; -inf where it may not be."""
         if left.key not in self._tables:
             chosen, inside = set(left.blocks), list(left.blocks)
             count = int(np.sum(self.counted[inside]))
             step = np.where(self.counted, log_odds_of_count(count + 1) - log_odds_of_count(count), 0.0)
             prior = step + self._log_weights - np.log(self.products.limits)
-            prior[
-                inside + [b for a, b in self.apart if a in chosen] + [a for a, b in self.apart if b in chosen]
-            ] = -np.inf
+            prior[inside + [({a, b} - chosen).pop() for a, b in self.apart if len({a, b} & chosen) == 1]] = -np.inf
             if not chosen & self.givers:
                 others = set(range(len(prior))) - self.givers if chosen & self.needy else self.needy
                 prior[list(others)] = -np.inf

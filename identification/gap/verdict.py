@@ -9,10 +9,11 @@ it has half of the probability, else the verdict is `ambiguous`, and candidates 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from identification.gap.detectability import LEVEL
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.posterior import Explanation, Posterior
 from identification.gap.search import MOST, NEGLIGIBLE
 
@@ -27,6 +28,7 @@ class Probabilities:
     none : nothing is missing;  sets : sorted keys of a set of effects -> its probability
     places : place -> probability of something outside the library there, as part of the likeliest explanation
     titles : sorted keys -> title with the most probable settings, `base_offset + transmission_ripple:2[k=17]`
+    outside : something outside the library
     """
 
     none: float
@@ -82,11 +84,9 @@ class Probabilities:
         """Candidates: sets of names that are not much less likely than the likeliest, this first."""
         if self.verdict not in ("named", "ambiguous"):
             return []
-        best = self.best
-        least = self.sets[best] * LEVEL
-        order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != best, n))
-        least_many = 2 if self.verdict == "ambiguous" else 1
-        return order[: max(least_many, min(MOST, sum(self.sets[names] >= least for names in order)))]
+        order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != self.best, n))
+        many = min(MOST, sum(self.sets[names] >= self.sets[self.best] * LEVEL for names in order))
+        return order[: max(2 if self.verdict == "ambiguous" else 1, many)]
 
     @property
     def place(self) -> str | None:
@@ -95,33 +95,26 @@ class Probabilities:
 
     def not_none(self, p: float) -> Probabilities:
         """Where noise cannot leave so much with more than probability p: nothing is as much less likely."""
-        moved = self.none * (1.0 - p)
-        return Probabilities(self.none - moved, self.sets, self.places, self.titles, self.outside + moved)
+        return replace(self, none=self.none * p, outside=self.outside + self.none * (1.0 - p))
 
 
 def keys_of(one: Explanation) -> Names:
     """Sorted keys of an explanation's effects."""
-    return tuple(sorted(h.key for h in one.effects))
+    return tuple(sorted(b.key for b in one.effects))
 
 
 def probabilities(posterior: Posterior) -> Probabilities:
     """Probabilities of explanations, noise models and settings summed over."""
-    none = outside = 0.0
-    sets: dict[Names, float] = {}
-    places: dict[str, float] = {}
-    titles: dict[Names, str] = {}
+    totals, places, titles = defaultdict[Names | None, float](float), defaultdict[str, float](float), dict[Names, str]()
     for one in posterior.explanations:
-        names, p = keys_of(one), one.probability
-        if one.outside:
-            outside += p
-            for place in {block.place for block in one.outside}:
-                places[place] = places.get(place, 0.0) + p
-        elif names:
-            sets[names] = sets.get(names, 0.0) + p
-            titles.setdefault(names, " + ".join(h.label for h in one.effects))
-        else:
-            none += p
-    return Probabilities(none, sets, places, titles, outside)
+        names = keys_of(one)
+        totals[None if one.outside else names] += one.probability
+        for place in {block.place for block in one.outside}:
+            places[place] += one.probability
+        if not one.outside:
+            titles.setdefault(names, " + ".join(b.label for b in one.effects))
+    none, outside = totals.pop((), 0.0), totals.pop(None, 0.0)
+    return Probabilities(none, {n: p for n, p in totals.items() if n}, dict(places), titles, outside)
 
 
 def likeliest_with(posterior: Posterior, names: Names, outside: bool = False) -> Explanation:

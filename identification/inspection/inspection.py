@@ -28,6 +28,7 @@ from identification.estimation.doubts import (
     FEW,
     SPARE,
     TOGETHER,
+    UNUSUAL,
     another_frame,
     beyond_limits,
     copied_rows,
@@ -38,7 +39,6 @@ from identification.estimation.doubts import (
     limited,
     outside_limits,
 )
-from identification.estimation.estimate import UNUSUAL
 from identification.estimation.uncertainty import LEVEL, gained_squares
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.readings import (

@@ -27,7 +27,7 @@ from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.model.placed import frames_of_tip, one_unnamed, placed_model, some
+from identification.model.placed import one_unnamed, placed_model, some
 
 UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
@@ -68,16 +68,14 @@ def _few(arm: Arm, rows: Measurements) -> bool:
     return rows.positions[:, : arm.chain.coordinates].size < 3 * (arm.dimension + len(arm.chain.turning) + point + 1)
 
 
-_frames = lru_cache(maxsize=4)(frames_of_tip)
-
-
 def _place(arm: Arm, hopeless: float = np.inf) -> Callable[[Array, Array], Placement]:
     """Where the drawing stands by postures (m, n) and positions (m, d), with the root mean square distance [mm] that it
     leaves; of lengths roughly, where that is `hopeless`."""
     chain = arm.chain
-    frames, tool = _frames(chain), np.zeros(3) if TOOL in chain.settled else None
+    tool = np.zeros(3) if TOOL in chain.settled else None
     read = partial(Unplaced, reach=chain.reach, tool=tool, hopeless=hopeless)
-    return lambda postures, positions: chain.instrument.place(read(frames(postures), positions[:, : chain.coordinates]))
+    coordinates = slice(chain.coordinates)
+    return lambda q, x: chain.instrument.place(read(chain.tip_frames(q), x[:, coordinates]))
 
 
 # -- units -------------------------------------------------------------------------------------------------------------
@@ -118,7 +116,7 @@ def _units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], float
     elif largest > 7.0:  # [rad], more than a turn
         angle[np.pi / 180.0] = "degrees: name the columns q1_deg.. instead of q1_rad.."
     postures = {t: rows.postures * np.where(turning, t, 1.0) for t in angle}
-    drawn = {t: _spread(_frames(arm.chain)(q)[:, : arm.dimension, 3]) for t, q in postures.items()}
+    drawn = {t: _spread(arm.chain.tip_frames(q)[:, : arm.dimension, 3]) for t, q in postures.items()}
     spread = 0.0 if arm.chain.instrument.contact else _spread(rows.positions[:, POINT])  # of contacts nothing is read
     # no drawing is wrong by half or twice the size; what repeats of one posture scatter by has no ratio to it
     alike = not spread or drawn[1.0] < 2.0 * spread < 4.0 * drawn[1.0]

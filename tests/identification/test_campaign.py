@@ -40,8 +40,10 @@ def test_what_a_calibration_leaves_of_other_rows_is_said_first(folder: Path) -> 
     assert "length of link 1" in as_text(document)
 
 
-def test_what_it_does_not_know_is_one_line(folder: Path) -> None:
+def test_a_plan_is_read_and_what_is_no_table_of_the_arm_is_one_line(folder: Path) -> None:
     (folder / "plan.csv").write_text("run,q1_deg,q2_deg\n1,10,20\n")
-    with pytest.raises(InputError, match="neither measurements nor joint commands") as refused:
+    assert Campaign.of([folder / "arm.toml", folder / "plan.csv"]).verdict[0].endswith("plan.csv has 1 runs.")
+    (folder / "plan.csv").write_text("a,b\n1,10\n")
+    with pytest.raises(InputError, match="q1_deg") as refused:
         Campaign.of([folder / "arm.toml", folder / "plan.csv"])
     assert "\n" not in str(refused.value)

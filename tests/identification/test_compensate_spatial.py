@@ -11,7 +11,7 @@ import pytest
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate import TOLERANCE, compensate
-from identification.documents.use import compensation_document
+from identification.documents.identification import compensation_document
 from identification.errors import InputError
 from identification.files.measurement import commands_text, load_targets
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from identification.document import (
     Action,
     Document,
-    Facts,
     Pictures,
     PlanSteps,
     Section,
@@ -19,14 +18,14 @@ from identification.document import (
     as_sentence,
     as_text,
     estimate_text,
+    facts_sheet,
     html,
-    html_facts,
     html_lines,
     html_table,
     in_a_sentence,
     in_symbols,
     number,
-    to_significant_digits,
+    of_joints,
     unit_or_dash,
 )
 
@@ -44,7 +43,7 @@ DOCUMENT = Document(
     ["The verdict.", "", f"Then {NASTY}."],
     [
         f"A paragraph {NASTY}, chi2 1 +- 2.",
-        Facts([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
+        facts_sheet([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
         Section("Open", [Sheet(["effect", "value [mm]"], [["ripple[k=4]", "1.5"], [NASTY, "-22.75"]]), "After it."]),
         Section("Closed", ["Hidden at first.", Sheet(["a"], [["b"]], "In a fold")], folded=True),
         Section("Seen", [Pictures(figures)]),
@@ -112,12 +111,12 @@ def test_text_has_no_colors_wherever_it_is_made(monkeypatch: pytest.MonkeyPatch)
 
 def test_figures_end_at_the_right_and_words_begin_at_the_left() -> None:
     rows = [["one", "1.5", "yes", "< 1e-6"], ["three", "-", "", "-22.750"], ["five", "12", "no", "5 *"]]
-    table = Sheet(["name", "value", "holds", "miss"], rows)
-    assert table.figures() == [False, True, False, True]
-    lines = as_text(table).splitlines()[-4:]
-    assert [line.index("1.5") + 3 for line in lines if "1.5" in line] == [
-        line.index("12") + 2 for line in lines if "12" in line
-    ]
+    head, _, *lines = (line for line in as_text(Sheet(["name", "value", "holds", "miss"], rows)).splitlines() if line)
+    assert {line.index(row[0]) for line, row in zip(lines, rows, strict=True)} == {head.index("name")}
+    assert {line.index(row[1]) + len(row[1]) for line, row in zip(lines, rows, strict=True)} == {
+        head.index("value") + 5
+    }
+    assert {line.index(row[3]) + len(row[3]) for line, row in zip(lines, rows, strict=True)} == {head.index("miss") + 4}
 
 
 @pytest.mark.parametrize("width", [30, 80])
@@ -143,50 +142,36 @@ def test_long_tables_are_cut_and_say_so() -> None:
     assert "first" not in as_text(Sheet(["run"], rows[:3], most=3))
 
 
-# -- tables in HTML ----------------------------------------------------------------------------------------------------
-class Cells(HTMLParser):
-    """Rows of texts."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.rows: list[list[str]] = []
-
-    def handle_starttag(self, tag: str, attrs: object) -> None:
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append("")
-
-    def handle_data(self, data: str) -> None:
-        if self.rows and self.rows[-1] and data.strip():
-            self.rows[-1][-1] += data
-
-
-def test_cells_come_out_as_they_went_in() -> None:
-    headings, rows = ("a<b", "x & y"), [["</td><script>", "1"], ["", 'q "7"' * 9]]
-    parser = Cells()
-    parser.feed(html_table(headings, rows))
-    assert parser.rows == [list(headings), *rows]
-
-
-def test_long_cells_may_be_broken() -> None:
+# -- HTML --------------------------------------------------------------------------------------------------------------
+def test_cells_come_out_as_they_went_in_and_long_ones_may_be_broken() -> None:
+    headings, row = ("a<b", "x & y", "z"), ["</td><script>", "", 'q "7"' * 9]
+    parser = Texts()
+    parser.feed(html_table(headings, [row, ["", "x" * 24, "x" * 25]]))
+    assert parser.texts == [*headings, row[0], row[2], "x" * 24, "x" * 25]
     assert html_table(["h"], [["x" * 25]]).count('class="text"') == 2  # with its heading
     assert 'class="text"' not in html_table(["h"], [["x" * 24]])
-
-
-def test_lines_are_paragraphs() -> None:
     assert html_lines(["1 < 2", "two"], strong=True) == "<p><b>1 &lt; 2</b></p>\n<p><b>two</b></p>\n"
+    facts = html(facts_sheet([("a<b", "1 & 2 +- sigma")]))
+    assert (facts.count("<tr>"), ">a&lt;b</th>" in facts, ">1 &amp; 2 ± σ</td>" in facts) == (1, True, True)
 
 
-def test_rows_that_are_too_wide_for_a_phone_have_their_headings_in_each_cell() -> None:
-    """Six columns of 8 characters and their spaces are 60, three are 30; two columns always have room."""
-    wide, narrow = ["a" * 8] * 6, ["a" * 8] * 3
-    assert html_table(wide, [wide]).count('data-heading="aaaaaaaa"') == 6
-    assert html_table(wide, [wide]).startswith('<table class="wide">')
-    assert "data-heading" not in html_table(narrow, [narrow])
-    assert "data-heading" not in html_table(["a", "b"], [["x" * 90, "y" * 20]])
-    assert html_table(["<i>", "b", "c"], [["x" * 30, "1", "2"] * 1]).count('data-heading="&lt;i&gt;"') == 0
-    assert html_table(["<i>", "b", "c"], [["x" * 40, "1", "2"]]).count('data-heading="&lt;i&gt;"') == 1
+@pytest.mark.parametrize(
+    ("headings", "row", "wide"),
+    [
+        (["<i>aaaaa"] * 6, ["a" * 8] * 6, True),  # six columns of 8 characters and their spaces are 60
+        (["<i>aaaaa"] * 3, ["a" * 8] * 3, False),
+        (["<i>", "b"], ["x" * 90, "y" * 20], False),  # two columns always have room
+        (["<i>", "b", "c"], ["x" * 30, "1", "2"], False),
+        (["<i>", "b", "c"], ["x" * 40, "1", "2"], True),
+    ],
+)
+def test_rows_that_are_too_wide_for_a_phone_have_their_headings_in_each_cell(
+    headings: list[str], row: list[str], wide: bool
+) -> None:
+    text = html_table(headings, [row])
+    assert text.startswith('<table class="wide">' if wide else "<table>")
+    assert text.count('data-heading="') == wide * len(row)
+    assert ('data-heading="&lt;i&gt;' in text) is wide
 
 
 def test_symbols_are_those_of_books_and_keys_stay_as_they_are() -> None:
@@ -194,54 +179,23 @@ def test_symbols_are_those_of_books_and_keys_stay_as_they_are() -> None:
     assert said == "σ 0.1 mm, χ² 20.5, RMS 2 → 1 mm, 1 ± 2; sigma_mm, chi2s"
 
 
-def test_facts_stand_beside_their_names() -> None:
-    text = html_facts([("a<b", "1 & 2")])
-    assert text.count("<tr>") == 1
-    assert ">a&lt;b</th>" in text
-    assert ">1 &amp; 2</td>" in text
-
-
 # -- numbers as people read them ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("value", "text"), [(None, "-"), (math.nan, "-"), (math.inf, "-"), (1.23456, "1.2346"), (-1e-9, "0.0000")]
-)
-def test_number(value: float | None, text: str) -> None:
-    assert number(value) == text
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "text"),
+    ("shown", "text"),
     [
-        (1.23456789, 0.0123, "1.2346"),
-        (1.23456789, 12.3, "1.2"),
-        (None, 1.0, "-"),
-        (2e7, 1.0, "2e+07"),
-        (0.5, None, "0.5"),
-        (-1e-5, 0.1, "0.000"),
+        *((number(value), "-") for value in (None, math.nan, math.inf)),
+        *((number(1.23456), "1.2346"), (number(-1e-9), "0.0000")),
+        # three significant digits of the standard deviation, in mm and deg at most five decimals
+        *((estimate_text(1.23456789, std, "1/K"), text) for std, text in ((0.0123, "1.2346"), (12.3, "1.2"))),
+        *((estimate_text(None, 1.0, "mm"), "-"), (estimate_text(2e7, 1.0, "mm"), "2e+07")),
+        *((estimate_text(0.5, None, "mm"), "0.5000"), (estimate_text(-1e-5, 0.1, "mm"), "0.000")),
+        *((estimate_text(0.0, None, "mm"), "0"), (estimate_text(1.23456789, 1e-6, "mm"), "1.23457")),
+        (estimate_text(1.23456789e-7, 1e-9, "1"), "1.23e-07"),
+        *((in_a_sentence(0.10953), "0.110"), (in_a_sentence(1.4236), "1.42"), (in_a_sentence(34.04), "34.0")),
+        *((in_a_sentence(1829.0), "1829"), (in_a_sentence(0.0), "0"), (in_a_sentence(None), "-")),
+        *((unit_or_dash("mm"), "mm"), (unit_or_dash("1"), "–"), (as_sentence("two [mm]"), "Two [mm].")),
+        *((of_joints([2]), "joint 2"), (of_joints([1, 3]), "joints 1 and 3"), (of_joints([1, 2, 3]), "joints 1 to 3")),
     ],
 )
-def test_significant_digits_are_three_of_the_standard_deviation(
-    value: float | None, std: float | None, text: str
-) -> None:
-    assert to_significant_digits(value, std) == text
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.10953, "0.110"), (1.4236, "1.42"), (34.04, "34.0"), (1829.0, "1829"), (0.0, "0"), (None, "-")],
-)
-def test_figures_in_sentences_have_three_digits(value: float | None, text: str) -> None:
-    assert in_a_sentence(value) == text
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "unit", "text"),
-    [(0.0, None, "mm", "0"), (1.23456789, 1e-6, "mm", "1.23457"), (1.23456789e-7, 1e-9, "1", "1.23e-07")],
-)
-def test_estimates_in_mm_and_deg_have_at_most_five_decimals(value: float, std: float, unit: str, text: str) -> None:
-    assert estimate_text(value, std, unit) == text
-
-
-def test_a_number_without_a_unit_has_a_dash_for_one_and_a_clause_becomes_a_sentence() -> None:
-    assert [unit_or_dash(unit) for unit in ("mm", "1", "1/K")] == ["mm", "–", "1/K"]
-    assert [as_sentence(clause) for clause in ("two [mm]", "Done.", "")] == ["Two [mm].", "Done.", "."]
+def test_numbers_and_words_as_people_read_them(shown: str, text: str) -> None:
+    assert shown == text

@@ -72,7 +72,7 @@ def share_inside_tip(arm: Arm, data: DataSet) -> float | None:
 def library_gap(data: DataSet) -> float:
     """Held-out gap [mm] of the model with every effect of the library; orders of ripple and single joints left out."""
     library = hypotheses(data.arm, data.measurements.optional_columns)
-    specs = (h.spec for h in library.unscanned if not h.key.startswith("joint_compliance:"))
+    specs = (b.spec for b in library.members if b.plain and b.spec and not b.key.startswith("joint_compliance:"))
     return rms_distance(_residuals(data, data.arm.with_effects(*specs))[1])
 
 

@@ -1,8 +1,13 @@
-"""Jobs in processes of their own, and the lines of the table that comes of them."""
+"""Tools on one job, each in a process of its own, and the lines of the table that comes of them.
+
+The process: `python -m tests.benchmarks.peers.table JOB.json ANSWER.npz`. Its clock is the processor's and leaves
+imports out; the peak of memory counts everything, the interpreter too.
+"""
 
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import json
 import os
 import resource
@@ -10,10 +15,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,47 +26,30 @@ PYTHONS = [sys.executable, *filter(None, os.environ.get("ARMCAL_PEERS", "").spli
 SECONDS = int(os.environ.get("ARMCAL_PEERS_SECONDS", "600"))  # of processor time, after which a process is stopped
 MEMORY = 12 * 2**30  # bytes of address space
 ABSENT, HEADER = "not installed", "| tool | value | | processor time | peak memory |\n|---|---|---|---|---|"
+Answer = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Row:
-    """A tool's answer as we judge it; `said` where there is none.
+class Tool(NamedTuple):
+    """run : arguments of the job -> arrays of the answer;  modules : what it imports, the first ones its own"""
 
-    value : ours, computed from its answer;  shown : the same for people
-    """
+    run: Callable[..., Answer]
+    modules: tuple[str, ...] = ()
 
-    tool: str
-    value: float | None = None
-    shown: str = ""
-    seconds: float = 0.0
-    time: str = ""
-    megabytes: float = 0.0
-    said: str = ""
 
-    def line(self, ours: Row) -> str:
-        """In Markdown; times beside a multiple of ours."""
-        if self.value is None:
-            return f"| {self.tool} | {self.said} | | | |"
-        ratio = "" if self is ours else f"{self.seconds / max(ours.seconds, 0.01):.2g} x"
-        return f"| {self.tool} | {self.shown} | {ratio} | {self.time} | {self.megabytes:.0f} MB |"
+def processor_seconds() -> float:
+    """Of this process and of the processes it has waited for."""
+    return sum(os.times()[:4])
 
 
 @cache
 def interpreter(modules: tuple[str, ...]) -> str | None:
     """The first of the Pythons that has all of these modules."""
     code = f"import importlib; [importlib.import_module(name) for name in {modules!r}]"
-    for python in PYTHONS:
-        if subprocess.run([python, "-c", code], cwd=ROOT, capture_output=True).returncode == 0:
-            return python
-    return None
+    calls = ((python, subprocess.run([python, "-c", code], cwd=ROOT, capture_output=True)) for python in PYTHONS)
+    return next((python for python, done in calls if done.returncode == 0), None)
 
 
-def limited() -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 5))
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-
-
-def answer_of(folder: Path, task: str, tool: str, modules: tuple[str, ...], **job: Any) -> dict[str, Any] | str:
+def answer_of(folder: Path, task: str, tool: str, modules: tuple[str, ...], **job: Any) -> Answer | str:
     """What the tool's process wrote, or a sentence why it did not."""
     python = interpreter(modules)
     if python is None:
@@ -71,10 +58,8 @@ def answer_of(folder: Path, task: str, tool: str, modules: tuple[str, ...], **jo
     question.write_text(json.dumps({"task": task, "tool": tool} | job))
     written.unlink(missing_ok=True)
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    done = subprocess.run(
-        [python, "-m", "tests.benchmarks.peers.tool", str(question), str(written)],
-        cwd=ROOT, capture_output=True, text=True, env=os.environ | threads, preexec_fn=limited,
-    )  # fmt: skip
+    line = [python, "-m", "tests.benchmarks.peers.table", str(question), str(written)]
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, env=os.environ | threads)
     if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return f"no answer in {SECONDS} s"
     if done.returncode:
@@ -84,28 +69,63 @@ def answer_of(folder: Path, task: str, tool: str, modules: tuple[str, ...], **jo
 
 
 def compared(
-    folder: Path, title: str, task: str, judged: Callable[[dict[str, Any]], tuple[float, str, str]], **job: Any
-) -> list[Row]:
-    """All tools of a task on one job, printed as they come; the first is armcal.
+    folder: Path,
+    title: str,
+    tools: str,
+    judged: Callable[[Answer], tuple[float, str, str]],
+    left_out: tuple[str, ...] = (),
+    **job: Any,
+) -> list[float]:
+    """Values of all tools of one table (MODULE.TABLE) on one job, printed as they come; the first is armcal's.
 
-    judged : answer -> value, the same for people, time for people
+    judged : answer -> value (the smaller the better), the same for people, time for people
+    Returns the values, infinite where a tool gave no answer.
     """
     print(f"\n\n**{title}**\n\n{HEADER}")
-    rows: list[Row] = []
-    left_out = job.pop("left_out", ())
-    for name, tool in importlib.import_module(f"tests.benchmarks.peers.{task}").TOOLS.items():
-        if name not in left_out:
-            found = answer_of(folder, task, name, tool.modules, **job)
-            rows.append(row_of(name, found, judged))
-            print(rows[-1].line(rows[0]), flush=True)
-    return rows
+    values, ours = [], 0.0
+    for name, tool in table_of(tools).items():
+        if name in left_out:
+            continue
+        answer = answer_of(folder, tools, name, tool.modules, **job)
+        if isinstance(answer, str):
+            values.append(np.inf)
+            print(f"| {name} | {answer} | | | |", flush=True)
+            continue
+        value, shown, time = judged(answer)
+        values.append(value)
+        seconds, named = float(answer["seconds"]), f"{name} {answer['version']}".strip()
+        ratio = f"{seconds / max(ours, 0.01):.2g} x" if ours else ""
+        ours = ours or seconds
+        print(f"| {named} | {shown} | {ratio} | {time} | {float(answer['megabytes']):.0f} MB |", flush=True)
+    return values
 
 
-def row_of(name: str, found: dict[str, Any] | str, judged: Callable[[dict[str, Any]], tuple[float, str, str]]) -> Row:
-    """With the tool's version."""
-    if isinstance(found, str):
-        return Row(name, said=found)
-    value, shown, time = judged(found)
-    version = str(found.get("version", ""))
-    named = f"{name} {version}".strip()
-    return Row(named, value, shown, float(found["seconds"]), time, float(found["megabytes"]))
+def table_of(tools: str) -> dict[str, Tool]:
+    """The tools of MODULE.TABLE, by name."""
+    module, _, name = tools.partition(".")
+    return dict(getattr(importlib.import_module(f"tests.benchmarks.peers.{module}"), name))
+
+
+def main(question: Path, written: Path) -> None:
+    """Runs one tool; job: `task` (MODULE.TABLE), `tool`, and arguments."""
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 5))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    job = json.loads(question.read_text())
+    tool = table_of(job.pop("task"))[job.pop("tool")]
+    for module in tool.modules:
+        importlib.import_module(module)
+    began = processor_seconds()
+    answer = tool.run(**job)
+    answer.setdefault("seconds", processor_seconds() - began)
+    status = Path("/proc/self/status").read_text().splitlines()  # `ru_maxrss` would count the process that started it
+    own = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+    peak = max(own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss) / 1024.0
+    try:
+        version = importlib.metadata.version(tool.modules[0].split(".")[0]) if tool.modules else ""
+    except importlib.metadata.PackageNotFoundError:  # this project's own
+        version = ""
+    np.savez(written, megabytes=peak, version=version, **answer)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

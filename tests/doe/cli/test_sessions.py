@@ -75,4 +75,4 @@ def test_next_postures_for_several_files(sessions: Folder) -> None:
     """`discriminate` reads what `diagnose` reads, as its next step is given with the same files."""
     done = sessions.armcal("discriminate", "arm.toml", "monday.csv", "friday.csv", "--runs", "2")
     assert done.code == 0, done.err
-    assert "transmission_ripple:2[k=5] is missing from the model" in " ".join(done.out.split())
+    assert "gear ripple, k times per turn (transmission_ripple:2[k=5])" in " ".join(done.out.split())

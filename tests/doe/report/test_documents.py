@@ -20,8 +20,12 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.compensate import compensate
 from identification.document import Document, Part, Section, Sheet, as_text
 from identification.documents.diagnosis import diagnosis_document
-from identification.documents.identification import identification_document
-from identification.documents.library import entry_document, gravity_document, library_document
+from identification.documents.identification import (
+    entry_document,
+    gravity_document,
+    identification_document,
+    library_document,
+)
 from identification.effects.catalogue import entries
 from identification.estimation import estimate
 from identification.gap.diagnose import diagnose

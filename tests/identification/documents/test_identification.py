@@ -11,21 +11,18 @@ from identification.arm import Arm, Calibration
 from identification.compensate import Compensation
 from identification.document import Sheet, as_text
 from identification.documents.identification import (
+    BY_CHANCE,
+    compensation_document,
     corrected_section,
     dh_sections,
     identification_actions,
     identification_verdict,
     in_short,
-)
-from identification.documents.pictures import validation_figure
-from identification.documents.use import (
-    BY_CHANCE,
-    compensation_document,
     is_better,
     validation_actions,
     validation_verdict,
-    without_command,
 )
+from identification.documents.pictures import validation_figure
 from identification.estimation.result import CorrectedValue
 from identification.measurements import Measurements
 from identification.validate import validate
@@ -166,23 +163,17 @@ def commands(errors: list[float], missed: list[float]) -> Compensation:
 def test_counts_of_targets_without_a_command() -> None:
     """Row 2 is out of reach, row 3 barred; both lack angles, and a sentence says how many and why."""
     found = commands([0.0, 3.0, 0.0], [-1.0, -1.0, 2.0])
-    assert without_command(found) == [
-        "2 have no command (angles left empty): 1 out of reach, 1 barred by a constraint (rows 2, 3)."
-    ]
     assert np.isnan(found.safe_commands).tolist() == [[False], [True], [True]]
     document = compensation_document(found)
-    assert document.verdict[0].startswith("1 of 3 targets reached")
+    why = "2 have no command (angles left empty): 1 out of reach, 1 barred by a constraint (rows 2, 3)."
+    assert document.verdict == [f"1 of 3 targets reached by the calibrated model. {why}"]
     table, *reasons = document.parts
     assert isinstance(table, Sheet)
     assert [row[3:] for row in table.rows] == [["28.648", "< 1e-6"], ["-", "3.0000"], ["-", "-"]]
     assert len(reasons) == 2
 
 
-def test_nothing_is_said_where_every_target_is_reached() -> None:
-    assert without_command(commands([0.0, 1e-9], [-1.0, -1.0])) == []
-
-
-def test_long_lists_of_rows_are_cut() -> None:
-    assert without_command(commands([1.0] * 20, [-1.0] * 20)) == [
-        "20 have no command (angles left empty): out of reach (rows 1, 2, 3, 4, 5, 6, 7, 8, ...)."
-    ]
+def test_where_every_target_is_reached_and_where_none_is() -> None:
+    every, none = (compensation_document(commands([e] * 20, [-1.0] * 20)).verdict[0] for e in (1e-9, 1.0))
+    assert every == "20 of 20 targets reached by the calibrated model."
+    assert none.endswith("20 have no command (angles left empty): out of reach (rows 1, 2, 3, 4, 5, 6, 7, 8, ...).")

@@ -233,7 +233,7 @@ def test_deviations_are_those_of_samples_of_the_covariance() -> None:
     assert found.geometry is not None
     for values in generator.multivariate_normal(found.parameters, found.covariance, 400):
         named = {**found.geometry.values, **dict(zip(found.names, values, strict=True))}
-        links = corrected_links(corrected(found.geometry.chain, named), drawn).links
+        links = corrected_links(corrected(found.geometry.chain, named), drawn)[0]
         samples.append([links[1].a, np.degrees(links[1].beta or 0.0), links[3].d, np.degrees(links[4].theta)])
     rows = {row.name: row for row in dh_values(Calibrated.of(found), UR10)}
     stds = [rows[name].std for name in ("row 2 a", "row 2 beta", "row 4 d", "row 5 theta")]

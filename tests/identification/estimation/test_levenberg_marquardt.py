@@ -11,7 +11,6 @@ from scipy.optimize import least_squares
 from identification.estimation.levenberg_marquardt import (
     BLOCK,
     GRADIENT_TOLERANCE,
-    MANY,
     LeastSquares,
     Linearize,
     compressed,
@@ -75,7 +74,7 @@ def test_ends_where_scipy_ends(lower: tuple[float, ...], upper: tuple[float, ...
     found = levenberg_marquardt(problem(linearize, 3, 40, lower=low, upper=high), 1.05 * others)
     assert set(found.status) == {Status.converged}
     assert np.all((found.parameters >= low) & (found.parameters <= high))
-    assert np.all(found.squares <= np.sum(linearize(others, np.arange(40))[0] ** 2, axis=1) * (1.0 + 1e-9))
+    assert np.all(found.rss <= np.sum(linearize(others, np.arange(40))[0] ** 2, axis=1) * (1.0 + 1e-9))
     # scipy keeps a little inside the bounds: 1e-6 of values of order one
     np.testing.assert_allclose(found.parameters, others, rtol=0, atol=2e-5)
     far = levenberg_marquardt(problem(linearize, 3, 40, lower=low, upper=high), np.tile([2.5, 0.8, 0.1], (40, 1)))
@@ -143,17 +142,17 @@ def test_damped_step_of_many_parameters() -> None:
     """By the triangle of the columns that are free; beyond the tolerance by singular values, of which the smallest is
     left out. The oracle is the pseudo-inverse of the rows with the damping below them."""
     generator = np.random.default_rng(11)
-    left, right = (np.linalg.qr(generator.standard_normal((rows, MANY)))[0] for rows in (MANY + 30, MANY))
-    values, residual = np.geomspace(1.0, 1e-6, MANY), generator.standard_normal(MANY + 30)
-    held = np.zeros((1, MANY), dtype=bool)
+    left, right = (np.linalg.qr(generator.standard_normal((rows, 120)))[0] for rows in (120 + 30, 120))
+    values, residual = np.geomspace(1.0, 1e-6, 120), generator.standard_normal(120 + 30)
+    held = np.zeros((1, 120), dtype=bool)
     for smallest, damping, out in ((1e-6, 0.0, ()), (1e-6, 0.2, ()), (1e-6, 0.2, (3, 7)), (1e-12, 0.0, ())):
         held[:], values[-1] = False, smallest
         held[0, list(out)] = True
         columns = left * values @ right.T
         free = columns * ~held[0]
-        tall = np.vstack([free, np.sqrt(damping) * np.eye(MANY)])
+        tall = np.vstack([free, np.sqrt(damping) * np.eye(120)])
         inverse = np.linalg.pinv(tall, rcond=1e-9)
-        expected = inverse @ np.r_[residual, np.zeros(MANY)]
+        expected = inverse @ np.r_[residual, np.zeros(120)]
         steps, gradient, stiffness = damped_steps(columns[None], residual[None], held, np.array([damping]), 1e-9)
         np.testing.assert_allclose(steps[0], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
         np.testing.assert_allclose(gradient[0], free.T @ residual, rtol=0, atol=1e-9)
@@ -246,7 +245,7 @@ def test_a_wrong_derivative_ends_unconverged() -> None:
     assert not np.any(found.status == Status.converged)
     assert np.all(found.iterations < problem(wrong, 3, 3).iterations)
     begun = np.sum(right(np.ones((3, 3)), np.arange(3))[0] ** 2, axis=1)
-    assert np.all(found.squares <= begun * (1.0 + 1e-12))
+    assert np.all(found.rss <= begun * (1.0 + 1e-12))
 
 
 def bilinear(count: int, factors: tuple[int, int], seed: int) -> tuple[Linearize, np.ndarray]:
@@ -279,7 +278,7 @@ def test_no_corner_without_gradient_counts_as_converged(factors: tuple[int, int]
     assert np.mean(converged) > 0.95
     x = found.parameters
     residual, jacobian = linearize(x, np.arange(count))
-    np.testing.assert_allclose(found.squares, np.sum(residual**2, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(found.rss, np.sum(residual**2, axis=1), rtol=1e-12)
     gradient = np.einsum("knp,kn->kp", jacobian, residual)
     inside = np.where(x <= low, gradient > 0.0, np.where(x >= high, gradient < 0.0, True))
     size = np.linalg.norm(jacobian, axis=1) * np.linalg.norm(residual, axis=1)[:, None]
@@ -287,8 +286,8 @@ def test_no_corner_without_gradient_counts_as_converged(factors: tuple[int, int]
     assert np.all(np.abs(gradient)[inside] <= 2.0 * GRADIENT_TOLERANCE * size[inside])
     near = np.clip(x + 1e-3 * generator.uniform(-1.0, 1.0, x.shape), 2e-6, upper - 2e-6)
     ends = np.array([scipy_end(linearize, near[k], k, low, high) for k in range(count)])
-    lower_by = found.squares - np.sum(linearize(ends, np.arange(count))[0] ** 2, axis=1)
-    np.testing.assert_array_less(lower_by, 1e-9 * found.squares)
+    lower_by = found.rss - np.sum(linearize(ends, np.arange(count))[0] ** 2, axis=1)
+    np.testing.assert_array_less(lower_by, 1e-9 * found.rss)
 
 
 def test_a_saddle_point_is_left() -> None:
@@ -299,7 +298,7 @@ def test_a_saddle_point_is_left() -> None:
 
     found = levenberg_marquardt(problem(linearize, 2, 1, rounding=np.array([1e-12])), np.array([[1.0, 1.0]]))
     assert found.status[0] is Status.converged
-    assert found.squares[0] <= 1e-20
+    assert found.rss[0] <= 1e-20
 
 
 def test_a_corner_is_left_where_the_other_factor_has_room() -> None:
@@ -317,7 +316,7 @@ def test_a_corner_is_left_where_the_other_factor_has_room() -> None:
     least = problem(linearize, 3, 1, lower=low, upper=high, rounding=np.array([1e-12]))
     found = levenberg_marquardt(least, np.array([[0.0, -0.3, -0.8]]))
     assert found.status[0] is Status.converged
-    assert found.squares[0] <= 1e-20
+    assert found.rss[0] <= 1e-20
 
 
 @pytest.mark.parametrize("rows", [150, 2 * BLOCK + 3])

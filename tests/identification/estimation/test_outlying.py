@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, hypergeom
+from scipy.stats import chi2
 
 from identification.arm import Arm
 from identification.estimation import estimate, without_outliers
-from identification.estimation.uncertainty import OUTLIER, _tail, limit_of, outlying, studentised, together
+from identification.estimation.uncertainty import OUTLIER, limit_of, outlying, studentised, together
 from identification.information import column_space
 from identification.model import Model
 from identification.simulate import simulate
@@ -117,12 +117,6 @@ def test_whole_postures_and_a_stretch_of_one_joint_are_structure() -> None:
     largest = np.argsort(q[:, 1])[-12:]
     outlier = np.isin(np.arange(300), [*largest, *rng.choice(300, 3, replace=False)])
     assert set(largest) <= set(np.flatnonzero(together(outlier, q, np.arange(300))))
-
-
-@pytest.mark.parametrize(("x", "wrong", "count"), [(2, 6, 100), (3, 20, 120), (9, 60, 300), (2, 3, 4)])
-def test_chance_of_a_group_is_hypergeometric(x: int, wrong: int, count: int) -> None:
-    sizes = np.array([1, 3, 4])
-    np.testing.assert_allclose(_tail(x, sizes, wrong, count), hypergeom.sf(x - 1, count, wrong, sizes), atol=1e-12)
 
 
 def test_postures_that_gravity_explains_are_no_outliers() -> None:

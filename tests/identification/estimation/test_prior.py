@@ -20,12 +20,10 @@ from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.problem import (
     WIDTHS,
     ZERO_WIDTHS,
-    LinearProblem,
     Prior,
     Problem,
     likeliest,
     likeliest_noise,
-    restricted_likelihood,
 )
 from identification.gap.library_prior import library_prior
 from identification.kinematics.chain import DHRow, chain_of
@@ -229,7 +227,7 @@ def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing(
     def width(times: float, copies: int) -> float:
         target, columns = (np.concatenate([a] * copies) for a in (misfit + jacobian @ (times * sizes), jacobian))
         copied = replace(problem, weights=np.ones(1000 * copies))
-        return likeliest(LinearProblem(copied, zero, target, columns))[1][0]
+        return likeliest(copied, zero, target, columns)[1][0]
 
     once = [width(times, 1) for times in (0.5, 1.0, 1.2, 1.4, 1.6, 2.0, 4.0)]
     assert once[0] == 1.0 < once[-1]
@@ -254,12 +252,10 @@ def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[
         left = float(np.linalg.slogdet(covariance)[1] + residual @ np.linalg.solve(covariance, residual))
         return left + 4.0 * sum(width != 1.0 for width in widths)
 
-    linear = LinearProblem(
-        Problem.of(SPATIAL, data, 0.05, prior=Prior(SPATIAL.prior)), zero, residual / 0.05, jacobian / 0.05
-    )
+    problem = Problem.of(SPATIAL, data, 0.05, prior=Prior(SPATIAL.prior))
     expected = min(product(WIDTHS, ZERO_WIDTHS), key=minus_log)
     assert (expected[0] > 1.0, expected[1] > 1.0) == (factors[0] > 1.0, factors[1] > 1.0)
-    assert likeliest(linear) == (1.0, expected)
+    assert likeliest(problem, zero, residual / 0.05, jacobian / 0.05) == (1.0, expected)
 
 
 @pytest.mark.parametrize("degrees", [20.0, 110.0])
@@ -308,7 +304,8 @@ def minus_log(noise: float, size: float) -> float:
 @pytest.mark.parametrize("size", [0.0, 0.1, 1.0, 7.0])
 def test_likeliest_noise_and_its_likelihood(size: float) -> None:
     target, free, effects = drawn()
-    value, noise = likeliest_noise(restricted_likelihood(target, free, size * effects), 1e-3, 10.0)
+    outside = null_space(free.T)
+    value, noise = likeliest_noise(outside.T @ target, size * outside.T @ effects, 37, 1e-3, 10.0)
     best = minimize_scalar(minus_log, args=(size,), bounds=(1e-3, 10.0), method="bounded", options={"xatol": 1e-9})
     assert value == pytest.approx(best.fun, rel=1e-9)
     assert noise == pytest.approx(best.x, rel=1e-6)  # SciPy compares values, flat at the square root of rounding
@@ -323,15 +320,17 @@ def test_more_effects_than_residuals() -> None:
     for noise, size in ((0.3, 1.0), (2.0, 0.1)):
         covariance = size**2 * outside.T @ effects @ effects.T @ outside + noise**2 * np.eye(5)
         expected = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)
-        found = restricted_likelihood(target, free, size * effects)(np.array(noise))
-        assert found == pytest.approx(expected, rel=1e-12)
+        found = likeliest_noise(left, size * outside.T @ effects, 5, noise, noise)
+        assert found[0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_noise_ends_at_its_limits_exactly() -> None:
     """A given sigma above the scatter is kept to the last digit, and so is a given noise."""
-    found = restricted_likelihood(*drawn())
-    assert likeliest_noise(found, 2.0, 10.0)[1] == 2.0
-    value, noise = likeliest_noise(found, 1.0, 1.0)
+    target, free, effects = drawn()
+    outside = null_space(free.T)
+    found = outside.T @ target, outside.T @ effects, 37
+    assert likeliest_noise(*found, 2.0, 10.0)[1] == 2.0
+    value, noise = likeliest_noise(*found, 1.0, 1.0)
     assert noise == 1.0
     assert value == pytest.approx(minus_log(1.0, 1.0), rel=1e-12)
 
@@ -346,5 +345,5 @@ def test_rows_that_stand_for_a_share_of_themselves(rows: int) -> None:
     covariance = columns @ columns.T + 0.7**2 * np.eye(rows - 2)
     expected = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)
     expected += (spare - (rows - 2)) * 2.0 * np.log(0.7)
-    found = restricted_likelihood(0.5 * target, free, 0.5 * effects, spare)(np.array(0.7))
-    assert found == pytest.approx(expected, rel=1e-10)
+    found = likeliest_noise(left, columns, spare, 0.7, 0.7)
+    assert found[0] == pytest.approx(expected, rel=1e-10)

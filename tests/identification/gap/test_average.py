@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +11,10 @@ import pytest
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.gap.average import _to_parameters, averaged, beside_known
-from identification.gap.evidence import SIZES
 from identification.gap.fit import Rows
 from identification.gap.hypotheses import hypotheses
+from identification.gap.likelihood import SIZES, Key
 from identification.gap.posterior import Explanation, Posterior, posterior_of
-from identification.gap.search import Moments, Weighed
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -32,23 +32,22 @@ def found() -> Posterior:
     rows = Rows.of(Measurements(q, exact + 0.05 * rng.normal(size=(50, 2))))
     walked = posterior_of(hypotheses(ARM, frozenset(), rows), rows, rng)
     problem, numbers = walked.whole, walked.whole.numbers
-    explanations, moments = [], (Moments(problem.products), Moments(problem.products))
+    explanations, draws = [], Counter[Key]()
     for labels, share in zip(SETS, SHARES, strict=True):
-        blocks = tuple(sorted(numbers[label] for label in labels))
-        weighed = Weighed(blocks, tuple(2 + k for k in range(len(blocks))), float(np.log(share)))
-        explanations.append(Explanation(tuple(problem.blocks[b] for b in blocks), 0, weighed, share))
-        for _ in range(round(100 * share)):
-            moments[0].add(problem.products.state([(b, 2 + k) for k, b in enumerate(blocks)]))
-    alone = {"problems": (problem,), "noises": walked.noises[:1], "moments": (moments,)}
+        blocks = sorted(numbers[label] for label in labels)
+        key = tuple((b, 2 + k) for k, b in enumerate(blocks))
+        explanations.append(Explanation(tuple(problem.blocks[b] for b in blocks), key, 0, share))
+        draws[key] = round(100 * share)
+    alone = {"problems": (problem,), "noises": walked.noises[:1], "draws": (draws,)}
     return replace(walked, explanations=tuple(explanations), **alone)
 
 
 def regressed(given: Posterior, one: Explanation, base: Array, target: Array) -> tuple[Array, Array, list[Array]]:
     """Mean and covariance of base parameters and blocks' parameters under one explanation, by dense algebra."""
-    problem, b = given.whole, one.weighed.blocks
+    problem, b = given.whole, [k for k, _ in one.key]
     roots = [problem.roots[k] for k in b]
-    columns = [given.rows.whiten(problem.columns[k]) @ root for k, root in zip(b, roots, strict=True)]
-    sizes = np.repeat(SIZES[list(one.weighed.sizes)], [root.shape[1] for root in roots])
+    columns = [given.at.rows.whiten(problem.columns[k]) @ root for k, root in zip(b, roots, strict=True)]
+    sizes = np.repeat(SIZES[[size for _, size in one.key]], [root.shape[1] for root in roots])
     wide, g = np.concatenate([base, *columns], axis=1), base.shape[1]
     precision = wide.T @ wide + np.diag(np.concatenate([np.zeros(g), sizes**-2.0]))
     inverse = np.linalg.inv(precision)
@@ -65,25 +64,22 @@ def test_the_expected_square_error_is_that_of_draws() -> None:
     sqrt(2 / n), 5 %.
     """
     given = found()
-    rng, problem, at, rows = np.random.default_rng(1), given.whole, given.at, given.rows
-    own = given.library.own_places(at.model)
-    added = np.setdiff1d(np.arange(len(at.values)), own)
-    position, jacobian = at.model.linearize(rows.postures, at.values, rows.conditions)
-    left = rows.positions - position + jacobian[:, :, added] @ at.values[added]
+    rng, problem, rows = np.random.default_rng(1), given.whole, given.at.rows
+    left, jacobian, own = given.library.as_base(given.at)
     base, target = rows.whiten(jacobian[:, :, own]), rows.whiten(left)
     errors, count = [], 20000
     for one in given.explanations:
         mean, covariance, roots = regressed(given, one, base, target)
         drawn = rng.multivariate_normal(mean, covariance, round(count * one.probability))
-        columns = [problem.columns[k] @ root for k, root in zip(one.weighed.blocks, roots, strict=True)]
+        columns = [problem.columns[k] @ root for k, root in zip([k for k, _ in one.key], roots, strict=True)]
         errors.append(drawn @ np.concatenate([jacobian[:, :, own], *columns], axis=2).reshape(100, -1).T)
     true = np.concatenate(errors)  # of the tips, beside the base where it was linearized
 
     written = averaged(given, rows.positions.size)
-    drawing = position - jacobian[:, :, added] @ at.values[added]
+    drawing = rows.positions - left
     off = (written.model.position(rows.postures, written.values, rows.conditions) - drawing).ravel()
-    columns, products = written.uncertain(rows.postures, rows.conditions)
-    expected = float(np.sum((columns @ products) * columns)) / len(rows)
+    columns = written.linearized[1]
+    expected = float(np.sum((columns @ written.covariance) * columns)) / len(rows)
     assert 2.0 * float(np.mean((true - off) ** 2)) == pytest.approx(expected, rel=0.05)
 
 

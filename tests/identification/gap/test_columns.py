@@ -17,10 +17,9 @@ from identification.effects import base, build, library
 from identification.effects.chain import widths
 from identification.errors import InputError
 from identification.files.arm import load_arm, with_effects
-from identification.gap.columns import bundles
 from identification.gap.diagnose import diagnose
-from identification.gap.fit import Rows
-from identification.gap.hypotheses import hypotheses
+from identification.gap.fit import At, Rows
+from identification.gap.hypotheses import _slopes, hypotheses
 from identification.kinematics.chain import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
@@ -131,11 +130,11 @@ def test_columns_of_a_users_own_effects_are_derivatives() -> None:
     """Central differences of models with the effect, at the base model's values and, of a parameter that cannot be
     zero, at its neutral value; steps that move the tip by a hundredth of a mm err by 1e-9 of the column."""
     known = hypotheses(ARM, frozenset({"temperature"}), rows())
-    found = known.columns(rows(), BASE)
-    tried = [(h, c) for h, c in zip(known.members, found, strict=True) if h.spec.name in NAMES]
-    assert {h.spec.name for h, _ in tried} == set(NAMES)
-    for hypothesis, columns in tried[:4] + tried[-12:]:
-        model = Model(ARM.with_effects(*ARM.effects, hypothesis.spec))
+    found = known.columns(At(known.base, known.base.parameters.vector(BASE), rows()))
+    tried = [(h.spec, c) for h, c in zip(known.members, found, strict=True) if h.spec and h.spec.name in NAMES]
+    assert {spec.name for spec, _ in tried} == set(NAMES)
+    for spec, columns in tried[:4] + tried[-12:]:
+        model = Model(ARM.with_effects(*ARM.effects, spec))
         start = model.parameters.vector(BASE)
         for k, parameter in enumerate(model.effects[-1].parameters):
             step = 0.01 / parameter.scale * np.eye(len(start))[model.parameters.index(parameter.name)]
@@ -146,14 +145,15 @@ def test_columns_of_a_users_own_effects_are_derivatives() -> None:
 
 def test_values_of_settings_and_their_weights() -> None:
     known = hypotheses(ARM, frozenset(), rows())
-    of = {name: [h for h in known.members if h.spec.name == name] for name in NAMES}
-    assert [h.spec.values["rate"] for h in of["breathing"]] == [1.5, 3.5, 7.25]
-    assert sum(h.weight for h in of["breathing"]) == pytest.approx(1.0)
+    every = [(h.weight, h.spec) for h in known.members if h.spec]
+    of = {name: [(weight, spec.values) for weight, spec in every if spec.name == name] for name in NAMES}
+    assert [values["rate"] for _, values in of["breathing"]] == [1.5, 3.5, 7.25]
+    assert sum(weight for weight, _ in of["breathing"]) == pytest.approx(1.0)
     times = rows().conditions.time
     assert times is not None
-    np.testing.assert_allclose([h.spec.values["at"] for h in of["link_jump"]][:12], times[2:-2:3] + 1e-3, atol=1e-5)
-    assert sum(h.weight for h in of["link_jump"]) == pytest.approx(np.sqrt(3.0))  # a third of it for each joint
-    assert [h.effect.chosen["terms"] for h in of["series"]] == [2, 3] * 3
+    np.testing.assert_allclose([values["at"] for _, values in of["link_jump"]][:12], times[2:-2:3] + 1e-3, atol=1e-5)
+    assert sum(weight for weight, _ in of["link_jump"]) == pytest.approx(np.sqrt(3.0))  # a third of it for each joint
+    assert [values["terms"] for _, values in of["series"]] == [2, 3] * 3
 
 
 @pytest.mark.parametrize(
@@ -215,9 +215,9 @@ def test_library_holds_the_users_effects() -> None:
 
 def test_formulas_are_shared_by_arms_of_one_geometry() -> None:
     """A calibration, other limits and effects that are known change no slope: it is that of the nominal chain."""
-    numbered = list(enumerate(h.effect for h in hypotheses(ARM, frozenset(), rows()).members))
-    other = replace(ARM, lower=np.full(ARM.links, -1.0), sigma=0.3, effects=(EffectSpec("base_offset"),))
-    for one, two in zip(bundles(ARM, numbered), bundles(other, numbered), strict=True):
-        assert one.formulas is two.formulas
-    heavier = replace(ARM, chain=1.1 * ARM.lengths)
-    assert bundles(heavier, numbered)[0].formulas is not bundles(ARM, numbered)[0].formulas
+    known, made = hypotheses(ARM, frozenset(), rows()), []
+    for arm in (ARM, replace(ARM, lower=np.full(3, -1.0), sigma=0.3), replace(ARM, chain=1.1 * ARM.lengths)):
+        at = At(Model(arm), Model(arm).values, rows())
+        assert replace(known, arm=arm).columns(at)[0].shape == (40, 2, known.members[0].size)
+        made.append(_slopes.cache_info().misses)
+    assert made[0] == made[1] < made[2]

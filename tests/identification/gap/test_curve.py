@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.gap.curve import Wave, shape_text, waves
+from identification.gap.average import Wave, shape_text, waves
 
 ANGLES = np.linspace(-np.pi, np.pi, 361)
 STD = np.full(361, 1e-5)

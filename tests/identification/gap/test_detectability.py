@@ -8,11 +8,11 @@ import pytest
 from scipy import stats
 
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.documents.diagnosis import order_clauses
+from identification.documents.diagnosis import findings
 from identification.errors import InputError
 from identification.gap.blocks import linearized
-from identification.gap.detectability import NEAR, Beside, assess, detectability, detectable_lambda, order_ranges
-from identification.gap.fit import Rows, fit
+from identification.gap.detectability import NEAR, assess, detectability, detectable_lambda, order_ranges
+from identification.gap.fit import At, Rows, fit
 from identification.gap.hypotheses import hypotheses
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -114,8 +114,8 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
     rows, kept = Rows.of(Measurements(POSTURES, noisy)), np.setdiff1d(np.arange(30), out)
     library = hypotheses(ARM, frozenset(), rows)
     at = fit(library.base, rows.pick(kept))
-    problem = linearized(library, at, rows, out, frozenset())
-    beside = Beside(problem, [problem.numbers[f"row:{k}"] for k in out])
+    problem = linearized(library, At(at.model, at.values, rows), out)
+    beside = problem.products.beside([problem.numbers[f"row:{k}"] for k in out])
     blocks = [problem.numbers[label] for label in effects]
     base = library.base.jacobian(POSTURES, at.values, rows.conditions)[kept].reshape(56, -1)
     own = np.concatenate([problem.columns[k] @ problem.roots[k] for k in blocks], axis=2)[kept].reshape(56, -1)
@@ -124,14 +124,15 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
         return y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
 
     projected = left(own, base)
-    np.testing.assert_allclose(beside.gram(problem.products.places(blocks)), projected.T @ projected, atol=1e-6)
+    places = problem.products.places(blocks)
+    np.testing.assert_allclose(beside.gram[np.ix_(places, places)], projected.T @ projected, atol=1e-6)
     y = (noisy - library.base.position(POSTURES, at.values, rows.conditions))[kept].ravel()
     without, there = (np.sum(left(y, columns) ** 2) for columns in (base, np.hstack([base, own])))
     freedom = 56 - 6 - own.shape[1]
     f = (without - there) / own.shape[1] / (there / freedom)
     assert beside.freedom == 50
     assert beside.f_test(blocks) == pytest.approx((f, stats.f.sf(f, own.shape[1], freedom)), rel=1e-4)
-    sees = assess(library, beside, rows, 0.1)
+    sees = assess(library, problem, beside, rows, 0.1)
     assert sees.freedom == 50
     size = sees.detectable["gear_ratio:2"].value
     column = problem.columns[problem.numbers["gear_ratio:2"]][kept].reshape(56, 1)
@@ -183,10 +184,8 @@ def test_a_wave_is_a_shape_where_its_neighbor_is_alike(degrees: float, joint: in
         assert entry["effect"] == label
         assert entry["orders"] == (max(1, np.ceil(K - apart)), np.floor(K + apart))
         np.testing.assert_allclose(entry["range_deg"], np.degrees([q[:, joint].min(), q[:, joint].max()]))
-        assert (
-            f"over the {np.degrees(np.ptp(q[:, joint])):.0f} deg that joint {joint + 1} moved"
-            in order_clauses(shapes)[0]
-        )
+        said = findings({"shape": None, "misfit": None, "replication": (), "shapes": [entry]})[0]
+        assert said.startswith(f"Over the {np.degrees(np.ptp(q[:, joint])):.0f} deg that joint {joint + 1} moved, ")
 
 
 def test_other_effects_are_no_waves() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.gap.fit import Rows
+from identification.gap.fit import At, Rows
 from identification.gap.hypotheses import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
@@ -21,7 +21,7 @@ MEASURED = Measurements(RNG.uniform(-2.0, 2.0, (12, 3)), np.zeros((12, 2)), temp
 ROWS = Rows.of(MEASURED)
 LIBRARY = hypotheses(ARM, frozenset({"temperature"}))
 VALUES = {"length_error:2": 1.0, "joint_offset:1": 0.02, "joint_offset:3": -0.01, "encoder_eccentricity:1.a": 0.003}
-COLUMNS = LIBRARY.columns(ROWS, VALUES)
+COLUMNS = LIBRARY.columns(At(LIBRARY.base, LIBRARY.base.parameters.vector(VALUES), ROWS))
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def test_repeats_tell_ripple_from_noise() -> None:
         measurements = Measurements(q, positions)
         rows = Rows.of(measurements)
         found = fit(model, rows)
-        left = found.position_residuals(measurements, measurements.conditions)
+        left = found.residuals(measurements)
         assert len(repeat_finding(left, found.rank, measurements, np.ones(48, dtype=bool))) == expected
 
 

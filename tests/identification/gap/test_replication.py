@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -14,16 +12,14 @@ from scipy.special import logsumexp, softmax
 from identification.arm import Arm, EffectSpec
 from identification.documents.diagnosis import findings
 from identification.gap.diagnose import diagnose
-from identification.gap.evidence import SIZES
 from identification.gap.fit import Rows, fit
+from identification.gap.likelihood import SIZES
 from identification.gap.replication import (
     SAME,
-    CurveColumns,
     Replication,
     _in_session,
     replications,
 )
-from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
@@ -78,8 +74,8 @@ def test_what_returns_and_what_does_not(
     for there, size in zip(one.sessions, sizes, strict=True):
         errors = (np.radians(there.values) - [size.real, size.imag]) / np.radians(there.deviations)
         assert np.all(np.abs(errors) < 5.0)
-    told = cast(Diagnosis, SimpleNamespace(shape=None, misfit=None, replication=(one,), shapes=()))
-    assert findings(told) == [f"{'replicates' if answer else 'does not replicate'} across sessions: {one.effect}"]
+    told = {"shape": None, "misfit": None, "replication": [one.to_json()], "shapes": ()}
+    assert findings(told) == [f"{'Replicates' if answer else 'Does not replicate'} across sessions: {one.effect}."]
 
 
 @pytest.mark.parametrize(("second", "right", "wrong"), [(SIZE, True, False), (0.0j, False, True)])
@@ -184,7 +180,7 @@ def test_a_curve_is_open_without_common_angles(sides: tuple[float, float]) -> No
     lever = LENGTHS[1] * np.exp(1j * np.sum(q, axis=1)) * 1j
     waves = lever[:, None] * np.cos(np.outer(q[:, 1], np.arange(1, 5))) / np.arange(1, 5) / 100.0
     columns = np.stack([waves.real, waves.imag], axis=1)
-    (one,) = replications(fitted, data.session_names, (), {"joint_error_curve:2": CurveColumns(2, columns, 1)})
+    (one,) = replications(fitted, data.session_names, (), {"joint_error_curve:2": (2, columns, 1)})
     assert one.replicates is None
     assert str(one) == (
         "joint_error_curve:2 is open across sessions "
@@ -194,7 +190,7 @@ def test_a_curve_is_open_without_common_angles(sides: tuple[float, float]) -> No
 
 def test_an_effect_that_the_rest_has_in_it_is_open_and_lists_no_values() -> None:
     rest = np.random.default_rng(8).normal(size=(40, 5))
-    alone = rest[:, :2] * (np.arange(40) < 20)[:, None]
-    asked = _in_session("one", 40, rest @ np.ones(5), rest, rest[:, :2], alone, np.ones(2))
-    assert asked.replicates is None
-    assert asked.values == ()
+    table = np.hstack([rest @ np.ones((5, 1)), rest, rest[:, :2]])
+    both = np.hstack([table, table * (np.arange(40) < 20)[:, None]])
+    target = np.eye(len(both.T))[0]
+    assert _in_session(both.T @ both, target, np.arange(1, 6), np.arange(6, 8), 40, np.ones(2)) == ()

@@ -9,8 +9,9 @@ import pytest
 from scipy.special import logsumexp, softmax, zeta
 
 from identification.gap import search as search_module
-from identification.gap.evidence import SIZES, Products
+from identification.gap.likelihood import SIZES, Products
 from identification.gap.search import REST_ODDS, TAIL, WRONG, Search, Weighed, log_odds_of_count
+from tests.identification.gap.test_likelihood import products_of
 
 WIDTHS = (1, 2, 1, 1, 2, 1, 1, 3)
 COUNT = len(WIDTHS)
@@ -33,7 +34,7 @@ def products(seed: int, sizes: dict[int, float]) -> Products:
     z = rng.normal(size=(40, STARTS[-1])) / np.sqrt(40.0)
     z[:, 3] = 0.9 * z[:, 0] + 0.44 * z[:, 3]
     y = rng.normal(size=40) + sum((size * z[:, k] for k, size in sizes.items()), np.zeros(40))
-    return Products.of(z, y, 36, STARTS, np.zeros(COUNT, dtype=bool), np.full(COUNT, SIZES_OF_EACH))
+    return products_of(z, y, 36, STARTS, np.zeros(COUNT, dtype=bool), np.full(COUNT, SIZES_OF_EACH))
 
 
 def exact(search: Search) -> dict[tuple[int, ...], float]:
@@ -49,9 +50,14 @@ def exact(search: Search) -> dict[tuple[int, ...], float]:
     return {blocks: float(np.exp(o - total)) for blocks, o in odds.items()}
 
 
+def blocks_of(one: Weighed) -> tuple[int, ...]:
+    return tuple(block for block, _ in one[0])
+
+
 def variation(search: Search, sets: list[Weighed]) -> float:
     """Total variation between what a walk found and all sets."""
-    found = {one.blocks: p for one, p in zip(sets, softmax([one.log_odds for one in sets]).tolist(), strict=True)}
+    shares = softmax([log_odds for _, log_odds in sets]).tolist()
+    found = {blocks_of(one): p for one, p in zip(sets, shares, strict=True)}
     assert sum(found.values()) == pytest.approx(1.0)
     return 0.5 * sum(abs(p - found.get(blocks, 0.0)) for blocks, p in exact(search).items())
 
@@ -61,7 +67,7 @@ def variation(search: Search, sets: list[Weighed]) -> float:
 )
 def test_a_walk_finds_the_probabilities_of_all_sets(seed: int, sizes: dict[int, float]) -> None:
     search = Search(products(seed, sizes), WEIGHTS, ROWS, REST)
-    sets = search.walk(search.climb(), np.random.default_rng(seed)).sets
+    sets = search.walk(search.climb(), np.random.default_rng(seed))[0]
     assert variation(search, sets) < 0.05
 
 
@@ -70,10 +76,10 @@ def test_a_walk_keeps_to_what_may_be_together() -> None:
     given = products(5, {0: 10.0, 1: 12.0, 7: 12.0})
     limits = {"apart": frozenset({(0, 2)}), "needy": frozenset({5}), "givers": frozenset({1})}
     search = Search(given, WEIGHTS, ROWS, REST, **limits)
-    sets = search.walk(search.climb(), np.random.default_rng(1)).sets
-    assert not any({0, 2} <= set(one.blocks) for one in sets)
-    assert any(5 in one.blocks for one in sets)
-    assert all(1 in one.blocks for one in sets if 5 in one.blocks)
+    sets = search.walk(search.climb(), np.random.default_rng(1))[0]
+    assert not any({0, 2} <= set(blocks_of(one)) for one in sets)
+    assert any(5 in blocks_of(one) for one in sets)
+    assert all(1 in blocks_of(one) for one in sets if 5 in blocks_of(one))
     assert variation(search, sets) < 0.05
 
 
@@ -114,16 +120,16 @@ def test_two_blocks_that_hide_each_other_are_found() -> None:
     z = rng.normal(size=(60, 12)) / np.sqrt(60.0)
     z[:, 1] = -0.97 * z[:, 0] + 0.24 * z[:, 1]
     y = rng.normal(size=60) + 40.0 * (z[:, 0] + z[:, 1])
-    given = Products.of(z, y, 56, np.arange(13), np.zeros(12, dtype=bool), np.full(12, len(SIZES)))
+    given = products_of(z, y, 56, np.arange(13), np.zeros(12, dtype=bool), np.full(12, len(SIZES)))
     search = Search(given, np.ones(12), np.zeros(12, dtype=bool))
     assert search.climb().blocks == (0, 1)
-    assert search.walk(search.climb(), np.random.default_rng(1)).sets[0].blocks == (0, 1)
+    assert search.walk(search.climb(), np.random.default_rng(1))[0][0][0] == search.climb().key
 
 
 def test_the_climb_ends_where_rows_are_fitted_exactly() -> None:
     """Without noise every further block makes what is left smaller, in the ratio of rounding."""
     rng = np.random.default_rng(7)
     z = rng.normal(size=(12, 40)) / np.sqrt(12.0)
-    given = Products.of(z, z[:, :3] @ [40.0, -30.0, 20.0], 9, np.arange(41), np.zeros(40, dtype=bool), np.full(40, 14))
+    given = products_of(z, z[:, :3] @ [40.0, -30.0, 20.0], 9, np.arange(41), np.zeros(40, dtype=bool), np.full(40, 14))
     search = Search(given, np.ones(40), np.zeros(40, dtype=bool))
     assert len(search.climb().blocks) <= 9

@@ -12,7 +12,7 @@ from doe.studies.blind.simulator import measure, session
 from identification.arm import Arm
 from identification.effects import Effect
 from identification.gap.diagnose import diagnose
-from identification.gap.fit import Rows
+from identification.gap.fit import At, Rows
 from identification.gap.hypotheses import hypotheses, untested_joints
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
@@ -132,7 +132,7 @@ def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:
     arm, generator = Arm(chain), np.random.default_rng(3)
     postures = generator.uniform(-2.0, 2.0, (20, 6))
     rows = Rows.of(Measurements(postures, Model(arm).position(postures)))
-    assert untested_joints(Model(arm), rows) == {6}
+    assert untested_joints(At(Model(arm), Model(arm).values, rows)) == {6}
     found = hypotheses(arm, frozenset(), rows)
     of_angles = [h for h in found.members if type(h.effect).joint_angles is not Effect.joint_angles]
     assert {h.spec.joint for h in of_angles} == {1, 2, 3, 4, 5}

@@ -9,8 +9,8 @@ import pytest
 
 from doe.studies.blind.score import contradictions
 from identification.arm import EffectSpec
-from identification.documents.diagnosis import SHORT
-from identification.gap.detectability import LEVEL
+from identification.documents.diagnosis import likely as likely_in_words
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.result import Candidate, Diagnosis
 from identification.gap.search import MOST
 from identification.gap.verdict import CREDIBLE, Probabilities
@@ -89,21 +89,23 @@ def diagnosis_with(found: Diagnosis, likely: Probabilities) -> Diagnosis:
 def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
     """The JSON keys by the rules of the blind study; the sentences by the words of the verdicts."""
     rng, plain = np.random.default_rng(3), diagnosed(None)
-    opening = {"none": "none: ", "named": "named: ", "ambiguous": "ambiguous", "unknown": "unknown: something outside"}
+    opening = {"none": "Nothing", "named": "Missing", "ambiguous": "", "unknown": "Something that the library"}
     for _ in range(5000):
         likely = drawn(rng)
         likely = likely.not_none(1e-6) if rng.random() < 0.2 else likely
         found = diagnosis_with(plain, likely)
         said = found.to_json()
         assert contradictions(said) == []
-        assert found.sentence.removeprefix("not confirmed: ").startswith(opening[found.verdict])
+        told = said["sentence"].removeprefix("Not confirmed on rows that no fit has seen. ")
+        assert told.startswith(opening[found.verdict])
         assert set(found.credible_set) <= {"none", "unknown", *likely.titles, *(" + ".join(n) for n in likely.sets)}
         assert next(iter(found.credible_set.values())) == max(found.credible_set.values())
         shown = [c for c in found.candidates if c.probability is not None]
         assert all(said["probabilities"][c.title] == c.probability for c in shown)
         if found.verdict == "ambiguous":
             count = len(found.candidates)
-            assert count >= 2 or "less likely than not" in found.sentence
-            assert count == 1 or f"{count} explanations" in found.sentence
+            assert count >= 2 or "less likely than not" in told
+            assert count == 1 or f"{count} explanations" in told
+        line = likely_in_words(said)
         for title, p in found.probability.items():
-            assert p < 0.005 or f"{title} {p:.2f}" in found.likely or len(title) > SHORT
+            assert p < 0.005 or f"{title} {p:.2f}" in line

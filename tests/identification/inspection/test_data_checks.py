@@ -9,8 +9,8 @@ import pytest
 
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.inspection.readings import certainly_wrong_units, data_warnings
 from identification.inspection.inspection import inspect
+from identification.inspection.readings import certainly_wrong_units, data_warnings
 from identification.instruments import Instrument, Plane, Sphere
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose

@@ -48,7 +48,9 @@ def test_with_few_rows_the_noise_is_the_one_given_or_that_of_repeats() -> None:
     assert words[0][1] == "6 numbers for 4 parameters: 2 left to judge the fit"
     assert given["identifiable"] == ("length of links 1 and 2", "zero of joints 1 and 2")
     assert given["expected_tip_from"] == "sigma"
-    assert given["expected_tip_mm"] == pytest.approx(expected(measured, NOISE), rel=0.03)  # by 1000 poses instead of 20000
+    assert given["expected_tip_mm"] == pytest.approx(
+        expected(measured, NOISE), rel=0.03
+    )  # by 1000 poses instead of 20000
     repeats = sufficiency(unknown, measured, NoiseFloor(repeats=0.2 * np.sqrt(2.0)))[0]
     assert repeats["expected_tip_from"] == "repeats"
     assert repeats["expected_tip_mm"] == pytest.approx(expected(measured, 0.2), rel=0.03)

@@ -1,6 +1,6 @@
 """The blind study: scoring by hand, the tasks' bookkeeping, and a reduced form of the study itself.
 
-The bars are the targets of the study, where a Bayes classifier (tests/benchmarks/test_blind_ceiling.py) misses them its
+The bars are the targets of the study, where a Bayes classifier (tests/benchmarks/test_ceiling.py) misses them its
 figures less 0.03: a share p of the sets or more is right. Of n sets a rule as good as its bar has a binomial number
 right; fewer than the limits below happen once in 50 (alert: a warning) and once in 10,000 cases (fail). By default
 three sets of each of three cells, judged together; a hundred of every cell by `pytest -m slow tests/doe/studies/blind`;

@@ -21,7 +21,8 @@ from doe.report.studies import cell_table
 from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled_rows, run_study
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
-from identification.estimation import BatchFit, estimate_each
+from identification.estimation import estimate_each
+from identification.estimation.levenberg_marquardt import Solution
 from identification.measurements import Conditions
 from identification.model import Model
 from identification.workspace import WorkspaceBox
@@ -179,7 +180,7 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
     boxed = replace(ARM, constraints=(WorkspaceBox((-800.0, 800.0), (0.0, 800.0)),), name="boxed")
     seen = []
 
-    def spy(model: Model, postures: np.ndarray, measured: np.ndarray, conditions: Conditions) -> BatchFit:
+    def spy(model: Model, postures: np.ndarray, measured: np.ndarray, conditions: Conditions) -> Solution:
         seen.append(postures)
         return estimate_each(model, postures, measured, conditions)
 

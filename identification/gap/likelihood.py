@@ -10,8 +10,7 @@ relative to nothing missing (A. Zellner, 1971). The columns of a block are scale
 square, in units of the noise, of what the block contributes to the rows; s_b is one of `SIZES`.
 
 What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z; of it the scores and the blocks' own parts are
-kept. A set changes by one block at a time: with one block less, and with another in its place, V changes by a term of
-that block's rank (M. A. Woodbury, 1950).
+kept. With one block more or less, V changes by a term of that block's rank (M. A. Woodbury, 1950).
 """
 
 from __future__ import annotations
@@ -23,9 +22,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
-from scipy.special import log_ndtr
+from scipy.special import fdtrc, log_ndtr
 
 from identification.arrays import Array, eigen_of_pairs
+from identification.information import VISIBLE, significant
 
 # of a block's contribution, in standard deviations of the noise. Prior: from what can just not be seen by itself to a
 # tenth of the reach, equally spaced in log lambda
@@ -34,6 +34,14 @@ LEAST = 1e-14  # of y^T y; numerical: what rounding leaves of a sum of squares
 
 Index = NDArray[np.int64]
 Key = tuple[tuple[int, int], ...]  # blocks with the numbers of their sizes, ascending
+
+
+def orthonormal(gram: Array, tolerance: float = VISIBLE) -> Array:
+    """(w, r) combinations, orthonormal, of columns with these products (w, w);  tolerance : of `significant`"""
+    lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
+    seen = significant(values, tolerance)
+    return np.asarray(vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +61,6 @@ class Products:
     signs: NDArray[np.bool_]
     limits: Index
 
-    @classmethod
-    def of(
-        cls, columns: Array, target: Array, freedom: int, starts: Index, signs: NDArray[np.bool_], limits: Index
-    ) -> Products:
-        """Those of columns (N, P) with y (N,)."""
-        gram = np.asarray(columns.T @ columns)
-        return cls(gram, target @ columns, float(target @ target), freedom, starts, signs, limits)
-
     def of_blocks(self, blocks: Sequence[int]) -> Products:
         """Those of a few blocks alone."""
         chosen, places = list(blocks), self.places(blocks)
@@ -78,63 +78,63 @@ class Products:
         return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(*self.starts[b : b + 2]) for b in blocks)])
 
     @cached_property
-    def owners(self) -> Index:
-        """(P,) number of the block that each column belongs to."""
-        return np.repeat(np.arange(len(self.widths)), self.widths)
-
-    @cached_property
     def alike(self) -> list[Index]:
         """Of the blocks of each width w their columns (b, w)."""
-        widths = np.unique(self.widths)
-        return [self.starts[np.flatnonzero(self.widths == w)][:, None] + np.arange(w) for w in widths]
+        return [self.starts[:-1][self.widths == w][:, None] + np.arange(w) for w in np.unique(self.widths)]
 
-    @cached_property
-    def nothing(self) -> State:
-        """The empty set."""
-        return self.state(())
-
-    def state(self, pairs: Sequence[tuple[int, int]]) -> State:
+    def state(self, pairs: Sequence[tuple[int, int]] = ()) -> State:
         """The set of these blocks with the numbers of their sizes."""
         return State(self, tuple(sorted(pairs)))
 
-    def least(self, squares: float) -> float:
-        """A sum of squares, not below rounding."""
-        return max(squares, LEAST * self.squares, 1e-300)
+    def beside(self, blocks: Sequence[int]) -> Products:
+        """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
+        large = self.state([(block, len(SIZES) - 1) for block in blocks])
+        gram, freedom = self.gram - large.rows.T @ large.solve(large.rows), self.freedom - len(large.places)
+        return Products(gram, large.scores, large.squares, freedom, self.starts, self.signs, self.limits)
 
-    def added(self, left: Left) -> Array:
+    def f_test(self, blocks: Sequence[int]) -> tuple[float, float]:
+        """F statistic of a few blocks against the base model, and its p-value."""
+        places = self.places(blocks)
+        count, spare = max(len(places), 1), max(self.freedom - len(places), 1)
+        # of unit size; a row that is left out may have a column alone
+        inner = self.gram[np.ix_(places, places)] + 1e-12 * np.eye(len(places))
+        gain = float(self.right[places] @ np.linalg.solve(inner, self.right[places]))
+        f = gain / count / (max(self.squares - gain, 1e-300) / spare)
+        return f, float(fdtrc(count, spare, f))
+
+    def added(self, state: State) -> Array:
         """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf; of
         those that are in the set, too."""
         values, parts = np.empty(len(self.right)), np.empty(len(self.right))
-        for index, own in zip(self.alike, left.within, strict=True):
+        for index, own in zip(self.alike, state.within, strict=True):
             if own.shape[1] == 1:
-                values[index], parts[index] = own[:, 0], left.scores[index]
+                values[index], parts[index] = own[:, 0], state.scores[index]
             else:
                 values[index], vectors = eigen_of_pairs(own) if own.shape[1] == 2 else np.linalg.eigh(own)
-                parts[index] = (left.scores[index][:, None, :] @ vectors)[:, 0]
+                parts[index] = (state.scores[index][:, None, :] @ vectors)[:, 0]
         squared, starts = np.square(SIZES)[:, None], self.starts[:-1]
         spread = 1.0 + squared * np.maximum(values, 0.0)  # (S, P)
         gains = np.add.reduceat(squared * np.square(parts) / spread, starts, axis=1)  # (S, B)
-        squares = np.maximum(left.squares - gains, LEAST * self.squares + 1e-300)
+        squares = np.maximum(state.squares - gains, LEAST * self.squares + 1e-300)
         ratios = -0.5 * np.add.reduceat(np.log(spread), starts, axis=1)
-        ratios -= 0.5 * self.freedom * np.log(squares / left.squares)
+        ratios -= 0.5 * self.freedom * np.log(squares / state.squares)
         if self.signs.any():
             places = starts[self.signs]
             deviations = parts[places] * np.sqrt(squared / spread[:, places] * self.freedom / squares[:, self.signs])
             ratios[:, self.signs] += np.log(2.0) + log_ndtr(deviations)
         return np.where(np.arange(len(SIZES)) < self.limits[:, None], ratios.T, -np.inf)
 
-    def changed(self, within: tuple[Array, ...], one: Array, other: Array) -> tuple[Array, ...]:
-        """The blocks' own parts of V + one^T other, with (v, P) each, from those of V."""
-        pairs = zip(self.alike, within, strict=True)
-        return tuple(own + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, own in pairs)
-
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A set of blocks with their sizes, and k columns;  given : `within`, where it is known."""
+    """A set of blocks with their sizes, and k columns.
+
+    larger : the set that this one is without one of its blocks, and this block's columns in it;  given : `within`
+    """
 
     products: Products
     key: Key
+    larger: tuple[State, NDArray[np.bool_]] | None = None
     given: tuple[Array, ...] | None = None
 
     @cached_property
@@ -145,9 +145,7 @@ class State:
     @cached_property
     def places(self) -> Index:
         """(k,) of its columns among all, ascending."""
-        inside = np.zeros(len(self.products.widths), dtype=bool)
-        inside[[*self.blocks]] = True
-        return np.flatnonzero(inside[self.products.owners])
+        return self.products.places(self.blocks)
 
     @cached_property
     def sizes(self) -> Array:
@@ -183,14 +181,25 @@ class State:
 
     @cached_property
     def squares(self) -> float:
-        """R"""
-        return self.products.least(self.products.squares - float(self.mean @ self.products.right[self.places]))
+        """R, not below rounding."""
+        whole = self.products.squares
+        return max(whole - float(self.mean @ self.products.right[self.places]), LEAST * whole, 1e-300)
+
+    @property
+    def variance(self) -> float:
+        """Of the noise."""
+        return self.squares / max(self.products.freedom, 1)
+
+    @cached_property
+    def scores(self) -> Array:
+        """(P,) V's counterpart of c."""
+        return np.asarray(self.products.right - self.mean @ self.rows)
 
     @property
     def ratio(self) -> float:
         """Log likelihood ratio against nothing missing, signs left out."""
         volume = 2.0 * float(np.sum(np.log(np.diag(self._factor) * self.sizes)))
-        share = self.squares / self.products.least(self.products.squares)
+        share = self.squares / max(self.products.squares, 1e-300)
         return -0.5 * volume - 0.5 * self.products.freedom * float(np.log(share))
 
     @property
@@ -199,9 +208,7 @@ class State:
         signs = np.repeat(self.products.signs[[*self.blocks]], self.products.widths[[*self.blocks]])
         if not signs.any():
             return 0.0
-        variance = (
-            np.diag(self.solve(np.eye(len(signs))[:, signs])[signs]) * self.squares / max(self.products.freedom, 1)
-        )
+        variance = np.diag(self.solve(np.eye(len(signs))[:, signs])[signs]) * self.variance
         return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / np.sqrt(np.maximum(variance, 1e-300)))))
 
     @cached_property
@@ -209,83 +216,28 @@ class State:
         """Of each group of `Products.alike` the blocks' own parts of V."""
         if self.given is not None:
             return self.given
+        if self.larger is not None:
+            whole, out = self.larger
+            covariance = whole.solve(np.eye(len(out))[:, out]).T
+            taken = covariance @ whole.rows
+            return self._changed(whole.within, taken, np.asarray(np.linalg.solve(covariance[:, out], taken)))
         own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
-        return self.products.changed(own, self.rows, -self.solve(self.rows))
+        return self._changed(own, self.rows, -self.solve(self.rows))
 
-    def without(self, block: int | None = None) -> Left:
-        """What it leaves with one of its blocks less, None: with all of them."""
-        return Left(self, block)
+    def _changed(self, within: tuple[Array, ...], one: Array, other: Array) -> tuple[Array, ...]:
+        """The blocks' own parts of V + one^T other, with (v, P) each, from those of V."""
+        pairs = zip(self.products.alike, within, strict=True)
+        return tuple(own + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, own in pairs)
 
+    def without(self, block: int) -> State:
+        """The set without one of its blocks."""
+        out = np.repeat(np.array(self.blocks) == block, self.products.widths[[*self.blocks]])
+        return State(self.products, tuple(pair for pair in self.key if pair[0] != block), (self, out))
 
-@dataclass(frozen=True, eq=False)
-class Left:
-    """What a set, less one of its blocks with w columns (or none, w = 0), leaves of y and of all columns."""
-
-    whole: State
-    block: int | None
-
-    @cached_property
-    def key(self) -> Key:
-        """Of the set without the block."""
-        return tuple(pair for pair in self.whole.key if pair[0] != self.block)
-
-    @cached_property
-    def blocks(self) -> tuple[int, ...]:
-        """Numbers of the blocks, ascending."""
-        return tuple(block for block, _ in self.key)
-
-    @cached_property
-    def _out(self) -> NDArray[np.bool_]:
-        """(k,) the block's columns in the set."""
-        owners = self.whole.products.owners[self.whole.places]
-        return owners == (-1 if self.block is None else self.block)
-
-    @cached_property
-    def _covariance(self) -> Array:
-        """(w, k) of the block's coefficients with those of the set."""
-        return self.whole.solve(np.eye(len(self._out))[:, self._out]).T
-
-    @cached_property
-    def _taken(self) -> Array:
-        """(w, P) by which the block's coefficients take up a unit of each column."""
-        return np.asarray(self._covariance @ self.whole.rows)
-
-    @cached_property
-    def _inner(self) -> Array:
-        """(w, w) by which V is larger, in these."""
-        return np.asarray(np.linalg.inv(self._covariance[:, self._out]))
-
-    @cached_property
-    def squares(self) -> float:
-        """R"""
-        mean = self.whole.mean[self._out]
-        return self.whole.products.least(self.whole.squares + float(mean @ self._inner @ mean))
-
-    @cached_property
-    def scores(self) -> Array:
-        """(P,) V's counterpart of c."""
-        whole = self.whole
-        scores = whole.products.right - whole.mean @ whole.rows
-        return np.asarray(scores + (self._inner @ whole.mean[self._out]) @ self._taken)
-
-    @cached_property
-    def within(self) -> tuple[Array, ...]:
-        """Of each group of `Products.alike` the blocks' own parts of V."""
-        if self.block is None:
-            return self.whole.within
-        return self.whole.products.changed(self.whole.within, self._taken, self._inner @ self._taken)
-
-    def put(self, block: int, size: int) -> State:
-        """The set with a block in this one's place."""
-        products, whole = self.whole.products, self.whole
-        own = slice(*products.starts[block : block + 2])
-        rows = products.gram[own] - whole.solve(whole.rows[:, own]).T @ whole.rows  # (w, P) of V
-        rows += (self._taken[:, own].T @ self._inner) @ self._taken
+    def beside(self, block: int, size: int) -> State:
+        """The set with a further block."""
+        own = slice(*self.products.starts[block : block + 2])
+        rows = self.products.gram[own] - self.solve(self.rows[:, own]).T @ self.rows  # (w, P) of V
         inner = rows[:, own] + SIZES[size] ** -2.0 * np.eye(len(rows))
-        given = products.changed(self.within, rows, -np.linalg.solve(inner, rows))
-        return State(products, tuple(sorted((*self.key, (block, size)))), given)
-
-    @property
-    def rest(self) -> State:
-        """The set without the block."""
-        return State(self.whole.products, self.key, self.within)
+        given = self._changed(self.within, rows, -np.linalg.solve(inner, rows))
+        return State(self.products, tuple(sorted((*self.key, (block, size)))), given=given)

@@ -8,13 +8,18 @@ from scipy.integrate import quad
 from scipy.special import gammaln
 from scipy.stats import norm
 
-from identification.gap.evidence import SIZES, Products
+from identification.gap.likelihood import SIZES, Products
 
 N, WIDTHS = 30, (1, 2, 1, 3, 7)
 STARTS = np.concatenate([[0], np.cumsum(WIDTHS)])
 
 
 LIMITS = np.array([14, 14, 14, 14, 3])
+
+
+def products_of(columns: np.ndarray, target: np.ndarray, freedom: int, *rest: np.ndarray) -> Products:
+    """Of columns (N, P) with y (N,)."""
+    return Products(columns.T @ columns, target @ columns, float(target @ target), freedom, *rest)
 
 
 def problem(seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, Products]:
@@ -26,7 +31,7 @@ def problem(seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, Products
     q = np.linalg.qr(j)[0]
     left, rest = z - q @ (q.T @ z), y - q @ (q.T @ y)
     signs = np.array([True, False, False, False, False])
-    return j, z, y, Products.of(left, rest, N - 3, STARTS, signs, LIMITS)
+    return j, z, y, products_of(left, rest, N - 3, STARTS, signs, LIMITS)
 
 
 def off(j: np.ndarray, z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -66,7 +71,7 @@ def test_a_block_added_to_a_set_is_the_larger_set() -> None:
     products = problem()[3]
     for pairs in ((), ((1, 2),), ((0, 1), (3, 3))):
         state = products.state(pairs)
-        added, chosen = products.added(state.without()), {block for block, _ in pairs}
+        added, chosen = products.added(state), {block for block, _ in pairs}
         for b in range(1, len(WIDTHS)):  # the first has a sign: below
             if b not in chosen:
                 whole = np.array([products.state((*pairs, (b, size))).ratio for size in range(len(SIZES))])
@@ -77,25 +82,16 @@ def test_a_block_added_to_a_set_is_the_larger_set() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None:
     products, rng = problem(seed)[3], np.random.default_rng(seed)
-    state = products.nothing
+    state = products.state()
     for _ in range(40):
         block = int(rng.integers(len(WIDTHS)))
-        left = state.without(block if block in state.blocks else None)
-        once = products.state(left.key)
-        assert left.squares == pytest.approx(once.squares, rel=1e-9)
-        np.testing.assert_allclose(left.scores, once.without().scores, atol=1e-8)
-        np.testing.assert_allclose(
-            np.concatenate([w.ravel() for w in left.within]),
-            np.concatenate([w.ravel() for w in once.within]),
-            atol=1e-9,
-        )
-        state = left.rest if rng.random() < 0.3 else left.put(block, int(rng.integers(products.limits[block])))
+        state = state.without(block) if block in state.blocks else state
+        if rng.random() < 0.7:
+            state = state.beside(block, int(rng.integers(products.limits[block])))
         once = products.state(state.key)
-        np.testing.assert_allclose(
-            np.concatenate([w.ravel() for w in state.within]),
-            np.concatenate([w.ravel() for w in once.within]),
-            atol=1e-9,
-        )
+        assert state.key == once.key
+        for own, made in zip(state.within, once.within, strict=True):
+            np.testing.assert_allclose(own, made, atol=1e-9)
 
 
 def test_what_a_set_leaves_is_what_ridge_regression_leaves() -> None:
@@ -106,7 +102,7 @@ def test_what_a_set_leaves_is_what_ridge_regression_leaves() -> None:
     scales = np.repeat([SIZES[2], SIZES[1]], [2, 7])
     inverse = np.linalg.inv(np.eye(N) + (z[:, state.places] * scales**2) @ z[:, state.places].T)
     assert state.squares == pytest.approx(y @ inverse @ y, rel=1e-10)
-    np.testing.assert_allclose(state.without().scores, z.T @ inverse @ y, atol=1e-9)
+    np.testing.assert_allclose(state.scores, z.T @ inverse @ y, atol=1e-9)
     left = z.T @ inverse @ z
     for index, own in zip(products.alike, state.within, strict=True):
         np.testing.assert_allclose(own, left[index[:, :, None], index[:, None, :]], atol=1e-9)
@@ -127,8 +123,8 @@ def test_a_block_of_one_sign_has_twice_the_mass_on_its_side() -> None:
         x = sign * (z[:, :1] - q @ (q.T @ z[:, :1]))
         rest = y + 9.0 * z[:, 0] - q @ (q.T @ (y + 9.0 * z[:, 0]))
         ends, limit = np.array([0, 1]), np.array([14])
-        two, one = (Products.of(x, rest, N - 3, ends, np.array([s]), limit) for s in (False, True))
-        either, positive = (p.added(p.nothing.without())[0] for p in (two, one))
+        two, one = (products_of(x, rest, N - 3, ends, np.array([s]), limit) for s in (False, True))
+        either, positive = (p.added(p.state())[0] for p in (two, one))
         fits = [two.state([(0, size)]) for size in range(14)]
         variances = [fit.covariance[0, 0] * fit.squares / two.freedom for fit in fits]
         above = [2.0 * norm.cdf(float(fit.mean[0] / np.sqrt(v))) for fit, v in zip(fits, variances, strict=True)]

@@ -12,43 +12,39 @@ TABLE = (
     *((0.0, 90.0, 163.941), (0.0, -90.0, 115.7), (0.0, 0.0, 92.2)),
 )
 LEVER = 600.0  # [mm/rad] that makes angles comparable to lengths; a constant in every log det
+BATCH = 20_000  # postures at once
 
 
 class Designed:
-    """An arm with joint limits [rad] whose plans are judged."""
+    """An arm with joint limits [rad] whose plans are judged; `rows` is the (m, d, p) Jacobian of the measured
+    coordinates with respect to `parameters` scaled parameters."""
 
     lower: np.ndarray
     upper: np.ndarray
     parameters: int
 
     def rows(self, q: np.ndarray) -> np.ndarray:
-        """(m, d, p) Jacobian of the measured coordinates with respect to scaled parameters, at (m, n) postures."""
         raise NotImplementedError
 
     def information(self, q: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """(p, p) of weighted postures."""
-        found = np.zeros((self.parameters, self.parameters))
-        for part in np.array_split(np.arange(len(q)), 1 + len(q) // 20_000):
-            rows = self.rows(q[part]) * np.sqrt(weights[part])[:, None, None]
-            flat = rows.reshape(-1, self.parameters)
-            found += flat.T @ flat
-        return found
+        total = np.zeros((self.parameters, self.parameters))
+        for part in np.array_split(np.arange(len(q)), 1 + len(q) // BATCH):
+            flat = (self.rows(q[part]) * np.sqrt(weights[part])[:, None, None]).reshape(-1, self.parameters)
+            total += flat.T @ flat
+        return total
 
     def log_det(self, q: np.ndarray, weights: np.ndarray | None = None) -> float:
         """Of the information per run, the postures moved into the limits; -inf where it is singular."""
-        inside = np.clip(q, self.lower, self.upper)
-        given = np.full(len(q), 1.0 / len(q)) if weights is None else weights / weights.sum()
-        sign, value = np.linalg.slogdet(self.information(inside, given))
+        shares = np.full(len(q), 1.0 / len(q)) if weights is None else weights / weights.sum()
+        sign, value = np.linalg.slogdet(self.information(np.clip(q, self.lower, self.upper), shares))
         return float(value) if sign > 0 else -np.inf
 
     def gap(self, q: np.ndarray, weights: np.ndarray) -> float:
         """max d - p over these candidates: log det is at most that much below the best (equivalence theorem)."""
         inverse = np.linalg.inv(self.information(q, weights / weights.sum()))
-        worst = 0.0
-        for part in np.array_split(np.arange(len(q)), 1 + len(q) // 20_000):
-            rows = self.rows(q[part])
-            worst = max(worst, float(np.max(np.sum((rows @ inverse) * rows, axis=(1, 2)))))
-        return worst - self.parameters
+        parts = (self.rows(part) for part in np.array_split(q, 1 + len(q) // BATCH))
+        return max(float(np.max(np.sum((rows @ inverse) * rows, axis=(1, 2)))) for rows in parts) - self.parameters
 
     def random(self, runs: int, generator: np.random.Generator) -> np.ndarray:
         """(runs, n) postures within the limits."""
@@ -67,6 +63,11 @@ class Planar(Designed):
     def parameters(self) -> int:  # type: ignore[override]
         return 2 * len(self.lengths)
 
+    def positions(self, q: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(m, 2) [mm] with length errors [mm] and joint offsets [rad], (2n,)."""
+        theta, lengths = np.cumsum(q + values[len(self.lengths) :], axis=1), self.lengths + values[: len(self.lengths)]
+        return np.stack([np.cos(theta) @ lengths, np.sin(theta) @ lengths], axis=1)
+
     def rows(self, q: np.ndarray) -> np.ndarray:
         theta = np.cumsum(q, axis=1)
         cosine, sine = np.cos(theta), np.sin(theta)
@@ -77,6 +78,11 @@ class Planar(Designed):
         """Largest log det of any design within the limits (doe/README.md, "Planar theorem")."""
         half = np.minimum((self.upper - self.lower)[1:] / 2.0, np.pi / 2.0)
         return 4.0 * float(np.log(np.sin(half)).sum())
+
+    def grid(self, levels: int) -> np.ndarray:
+        """(levels^(n - 1), n) postures from limit to limit, joint 1 at zero: it cancels."""
+        axes = [np.linspace(low, high, levels) for low, high in zip(self.lower[1:], self.upper[1:], strict=True)]
+        return np.stack(np.meshgrid([0.0], *axes, indexing="ij"), axis=-1).reshape(-1, len(self.lengths))
 
 
 @dataclass(frozen=True)
@@ -114,12 +120,11 @@ class Screws(Designed):
         before, columns = np.broadcast_to(np.eye(3), (len(q), 3, 3)), []
         for j, (rotation, axis, point) in enumerate(zip(turned, self.axes, self.points, strict=True)):
             across = np.linalg.svd(axis[None])[2][1:]
-            for direction in across:
-                columns.append(direction - rotation @ direction)
+            shifts = [direction - rotation @ direction for direction in across]
             for direction in across:
                 after = np.einsum("mab,mb->ma", rotation, np.cross(direction, tips[j + 1] - point))
-                columns.append((np.cross(direction, tips[j] - point) - after) / LEVER)
-            columns[-4:] = [np.einsum("mab,mb->ma", before, column) for column in columns[-4:]]
+                shifts.append((np.cross(direction, tips[j] - point) - after) / LEVER)
+            columns += [np.einsum("mab,mb->ma", before, shift) for shift in shifts]
             before = before @ rotation
         return np.concatenate([np.stack(columns, axis=2), before], axis=2)
 
@@ -143,20 +148,12 @@ def ur10(tool: np.ndarray, base: np.ndarray | None = None) -> Screws:
     frames = [np.eye(4) if base is None else base]
     for row in TABLE:
         frames.append(frames[-1] @ dh_matrix(*row))
-    joints = np.array(frames[:-1])
-    tip = frames[-1][:3, :3] @ tool + frames[-1][:3, 3]
+    joints, tip = np.array(frames[:-1]), frames[-1][:3, :3] @ tool + frames[-1][:3, 3]
     return Screws(joints[:, :3, 2], joints[:, :3, 3], tip, np.full(6, -np.pi), np.full(6, np.pi))
 
 
-def planar(lengths: list[float], lower: list[float], upper: list[float]) -> Planar:
-    """From lengths [mm] and limits [deg]."""
-    return Planar(np.array(lengths), np.radians(lower), np.radians(upper))
-
-
-ARMS: dict[str, Planar | Screws] = {
-    "4 links": planar([260.0, 180.0, 120.0, 100.0], [-180, -120, -100, -90], [180, 120, 60, 90]),
-    "6 links": planar(
-        [260.0, 180.0, 120.0, 100.0, 90.0, 80.0], [-180, -60, -130, -20, -90, -150], [180, 95, -10, 110, 60, 5]
-    ),
-    "6 axes": ur10(np.array([60.0, 40.0, 100.0])),
-}
+LENGTHS = np.array([260.0, 180.0, 120.0, 100.0, 90.0, 80.0])
+FOUR = Planar(LENGTHS[:4], np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90]))
+SIX = Planar(LENGTHS, np.radians([-180, -60, -130, -20, -90, -150]), np.radians([180, 95, -10, 110, 60, 5]))
+AXES = ur10(np.array([60.0, 40.0, 100.0]))
+ARMS: dict[str, Planar | Screws] = {"4 links": FOUR, "6 links": SIX, "6 axes": AXES}

@@ -1,0 +1,535 @@
+"""How fast, each job in a process of its own: `pytest -m benchmark -s tests/benchmarks/test_speed.py [-k NAME]`.
+
+Processor times of one core, the best of some rounds; values and ratios to a rival in the same run are asserted, and
+times against bars of an idle machine, longer on a slower one (`YARDSTICK`). `--against=TREE` runs the same jobs in
+another checkout, the two in turn, and asserts that none has become slower by more than a tenth.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+YARDSTICK = 0.04  # [s] of a product of two 1,000 x 1,000 matrices on the machine of the bars
+SLOWER = 1.1  # than the other checkout
+ROUNDS = 3  # of both checkouts in turn
+T = TypeVar("T")
+JOBS: dict[str, Job] = {}
+
+
+class Job(NamedTuple):
+    """run : asserts what must hold; returns what is timed [s] and a note;  seconds, megabytes : bars"""
+
+    run: Callable[[], tuple[float, str]]
+    seconds: float
+    megabytes: float
+
+
+def job(seconds: float, megabytes: float = 2000.0) -> Callable[[Callable[[], tuple[float, str]]], Callable]:
+    def register(run: Callable[[], tuple[float, str]]) -> Callable:
+        JOBS[run.__name__] = Job(run, seconds, megabytes)
+        return run
+
+    return register
+
+
+def timed(call: Callable[[], T], rounds: int = 1) -> tuple[T, float]:
+    """What a call gives, and the processor time [s] of its fastest round on one thread."""
+    from threadpoolctl import threadpool_limits
+
+    times = []
+    with threadpool_limits(1):
+        for _ in range(rounds):
+            began = time.process_time()
+            value = call()
+            times.append(time.process_time() - began)
+    return value, min(times)
+
+
+# -- plans -------------------------------------------------------------------------------------------------------------
+def best_known(links: int, values: dict[int, float]) -> tuple[float, str]:
+    """Plans by default, of m runs as good as the best known: the slowest."""
+    from doe import solve
+    from tests.doe.arms import FIVE, FOUR, SIX, problem
+
+    slowest = 0.0
+    for runs, value in values.items():
+        design, seconds = timed(lambda runs=runs: solve(problem({4: FOUR, 5: FIVE, 6: SIX}[links]), runs))
+        assert design.log_det >= value, f"m = {runs}: {design.log_det:.7f}"
+        slowest = max(slowest, seconds)
+    return slowest, f"the slowest of {len(values)} numbers of runs, each as good as the best known"
+
+
+@job(3.0)
+def plans_of_four_links() -> tuple[float, str]:
+    bound = dict.fromkeys((4, 8, 12, 20), -0.0612353 - 1e-7)
+    others = {5: -0.28088, 6: -0.29681, 7: -0.19866, 9: -0.13104, 10: -0.14289, 14: -0.10248, 18: -0.08609}
+    return best_known(4, bound | others)
+
+
+@job(10.0)
+def plans_of_five_links() -> tuple[float, str]:
+    return best_known(5, {5: -1.358411, 8: -0.704662, 11: -0.830503, 16: -0.704179})
+
+
+@job(20.0)
+def plans_of_six_links() -> tuple[float, str]:
+    return best_known(6, {8: -1.624468, 12: -1.433951, 20: -1.351505, 32: -1.299458})
+
+
+@job(2.0, 400.0)
+def a_command() -> tuple[float, str]:
+    """`armcal design`, imports included."""
+    from click.testing import CliRunner
+
+    from doe.cli import main
+
+    runner = CliRunner()
+    with runner.isolated_filesystem():
+        limits = "[joint_limits_deg]\nlower = [-180, -120, -100, -90]\nupper = [180, 120, 60, 90]\n"
+        Path("arm.toml").write_text(f"links_mm = [260, 180, 120, 100]\n{limits}")
+        done = runner.invoke(main, ["design", "arm.toml", "--runs", "20", "--json"])
+    assert json.loads(done.stdout)["certified_optimal"]
+    return time.process_time(), "armcal design, 4 links, m = 20, from the start of Python"
+
+
+@cache
+def six_axes() -> Any:
+    """The design problem of a six-axis arm, and the same in view of a tracker."""
+    from identification.workspace import LineOfSight, WorkspaceBox
+    from tests.doe.six_axis import SIX_AXIS, six_axis
+
+    box = WorkspaceBox((200.0, 1200.0), (-900.0, 900.0), (0.0, 1300.0))
+    cone = ((3000.0, 500.0, 800.0), np.radians(30.0), (600.0, 0.0, 600.0), (500.0, 5000.0))
+    sight = LineOfSight(*cone, (0.0, 0.0, 1.0), np.radians(50.0))
+    return six_axis(), six_axis(replace(SIX_AXIS, constraints=(box, sight)))
+
+
+@job(5.0)
+def plan_of_six_axes() -> tuple[float, str]:
+    from doe import solve
+
+    design, seconds = timed(lambda: solve(six_axes()[0], 30))
+    assert design.efficiency > 0.995
+    return seconds, f"m = 30: {design.efficiency:.4f} of the bound"
+
+
+@job(5.0)
+def plan_in_view_of_a_tracker() -> tuple[float, str]:
+    """Against the bound for lists of 20,000 allowed random postures."""
+    from doe import solve
+    from doe.bounds.column_generation import column_generation
+    from doe.problem.postures import PostureList, random_postures
+
+    problem = six_axes()[1]
+    design, seconds = timed(lambda: solve(problem, 30))
+    postures = np.concatenate([random_postures(problem, 1000, np.random.default_rng(k)) for k in range(20)])
+    bound = column_generation(problem, PostureList(postures), runs=30).bound
+    share = problem.criterion.efficiency(design.value, bound.value, problem.parameters)
+    assert not design.outside
+    assert share > 0.99
+    return seconds, f"m = 30, box and line of sight: {share:.4f} of the bound of the list"
+
+
+# -- weights -----------------------------------------------------------------------------------------------------------
+def on_a_grid(levels: int, solver: str = "column_generation", rounds: int = 3) -> Any:
+    from doe.bounds.column_generation import relax
+    from tests.doe.arms import FOUR, problem
+
+    return timed(lambda: relax(problem(FOUR), levels, solver), rounds)
+
+
+@job(0.2)
+def weights_against_cvxpy() -> tuple[float, str]:
+    """20 times as fast as Clarabel on the whole grid, at a smaller gap. The program is our own lean one."""
+    design, seconds = on_a_grid(22)
+    rival, slow = on_a_grid(22, "clarabel", 2)
+    assert design.gap < rival.gap
+    assert slow >= 20.0 * seconds
+    return seconds, f"{design.candidates:,} candidates: gap {design.gap:.1e}; Clarabel {rival.gap:.1e} in {slow:.2f} s"
+
+
+@job(0.5, 400.0)
+def weights_on_a_hundred_thousand() -> tuple[float, str]:
+    design, seconds = on_a_grid(47, rounds=1)
+    assert design.gap <= 1e-6
+    return seconds, f"{design.candidates:,} candidates: gap {design.gap:.1e}"
+
+
+@job(2.0, 400.0)
+def weights_on_a_million() -> tuple[float, str]:
+    design, seconds = on_a_grid(100, rounds=1)
+    assert design.gap <= 1e-6
+    return seconds, f"{design.candidates:,} candidates: gap {design.gap:.1e}"
+
+
+@job(15.0)
+def weights_on_a_million_in_space() -> tuple[float, str]:
+    from doe.bounds.column_generation import column_generation
+    from doe.problem.postures import PostureList
+
+    problem = six_axes()[0]
+    postures = np.random.default_rng(0).uniform(problem.lower, problem.upper, (1_000_000, 6))
+    design, seconds = timed(lambda: column_generation(problem, PostureList(postures), runs=30))
+    assert design.gap < 1e-4
+    return seconds, f"1,000,000 postures in space: gap {design.gap:.1e}"
+
+
+@job(20.0)
+def weights_over_all_postures_in_space() -> tuple[float, str]:
+    from doe.bounds.column_generation import continuous_design
+
+    design, seconds = timed(lambda: continuous_design(six_axes()[0], runs=30, tolerance=1e-3, proof=1e-3))
+    return seconds, f"bound {design.bound.value:.4f}, {design.bound.value - design.value:.1e} above the design"
+
+
+@job(5.0)
+def proofs_over_all_postures() -> tuple[float, str]:
+    """Random limits, 3 to 8 links: the closed form (doe/README.md, "Planar theorem", written here) to 1e-9, proven."""
+    from doe.bounds.column_generation import continuous_design
+    from tests.doe.arms import problem, random_box
+
+    slowest = 0.0
+    for links in range(3, 9):
+        arm = random_box(np.random.default_rng(100 + links), links)
+        design, seconds = timed(lambda arm=arm: continuous_design(problem(arm)), 2)
+        half = np.minimum((arm.upper - arm.lower)[1:] / 2.0, np.pi / 2.0)
+        assert abs(design.log_det - 4.0 * float(np.log(np.sin(half)).sum())) <= 1e-9
+        assert design.bound.rigorous
+        slowest = max(slowest, seconds)
+    return slowest, "the slowest of 3 to 8 links"
+
+
+@job(3.0)
+def effects_over_all_postures() -> tuple[float, str]:
+    """Base offset and two effects, four links: gap at most 1e-6."""
+    from doe.bounds.column_generation import continuous_design
+    from identification import EffectSpec
+    from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
+
+    slowest = 0.0
+    skew, names = EffectSpec("axes_skew"), ("encoder_second_harmonic", "gear_ratio", "joint_coupling")
+    for first, name in zip((ECCENTRICITY, ECCENTRICITY, skew), names, strict=True):
+        case = problem(FOUR, OFFSET, first, EffectSpec(name, 3))
+        design, seconds = timed(lambda c=case: continuous_design(c, tolerance=0.5e-6 / c.parameters, proof=0.0), 2)
+        assert design.gap <= 1e-6
+        slowest = max(slowest, seconds)
+    return slowest, "gap below 1e-6 with base offset and two effects"
+
+
+# -- fits: the rival is SciPy with residuals (and Jacobian) written by hand in plain numpy -----------------------------
+LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
+TRUTH = np.r_[1.5, -0.6, -0.4, 0.7, np.radians([0.5, -0.5, 0.7, -0.3])]
+ECCENTRIC = np.radians([0.03, -0.01])
+SETS, SOME = 10_000, 100  # data sets of 20 rows; of them for the rival
+
+
+def data_sets(effects: tuple[tuple[str, int], ...], extra: np.ndarray, count: int = SETS) -> Any:
+    """Model, postures (m, 4) and measured positions (count, m, 2), every data set of the same arm."""
+    from identification import Arm, EffectSpec, Model
+
+    model, generator = Model(Arm(LENGTHS, effects=tuple(EffectSpec(*e) for e in effects))), np.random.default_rng(1)
+    q = generator.uniform(-2.0, 2.0, (20, 4))
+    return model, q, model.position(q, np.r_[TRUTH, extra]) + 0.1 * generator.standard_normal((count, 20, 2))
+
+
+def residuals(x: np.ndarray, q: np.ndarray, measured: np.ndarray, *, slopes: bool = False) -> np.ndarray:
+    """(2m,) of lengths, offsets and, with ten parameters, the eccentricity of encoder 2; or their (2m, p) Jacobian."""
+    angles, waves = q + x[4:8], np.stack([np.cos(q[:, 1]), np.sin(q[:, 1])], axis=1)
+    if x.size > 8:
+        angles[:, 1] += waves @ x[8:]
+    theta, lengths = np.cumsum(angles, axis=1), LENGTHS + x[:4]
+    if not slopes:
+        return np.concatenate([np.cos(theta) @ lengths - measured[:, 0], np.sin(theta) @ lengths - measured[:, 1]])
+    rows = []
+    for first, second in ((np.cos(theta), -np.sin(theta)), (np.sin(theta), np.cos(theta))):
+        turns = np.cumsum((lengths * second)[:, ::-1], axis=1)[:, ::-1]
+        rows.append(np.hstack([first, turns, *([turns[:, 1:2] * waves] if x.size > 8 else [])]))
+    return np.vstack(rows)
+
+
+def loop(q: np.ndarray, positions: np.ndarray, p: int, **options: Any) -> Any:
+    """(k, p) one SciPy fit after the other, and the seconds per fit."""
+    from scipy.optimize import least_squares
+
+    if options:
+        options["jac"] = lambda x, q, measured: residuals(x, q, measured, slopes=True)
+    fits, seconds = timed(
+        lambda: [least_squares(residuals, np.zeros(p), args=(q, data), **options).x for data in positions], 3
+    )
+    return np.array(fits), seconds / len(positions)
+
+
+@job(0.05)
+def closed_form_against_scipy() -> tuple[float, str]:
+    from identification.estimation import estimate_batch
+
+    model, q, positions = data_sets((), np.zeros(0))
+    fits, seconds = timed(lambda: estimate_batch(model, q, positions), 7)
+    exact, _ = loop(q, positions[:SOME], 8, method="lm")
+    _, slow = loop(q, positions[:SOME], 8)
+    np.testing.assert_allclose(fits.parameters[:SOME] * model.scales, exact * model.scales, rtol=0, atol=1e-4)
+    ratio = slow * SETS / seconds
+    assert ratio >= 500.0
+    return seconds, f"{SETS / seconds:,.0f} fits/s; SciPy {1 / slow:,.0f}, {ratio:,.0f} times slower (bar 500)"
+
+
+@job(0.5)
+def an_effect_against_scipy() -> tuple[float, str]:
+    from identification.estimation import estimate_batch
+
+    model, q, positions = data_sets((("encoder_eccentricity", 2),), ECCENTRIC)
+    fits, seconds = timed(lambda: estimate_batch(model, q, positions), 5)
+    exact, better = loop(q, positions[:SOME], 10, method="lm")
+    _, slow = loop(q, positions[:SOME], 10)
+    np.testing.assert_allclose(fits.parameters[:SOME] * model.scales, exact * model.scales, rtol=0, atol=1e-4)
+    ratios = slow * SETS / seconds, better * SETS / seconds
+    assert fits.converged.all()
+    assert ratios[0] >= 25.0
+    assert ratios[1] >= 6.0
+    said = f"SciPy {1 / slow:,.0f} and with exact Jacobian {1 / better:,.0f}"
+    return seconds, f"{SETS / seconds:,.0f} fits/s; {said}: {ratios[0]:.0f} and {ratios[1]:.0f} times slower (25, 6)"
+
+
+@job(5.0)
+def a_million_fits() -> tuple[float, str]:
+    from identification.estimation import estimate_batch
+
+    model, q, positions = data_sets((), np.zeros(0), 1_000_000)
+    return timed(lambda: estimate_batch(model, q, positions))[1], "1,000,000 closed-form fits"
+
+
+@job(20.0)
+def fits_of_two_effects() -> tuple[float, str]:
+    from identification.estimation import estimate_batch
+
+    model, q, positions = data_sets((("encoder_eccentricity", 2), ("gear_ratio", 3)), np.r_[ECCENTRIC, 1e-3], 100_000)
+    fits, seconds = timed(lambda: estimate_batch(model, q, positions))
+    assert fits.converged.all()
+    return seconds, "100,000 fits with two effects"
+
+
+def batch_in_space(minimal_set: bool) -> tuple[float, str]:
+    """200 sets of 30 poses against single fits."""
+    from identification import Measurements, Model, estimate
+    from identification.estimation import estimate_batch
+    from identification.model.minimal import minimal
+    from tests.doe.six_axis import SIX_AXIS
+
+    model, generator = Model(SIX_AXIS), np.random.default_rng(0)
+    model = minimal(model) if minimal_set else model
+    q = generator.uniform(SIX_AXIS.lower, SIX_AXIS.upper, (30, 6))
+    positions = model.position(q, 0.3 * generator.standard_normal((200, len(model.names))) / model.scales)
+    positions += 0.05 * generator.standard_normal(positions.shape)
+    estimate_batch(model, q, positions[:2])  # compiled
+    fits, seconds = timed(lambda: estimate_batch(model, q, positions))
+    single = timed(lambda: estimate(model, Measurements(q, positions[0]), sigma="given"), 3)[1] * len(positions)
+    assert fits.converged.all()
+    assert single > 10.0 * seconds
+    return (
+        seconds,
+        f"{len(model.names)} parameters: {200 / seconds:.0f} fits/s; one by one {single / seconds:.0f} x slower",
+    )
+
+
+@job(0.1)
+def fits_in_space() -> tuple[float, str]:
+    return batch_in_space(True)
+
+
+@job(0.5)
+def fits_in_space_with_the_prior() -> tuple[float, str]:
+    return batch_in_space(False)
+
+
+@job(0.05)
+def positions_and_jacobians() -> tuple[float, str]:
+    """Against a loop over products of matrices in numpy, positions alone."""
+    from identification import Model
+    from identification.kinematics.chain import DHRow
+    from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
+    from tests.identification.kinematics.test_denavit_hartenberg import printed
+
+    model, q = Model(SIX_AXIS), np.random.default_rng(0).uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20_000, 6))
+    model.linearize(q[:10], model.values)  # compiled
+
+    def tip(posture: np.ndarray) -> np.ndarray:
+        frame = np.eye(4)
+        for (a, alpha, d), angle in zip(TABLE, posture, strict=True):
+            frame = frame @ printed(DHRow(a, np.radians(alpha), d), angle)
+        return (frame @ np.r_[REFLECTOR, 1.0])[:3]
+
+    (position, _), seconds = timed(lambda: model.linearize(q, model.values), 3)
+    one_by_one, slow = timed(lambda: np.array([tip(posture) for posture in q[:2000]]))
+    np.testing.assert_allclose(position[:2000], one_by_one, atol=1e-9)
+    assert slow * 10.0 > 20.0 * seconds
+    return seconds, f"{len(q) / seconds:.3g} poses/s; positions in a loop take {slow * 10.0 / seconds:.0f} x"
+
+
+# -- the rest ----------------------------------------------------------------------------------------------------------
+@job(3.0)
+def diagnosis_of_two_hundred_rows() -> tuple[float, str]:
+    from doe.studies.blind.cells import CELLS, CellSpec, data_set
+    from identification.gap.diagnose import diagnose
+
+    CELLS["speed"] = CellSpec(200, 8.0, effects=2, limits="paper")
+    data = data_set("speed", 1)
+    return timed(lambda: diagnose(data.arm, data.measurements), 3)[1], "m = 200, 4 links, the whole library"
+
+
+@job(60.0)
+def diagnosis_of_a_robot() -> tuple[float, str]:
+    from identification.gap.diagnose import diagnose
+    from tests.identification.gap.test_ur10 import ARM, FILE, SAMPLE, load
+
+    data = load(FILE if FILE.exists() else SAMPLE)
+    return timed(lambda: diagnose(ARM, data))[1], f"UR10, {len(data):,} rows"
+
+
+def commands(anywhere: bool, bar: float) -> tuple[float, str]:
+    """10,000 targets with four constraints and without, all where the arm may stand, or half of them anywhere."""
+    from doe.problem.constraints import constraints_of
+    from identification import Calibration, Model
+    from identification.compensate import compensate
+    from identification.workspace import KeepOutCircle, KeepOutCylinder
+
+    more = KeepOutCylinder((700.0, 300.0, 0.0), (700.0, 300.0, 900.0), 120.0), KeepOutCircle((600, -300, 500), 150.0)
+    generator, plain = np.random.default_rng(1), six_axes()[1].model.arm
+    names = [name for name in Model(plain).names if not name.startswith(("base", "tool"))]
+    sizes = [0.3 if name.startswith("translation") else 1e-3 for name in names]
+    errors = dict(zip(names, (sizes * generator.standard_normal(len(names))).tolist(), strict=True))
+    arm = replace(plain, constraints=(*plain.constraints, *more), calibration=Calibration({**errors, "base.x": 0.0}))
+    constraints, postures = constraints_of(Model(arm)), np.empty((0, 6))
+    while len(postures) < 10_000:
+        drawn = generator.uniform(arm.lower, arm.upper, (50_000, 6))
+        postures = np.concatenate(
+            [postures, drawn[np.all([np.all(c.margin(drawn) >= 0.0, axis=1) for c in constraints], axis=0)]]
+        )
+    postures = postures[:10_000]
+    if anywhere:
+        postures[5000:] = generator.uniform(arm.lower, arm.upper, (5000, 6))
+    targets = Model(arm).position(postures)[:, :3]
+    compensate(arm, targets[:3])  # compiled
+    free, quick = timed(lambda: compensate(arm, targets, constraints=()))
+    held, seconds = timed(lambda: compensate(arm, targets, constraints=constraints))
+    assert free.reached.all()
+    assert held.reached[:5000].all()
+    assert min(c.margin(held.commands[held.reached]).min() for c in constraints) > -1e-6
+    assert seconds < bar * quick
+    return seconds, f"10,000 targets, {np.count_nonzero(~held.reached):,} barred; without constraints {quick:.2f} s"
+
+
+@job(10.0)
+def commands_where_the_arm_may_stand() -> tuple[float, str]:
+    return commands(False, 5.0)
+
+
+@job(60.0)
+def commands_half_of_them_barred() -> tuple[float, str]:
+    return commands(True, 15.0)
+
+
+def study(bar: float, random_plans: bool = False, **changes: Any) -> tuple[float, str]:
+    """Simulation, fits and tables against one general fit at a time."""
+    from doe.jobs.running import serial
+    from doe.studies.monte_carlo import Fitted, Study, run_study
+    from doe.studies.paper.tables import paper_arm, paper_truth
+    from identification import EffectSpec
+
+    arm, truth = paper_arm(), paper_truth()
+    if changes.pop("effects", False):
+        values = {"encoder_eccentricity": (2, {"a": 5e-4, "b": -2e-4}), "base_offset": (None, {"x0": 0.3, "y0": -0.2})}
+        truth = replace(truth, effects=tuple(EffectSpec(name, *rest) for name, rest in values.items()))
+        changes["models"] = [Fitted("both", tuple(EffectSpec(name, joint) for name, (joint, _) in values.items()))]
+    whole = Study([arm], ["random" if random_plans else "dft"], [20], truths=[truth], **changes)
+    run_study(replace(whole, replications=10))  # imports
+    _, q, positions = data_sets((), np.zeros(0), SOME)
+    general = loop(q, positions, 8, method="lm")[1]
+    result, seconds = timed(lambda: run_study(whole, None, serial()))
+    gain = whole.replications * general / seconds
+    assert result.cells["fits"][0] == whole.replications
+    assert gain >= bar
+    return seconds, f"{whole.replications:,} data sets, {gain:.0f} x one general fit at a time (bar {bar:g})"
+
+
+@job(0.5)
+def study_of_table_3() -> tuple[float, str]:
+    return study(20.0, replications=10_000)
+
+
+@job(5.0)
+def study_of_a_million() -> tuple[float, str]:
+    return study(60.0, replications=1_000_000)
+
+
+@job(40.0)
+def study_of_two_effects_on_random_plans() -> tuple[float, str]:
+    """New plans cost a Jacobian of their own, twice: for the fit and for the deviation that eq. 16 expects."""
+    return study(0.5, random_plans=True, effects=True, replications=100_000)
+
+
+@job(60.0)
+def the_slowest_notebook() -> tuple[float, str]:
+    """With its kernel and all that it starts."""
+    times, code = {}, "import nbformat, sys; from nbclient import NotebookClient; from pathlib import Path\n"
+    code += "path = Path(sys.argv[1]); resources = {'metadata': {'path': str(path.parent)}}\n"
+    code += "NotebookClient(nbformat.read(path, 4), kernel_name='python3', resources=resources).execute()"
+    for notebook in sorted(Path(os.environ["PYTHONPATH"]).glob("notebooks/*.ipynb")):
+        before = sum(os.times()[2:4])
+        subprocess.run([sys.executable, "-c", code, str(notebook)], check=True, stderr=subprocess.DEVNULL)
+        times[notebook.stem] = sum(os.times()[2:4]) - before
+    return max(times.values()), ", ".join(f"{name[:1]}: {seconds:.0f} s" for name, seconds in times.items())
+
+
+# -- the harness -------------------------------------------------------------------------------------------------------
+@cache
+def scale() -> float:
+    """How much slower this machine is than that of the bars, at least 1."""
+    a = np.random.default_rng(1).normal(size=(1000, 1000))
+    return max(1.0, timed(lambda: a @ a, 5)[1] / YARDSTICK)
+
+
+def measured(name: str, tree: Path) -> tuple[float, str, float]:
+    """Seconds, note and peak memory [MB] of a job with the packages of a checkout."""
+    threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+    done = subprocess.run(
+        [sys.executable, str(Path(__file__)), name],
+        cwd=tree, env=os.environ | threads | {"PYTHONPATH": str(tree)}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    seconds, note, megabytes = json.loads(done.stdout.splitlines()[-1])
+    return seconds, note, megabytes
+
+
+@pytest.mark.benchmark
+@pytest.mark.parametrize("name", JOBS)
+def test_speed(name: str, request: pytest.FixtureRequest) -> None:
+    bar, other = JOBS[name], request.config.getoption("--against")
+    seconds, note, megabytes = measured(name, ROOT)
+    print(f"\n{name}: {seconds:.3g} s (bar {bar.seconds * scale():.3g}), {megabytes:.0f} MB; {note}", end="")
+    assert seconds <= bar.seconds * scale()
+    assert megabytes <= bar.megabytes
+    if other:
+        rounds = [(measured(name, Path(other))[0], measured(name, ROOT)[0]) for _ in range(ROUNDS)]
+        before, after = np.min(rounds, axis=0)
+        print(f"; there {before:.3g} s, here {after:.3g} s: {after / before:.2f}", end="")
+        assert after <= SLOWER * before
+
+
+if __name__ == "__main__":
+    seconds, note = JOBS[sys.argv[1]].run()
+    status = Path("/proc/self/status").read_text().splitlines()
+    peak = next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024.0
+    print(json.dumps([seconds, note, peak]))

@@ -1,0 +1,325 @@
+"""Every figure that the READMEs quote of two sessions of a real robot, a UR10: `pytest -m benchmark -s` with this file.
+
+Some minutes of one core each. Series A and C, whole, are looked for in ../shared/data beside the checkout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doe.bounds.certificate import Bound
+from doe.criteria import criterion
+from doe.plan.accuracy import tip_beside_random
+from doe.problem.problem import DesignProblem
+from doe.problem.uncertain import robust_problem
+from doe.solvers import solve
+from identification.arm import Arm, EffectSpec
+from identification.arrays import Array
+from identification.estimation import Identification, estimate, estimate_with_prior
+from identification.files.arm import load_arm
+from identification.gap.confirmation import split
+from identification.gap.diagnose import diagnose
+from identification.gap.library_prior import given_by, library_prior
+from identification.measurements import Measurements, load_measurements
+from identification.model import Model
+from identification.model.placed import placed_model
+from identification.validate import validate
+
+SHARED = Path(__file__).parents[3] / "shared/data"
+PLANAR = {"A": SHARED / "ur10_planar/series_A.csv", "C": SHARED / "ur10_planar/measurements.csv"}
+SPATIAL = {name: SHARED / f"ur10/series_{name}.csv" for name in "AC"}
+ARM = Arm(np.array([612.0, 572.3, 115.7]), effects=(EffectSpec("base_offset"),), name="ur10")
+SPACE = Path(__file__).parents[1] / "data/ur10/ur10.toml"
+BOTH = pytest.mark.parametrize("series", ["A", "C"])
+ACROSS = pytest.mark.parametrize(("series", "other"), [("A", "C"), ("C", "A")])
+
+pytestmark = [
+    pytest.mark.benchmark,
+    pytest.mark.filterwarnings("ignore"),  # columns that are not used
+    pytest.mark.skipif(not PLANAR["A"].exists(), reason="the UR10 measurements are not in ../shared/data"),
+]
+
+
+def rms(missed: Array) -> float:
+    """RMS distance [mm] of (N, d)."""
+    return float(np.sqrt(np.mean(np.sum(missed**2, axis=1))))
+
+
+def left(fit: Identification, rows: Measurements) -> float:
+    """RMS distance [mm] between positions measured and computed."""
+    return rms(rows.positions - fit.model.position(rows.postures, fit.parameters, rows.conditions))
+
+
+def library_fit(arm: Arm, rows: Measurements) -> Identification:
+    """As `armcal identify --library-prior`."""
+    library = library_prior(arm, given_by(rows))
+    return estimate_with_prior(library.model, rows, library.prior)
+
+
+def halves(data: Measurements) -> tuple[Measurements, Measurements]:
+    """Random halves of the postures, each with all rows of its postures."""
+    return split(data, 0.5, np.random.default_rng(0))
+
+
+def first_half(data: Measurements) -> tuple[Measurements, Measurements]:
+    """By the order of measurement."""
+    early = np.zeros(len(data), dtype=bool)
+    early[data.sequence[: len(data) // 2]] = True
+    return data.rows(early), data.rows(~early)
+
+
+def shown_diagnosis(arm: Arm, parts: tuple[Measurements, Measurements]) -> float:
+    """RMS [mm] on the second part of what `diagnose` finds in the first."""
+    diagnosis = diagnose(arm, *parts)
+    gap, names = diagnosis.gap, ", ".join(diagnosis.effects) or "none"
+    print(
+        f"\ndiagnose: {gap.held_out_before:.3f} -> {gap.held_out_after:.3f} mm, predicted {gap.predicted:.3f}", end=""
+    )
+    print(f", confirmed: {diagnosis.confirmed}; {diagnosis.verdict}, {names}, {len(diagnosis.curves)} curves", end="")
+    return float(gap.held_out_after or np.inf)
+
+
+# -- held-out rows, and the other session ------------------------------------------------------------------------------
+@BOTH
+@pytest.mark.parametrize("parted", [halves, first_half])
+def test_plane_held_out(series: str, parted: Callable[[Measurements], tuple[Measurements, Measurements]]) -> None:
+    """Geometry with and without base offset, and with what `diagnose` finds."""
+    parts = parted(load_measurements(PLANAR[series], 3))
+    plain, offset = (left(estimate(Model(arm), parts[0]), parts[1]) for arm in (ARM.with_effects(), ARM))
+    print(f"\nplane, {series}, {parted.__name__}: geometry {plain:.3f}, with base offset {offset:.3f} mm", end="")
+    assert shown_diagnosis(ARM, parts) < offset
+
+
+@ACROSS
+def test_plane_to_the_other_session(series: str, other: str) -> None:
+    """As `armcal diagnose --out` and `armcal validate --refit base`."""
+    data, there = (load_measurements(PLANAR[name], 3) for name in (series, other))
+    geometry = validate(estimate(Model(ARM), data).calibrated_arm(), there)
+    with_effects = validate(diagnose(ARM, data).extended_arm(), there).model.rms
+    prior = validate(library_fit(ARM, data).calibrated_arm(), there).model.rms
+    drawing, plain = geometry.nominal.rms, geometry.model.rms
+    print(f"\nplane, {series} -> {other}: drawing {drawing:.3f}, geometry {plain:.3f}", end="")
+    print(f", with what diagnose found {with_effects:.3f}, library as a prior {prior:.3f}", end="")
+    print(f"; geometry fitted there {left(estimate(Model(ARM), there), there):.3f} mm")
+    assert with_effects < plain
+
+
+@BOTH
+def test_space_held_out(series: str, tmp_path: Path) -> None:
+    """Geometry held by the prior of its machining, the drawing with base and reflector alone, and what `diagnose`
+    finds; with orientations beside points the RMS angle of both."""
+    arm = load_arm(SPACE)
+    parts = halves(load_measurements(SPATIAL[series], arm))
+    fit = estimate(Model(arm), parts[0])
+    drawing, geometry = validate(fit.calibrated_arm(), parts[1]).nominal.rms, left(fit, parts[1])
+    print(
+        f"\nspace, {series}, halves: geometry {geometry:.3f}, drawing with base and reflector {drawing:.3f} mm", end=""
+    )
+    assert geometry < 0.6 * drawing
+    assert shown_diagnosis(arm, parts) < 0.2
+    file = tmp_path / "poses.toml"
+    file.write_text(SPACE.read_text() + "\n[measurement]\nsigma_mm = 0.05\nsigma_deg = 0.01\n")
+    arm = load_arm(file)
+    parts = halves(load_measurements(SPATIAL[series], arm))
+    poses = validate(estimate(Model(arm), parts[0]).calibrated_arm(), parts[1])
+    for name, residuals in (("geometry", poses.residuals), ("drawing", poses.nominal_residuals)):
+        points, turns = (rms(part) for part in residuals.reshape(-1, 2, 3).transpose(1, 0, 2))
+        degrees = np.degrees(turns / arm.chain.angle_scale)
+        print(f"\nspace, {series}, poses, {name}: {points:.3f} mm, {degrees:.3f} deg", end="")
+
+
+@ACROSS
+def test_space_to_the_other_session(series: str, other: str) -> None:
+    """As `armcal identify` or `diagnose --out` and `armcal validate`: only base and reflector are found anew."""
+    arm = load_arm(SPACE)
+    data, there = (load_measurements(SPATIAL[name], arm) for name in (series, other))
+    geometry = validate(estimate(Model(arm), data).calibrated_arm(), there)
+    extended = diagnose(arm, data).extended_arm()
+    bare = (replace(s, curve=replace(s.curve, geometry={})) if s.curve else s for s in extended.effects)
+    curves, fitted = (validate(each, there).model.rms for each in (extended, extended.with_effects(*bare)))
+    parts, whole = halves(data), validate(library_fit(arm, data).calibrated_arm(), there).model.rms
+    drawing, plain = geometry.nominal.rms, geometry.model.rms
+    print(f"\nspace, {series} -> {other}: geometry {plain:.3f}, drawing {drawing:.3f}", end="")
+    print(f", with what diagnose found {curves:.3f}, with the geometry as it was fitted {fitted:.3f}", end="")
+    print(f"; library as a prior {whole:.3f}, in halves {left(library_fit(arm, parts[0]), parts[1]):.3f} mm", end="")
+    assert curves < plain < drawing
+    assert whole < drawing
+
+
+def test_space_geometry_of_both_sessions() -> None:
+    """One geometry for both fits both; those of each differ from it where the session itself hardly shows it."""
+    arm, parts = load_arm(SPACE), {}
+    for name in "AC":  # residuals of the drawing and columns of the joints' errors, both less base and reflector
+        data = load_measurements(SPATIAL[name], arm)
+        model, root = placed_model(Model(arm), data), np.sqrt(len(data))
+        zero = np.zeros(len(model.names))
+        own = np.array([not each.startswith(("base", "tool")) for each in model.names])
+        jacobian = model.jacobian(data.postures, zero).reshape(-1, len(zero)) / root
+        place = np.linalg.qr(jacobian[:, ~own])[0]
+        missed = (data.positions - model.position(data.postures, zero)).ravel() / root
+        parts[name] = [each - place @ (place.T @ each) for each in (missed, jacobian[:, own])]
+        sizes = model.parameters.vector(model.prior, 0.0)[own]
+
+    def fitted(names: str) -> Array:
+        """With a prior far below what the data say."""
+        rows = [(np.zeros(len(sizes)), 1e-3 * np.diag(1.0 / sizes)), *(parts[name] for name in names)]
+        y, x = (np.concatenate(each) for each in zip(*rows, strict=True))
+        return np.linalg.lstsq(x, y, rcond=None)[0]
+
+    both = fitted("AC")
+    for name, (residual, columns) in parts.items():
+        shared, own_left = (np.linalg.norm(residual - columns @ values) for values in (both, fitted(name)))
+        moved = {other: np.linalg.norm(columns @ (fitted(other) - both)) for other in "AC"}
+        print(f"\nin {name}: geometry of both {shared:.3f}, its own {own_left:.3f} mm", end="")
+        print(f"; less that of both, the one of A moves points here by {moved['A']:.3f}, of C by {moved['C']:.3f} mm")
+        assert shared < 0.6 * np.linalg.norm(residual)
+
+
+@BOTH
+def test_space_other_angles_of_one_session(series: str) -> None:
+    """A third of 1,500 rows, where joint 1 is low, in the middle or high, and the rest predicted: plain geometry, and
+    the library as a prior."""
+    arm, ratios = load_arm(SPACE), []
+    data = load_measurements(SPATIAL[series], arm)
+    data = data.rows(np.sort(np.random.default_rng(0).permutation(len(data))[:1500]))
+    order = np.argsort(np.mod(data.postures[:, 0] - (0.0 if series == "C" else np.pi), 2.0 * np.pi))
+    for third in np.array_split(order, 3):
+        inside = np.isin(np.arange(len(data)), third)
+        fits = (estimate(Model(arm), data.rows(inside)), library_fit(arm, data.rows(inside)))
+        plain, prior = (validate(fit.calibrated_arm(), data.rows(~inside)).model.rms for fit in fits)
+        ratios.append(prior / plain)
+        print(f"\n{series}: geometry {plain:.3f}, library as a prior {prior:.3f} mm", end="")
+    print(f"\n{series}: geometric mean {np.exp(np.mean(np.log(ratios))):.2f}, worst {max(ratios):.2f}")
+    assert np.mean(np.log(ratios)) < 0.0
+
+
+# -- chosen postures against random ones -------------------------------------------------------------------------------
+def rows_of(data: Measurements, postures: Array) -> Array:
+    """The rows with these postures."""
+    distance = np.abs(data.postures[:, None] - postures).max(axis=-1)
+    rows = distance.argmin(axis=0)
+    assert distance.min(axis=0).max() < 1e-9  # it chose from the list
+    assert len(set(rows.tolist())) == len(postures)
+    return rows
+
+
+def test_chosen_postures_against_random_ones() -> None:
+    """20 of the 2,773 of series C; fits by the closed form (identification/README.md, "Closed form"), written here:
+    least squares for u_j = (l_j + dl_j) exp(i dtheta_j) and base, complex, as numbers of one unit [mm]."""
+    data, generator = load_measurements(PLANAR["C"], 3), np.random.default_rng(0)
+    columns = np.hstack([np.exp(1j * np.cumsum(data.postures, axis=1)), np.ones((len(data), 1))])
+    measured = data.positions @ [1.0, 1.0j]
+
+    def fit(rows: Array, positions: Array = measured) -> Array:
+        return np.linalg.lstsq(columns[rows], positions[rows], rcond=None)[0]
+
+    def error(rows: Array, positions: Array = measured) -> float:
+        return float(np.linalg.norm(fit(rows, positions) - full))
+
+    def at_tip(rows: Array) -> float:
+        return float(np.sqrt(np.mean(np.abs(columns @ (fit(rows) - full)) ** 2)))
+
+    full = fit(np.arange(len(data)))
+    random = [generator.choice(len(data), 20, replace=False) for _ in range(1000)]
+    errors, tips = np.array([error(rows) for rows in random]), np.array([at_tip(rows) for rows in random])
+    sigma = np.std(np.stack([(measured - columns @ full).real, (measured - columns @ full).imag]))
+    white = sigma * generator.standard_normal((100, len(data), 2)) @ [1.0, 1.0j]
+    print(f"\n20 of 2,773 UR10 postures; error of a random choice: median {np.median(errors):.3f} mm", end="")
+    plain = DesignProblem.of(Model(ARM), choices=data.postures)
+    for name in ("D", "A", "I"):
+        chosen = criterion(name, test_jacobians=plain.scaled_jacobians(data.postures[::10]))
+        plan = solve(DesignProblem.of(Model(ARM), choices=data.postures, criterion=chosen), 20).plan.postures
+        rows = rows_of(data, plan)
+        shares = np.mean(errors > error(rows)), np.mean(tips > at_tip(rows))
+        drawn = (columns @ full + noise for noise in white)  # as if the model were right and the noise white
+        ideal = [np.mean([error(each, y) > error(rows, y) for each in random[:50]]) for y in drawn]
+        print(f"\n{name}: error {error(rows):.3f} mm, better than {shares[0]:.0%}, at the tip {shares[1]:.0%}", end="")
+        print(
+            f"; {np.mean(ideal):.0%} were the model right, less than {np.quantile(ideal, 0.1):.0%} once in ten", end=""
+        )
+        assert shares[0] > 0.5
+
+
+SHEET = replace(ARM, sigma=0.1)  # [mm], the repeatability of its data sheet
+
+
+class LinearFits:
+    """Fits of some rows, linear about the fit of all rows without effects: positions = J (free, effects) + noise.
+
+    residual : (N, 2) of that fit [mm];  rows : (N, 2, p + e) Jacobian, effects times their sizes;  free : p
+    """
+
+    noises = np.geomspace(1.0, 30.0, 300) * 0.1  # [mm] tried: the data sheet's repeatability and more
+
+    def __init__(self, data: Measurements, *, prior: bool = True) -> None:
+        plain, library = estimate(Model(SHEET), data), library_prior(SHEET, given_by(data))
+        model = library.model
+        sizes = model.parameters.vector(library.prior.deviations)
+        values = model.parameters.vector(plain.model.parameters.mapping(plain.parameters))
+        jacobian = model.jacobian(data.postures, values, data.conditions)
+        free, effects = jacobian[..., sizes == 0.0], (jacobian * sizes)[..., sizes > 0.0]
+        self.residual, self.free = plain.residuals_after, free.shape[2]
+        self.rows = np.concatenate([free, effects] if prior else [free], axis=2)
+
+    def fitted(self, chosen: Array) -> Array:
+        """(p + e,) the mode of the posterior with the noise of the largest marginal likelihood (restricted, REML)."""
+        y, rows = self.residual[chosen].ravel(), self.rows[chosen].reshape(2 * len(chosen), -1)
+        x, z = rows[:, : self.free], rows[:, self.free :]
+        if not z.shape[1]:
+            return np.linalg.lstsq(x, y, rcond=None)[0]
+        beside = np.linalg.svd(x)[0][:, self.free :]  # what the free parameters cannot explain
+        values, vectors = np.linalg.eigh(beside.T @ z @ z.T @ beside)
+        variance = np.maximum(values, 0.0) + self.noises[:, None] ** 2
+        best = np.argmin(np.sum(np.log(variance) + (vectors.T @ beside.T @ y) ** 2 / variance, axis=1))
+        covariance = z @ z.T + self.noises[best] ** 2 * np.eye(len(y))
+        whitened = np.linalg.solve(covariance, x)
+        free = np.linalg.solve(x.T @ whitened, whitened.T @ y)
+        return np.r_[free, z.T @ np.linalg.solve(covariance, y - x @ free)]
+
+    def error(self, chosen: Array) -> float:
+        """RMS distance on the rows that are not chosen [mm]."""
+        return rms(np.delete(self.residual - self.rows @ self.fitted(chosen), chosen, axis=0))
+
+
+def test_linear_fits_are_those_of_identify() -> None:
+    """`estimate_with_prior` on three random choices: the same error on the other rows to a thousandth."""
+    data, generator = load_measurements(PLANAR["C"], 3), np.random.default_rng(0)
+    fits = LinearFits(data)
+    for _ in range(3):
+        chosen = generator.choice(len(data), 20, replace=False)
+        fit = library_fit(SHEET, data.rows(chosen))
+        missed = data.positions - fit.model.position(data.postures, fit.parameters, data.conditions)
+        assert rms(np.delete(missed, chosen, axis=0)) == pytest.approx(fits.error(chosen), rel=1e-3)
+
+
+@pytest.mark.parametrize("runs", [20, 30, 50])
+@BOTH
+def test_chosen_with_the_library_in_mind(series: str, runs: int) -> None:
+    """Do postures chosen for what a model may lack predict the others better than random ones? Of 1,387 of the 2,773
+    postures of C, or 1,500 of the 11,911 of A, against 100 random choices of all, each fitted in the same way: geometry
+    and base offset free, all effects of the library with their prior, the noise estimated. Plans of six starts each, as
+    plans of nearly the same criterion differ on one robot. Table in doe/README.md, "Robust designs"."""
+    data = load_measurements(PLANAR[series], 3)
+    offered = data.postures[np.sort(np.random.default_rng(4).permutation(len(data))[:3000])[::2]]
+    generator, fits = np.random.default_rng(0), (LinearFits(data), LinearFits(data, prior=False))
+    random = [generator.choice(len(data), runs, replace=False) for _ in range(100)]
+    errors = [np.array([fit.error(rows) for rows in random]) for fit in fits]
+    held, least = (np.median(each) for each in errors)
+    print(
+        f"\n{series}, {runs} of {len(data)}: random with the prior {held:.3f}, by least squares {least:.3f} mm", end=""
+    )
+    plain = DesignProblem.of(Model(SHEET), choices=offered)
+    for name, case in (("robust", robust_problem(plain)), ("D", plain)):
+        way, nothing = (0 if case.fit else 1), Bound(np.inf, "continuous")  # none is computed
+        plans = [solve(case, runs, seed=seed, starts=1, bound=nothing).plan.postures for seed in range(6)]
+        promised = [expected.plan for plan in plans if (expected := tip_beside_random(case, plan))]
+        reached = [fits[way].error(rows_of(data, plan)) for plan in plans]
+        better = [np.mean(errors[way] > error) for error in reached]
+        print(f"; {name} {np.mean(reached):.3f} mm, better than {np.mean(better):.2f}", end="")
+        print(f" ({min(better):.2f} to {max(better):.2f}), promised {np.mean(promised):.3f}", end="")
+        assert name == "D" or np.mean(better) > 0.5
