@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from doe.problem.problem import DesignProblem
     from identification import Arm
+    from identification.document import Section
 
 UNLIKE_ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
 
@@ -207,9 +208,8 @@ def design_files(
     from doe.plan.accuracy import tip_beside_random
     from doe.plan.order import check_order, ordered
     from doe.plan.plan import plan_text
-    from doe.problem.model import offers
     from doe.problem.uncertain import with_choices
-    from doe.report.design import design_document, discriminating_parts, missing_lines
+    from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
     from identification import load_arm
 
@@ -248,9 +248,7 @@ def design_files(
         data["travel_deg"] = sequence.to_json()
         before, after = (math.degrees(travel) for travel in (sequence.before, sequence.after))
         extra.append(f"order {order}: joint travel {before:.0f} -> {after:.0f} deg ({sequence.saved:.0%} saved)")
-    model: Any = design.problem.model
-    columns = model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
-    text = plan_text(design.plan, loaded.joint_types, columns)
+    text = plan_text(design.plan, loaded.joint_types, columns_beside(design))
     extra += written({out: text, picture: drawing("plan_figure", loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
@@ -539,7 +537,7 @@ def discriminate_files(
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
-    from doe.report.design import missing_payload, next_document
+    from doe.report.design import next_document
     from identification import LARGEST_MASS, Model, csv_text, diagnose, load_arm, refuse_contacts
 
     loaded, masses = load_arm(arm), None
@@ -573,7 +571,7 @@ def discriminate_files(
     chosen = discriminate(loaded, diagnosis, measurements, runs, seed, masses, stop=late)
     lines = written({out: csv_text(chosen.columns)}, force, "next postures")
     lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
-    shown = [next_document(diagnosis, chosen), *lines, *missing_payload(loaded, measurements, chosen)]
+    shown = [next_document(loaded, measurements, diagnosis, chosen).plus(*lines)]
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
     return with_collisions(Answer(keys | chosen.to_json(), shown), loaded)
 
@@ -595,11 +593,15 @@ def report_files(
     out : Write the page.
     force : Overwrite an existing file.
     """
-    from doe.report.design import design_verdict, file_section
+    from doe.plan.plan import Plan
+    from doe.report.design import design_verdict, plan_section
     from doe.report.page import hashes
     from identification import Campaign
 
-    campaign = Campaign.of(files, show_plan=file_section, judge=design_verdict)
+    def show(arm: Arm, file: Any, name: str) -> Section:
+        return plan_section(arm, Plan(file.postures, file.weights, fit=file.fit), file.cells, name)
+
+    campaign = Campaign.of(files, show_plan=show, judge=design_verdict)
     write_together({out: page(campaign.document(), files)}, force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
