@@ -476,7 +476,7 @@ def compare_files(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs.rows import RowTable, made, parquet
+    from doe.jobs import parquet, tables
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.solvers.solving import check_runs
@@ -491,13 +491,12 @@ def compare_files(
     for arm, number in product(loaded, runs):
         check_runs(compared_problem(arm, chosen[0]), number)
     where = job.where(1)  # before the folder is made
-    table_file: Path | None = job.out
-    if table_file is not None and table_file.suffix != ".parquet":
-        table_file = made(table_file) / "rows.parquet"
-    with interruptible(table_file), RowTable.open(table_file, resume=job.resume, force=job.force) as table:
+    alone = job.out is not None and job.out.suffix == ".parquet"
+    folder, name = (job.out.parent, job.out.name) if job.out is not None and alone else (job.out, "rows.parquet")
+    with interruptible(job.out), tables(folder, name, resume=job.resume, force=job.force) as (table,):
         rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown, summed = comparison_parts(rows), summary(rows)
-    if job.out is not None and table_file != job.out:
+    if job.out is not None and not alone:
         from doe.report.page import svg
         from doe.report.studies import profile_figure, time_figure
 
