@@ -8,7 +8,7 @@ Two upper bounds hold on every box with centre c and half widths r, and the lowe
     Taylor     v(x) + max_(q in box) v'(x)(q - x) + lambda/2 max |q - x|^2
                for x near the box's maximum; lambda >= 0 bounds the largest eigenvalue of the Hessian over the box
 
-Where a derivative cannot change its sign the box shrinks to its face. Rounding is covered by a margin: the standard
+Rounding is covered by a margin: the standard
 bound on the error of sums of products (number of operations times 2.2e-16 times the sum of magnitudes), where the
 magnitudes are those before anything cancels.
 
@@ -91,23 +91,6 @@ class TrigonometricPolynomial:
         """(b,) upper bound: every wave at its own largest."""
         return self.constant + highest_cosine(self._phase(center), self._reach(half)) @ self._amplitudes
 
-    def slopes(self, center: Array, half: Array) -> tuple[Array, Array]:
-        """(b, n) lowest and highest derivative by every joint over the boxes."""
-        phase, reach = self._phase(center), self._reach(half)
-        highest = highest_cosine(phase + 0.5 * np.pi, reach)  # of -sin = cos(. + pi/2)
-        lowest = -highest_cosine(phase - 0.5 * np.pi, reach)
-        rising = self._amplitudes[:, None] * np.maximum(self._waves, 0.0)
-        falling = self._amplitudes[:, None] * np.minimum(self._waves, 0.0)
-        return lowest @ rising + highest @ falling, highest @ rising + lowest @ falling
-
-    def shrink(self, center: Array, half: Array) -> tuple[Array, Array]:
-        """Boxes reduced to the face where the polynomial is largest, joint by joint, where it is monotone."""
-        lowest, highest = self.slopes(center, half)
-        slack = self.margin * np.abs(self._waves).max(initial=1.0)
-        up, down = lowest > slack, highest < -slack
-        moved = center + np.where(up, half, 0.0) - np.where(down, half, 0.0)
-        return moved, np.where(up | down, 0.0, half)
-
     def bound(self, center: Array, half: Array) -> tuple[Array, Array]:
         """Per box a good posture (b, n) in it, by Newton's method, and an upper bound (b,) over it."""
         n, free = self._waves.shape[1], (half > 0.0).astype(float)
@@ -186,15 +169,14 @@ def maximum(
         order = np.argsort(-promise)
         now, later = order[:2048], order[2048:]  # examined together
         boxes += len(now)
-        shrunk = polynomial.shrink(center[now], half[now])
-        point, bound = polynomial.bound(*shrunk)
+        point, bound = polynomial.bound(center[now], half[now])
         bound = np.minimum(bound, promise[now])
         reached = polynomial.value(point)
         if reached.max() > best:
             best, posture = float(reached.max()), point[int(reached.argmax())]
         left = bound > best + tolerance
         discarded_bound = max(discarded_bound, float(bound[~left].max(initial=-np.inf)))
-        halves = polynomial.split(shrunk[0][left], shrunk[1][left])
+        halves = polynomial.split(center[now][left], half[now][left])
         center, half = np.concatenate([center[later], halves[0]]), np.concatenate([half[later], halves[1]])
         promise = np.concatenate([promise[later], bound[left], bound[left]])
     top = max(discarded_bound, best, float(promise.max(initial=-np.inf))) + polynomial.margin

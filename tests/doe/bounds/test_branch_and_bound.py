@@ -92,18 +92,16 @@ def test_out_of_boxes_is_not_a_proof_but_still_a_bound() -> None:
 @settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 3))
 def test_bounds_over_boxes(seed: int, n: int) -> None:
-    """Termwise bound, slopes and curvature enclose what samples in the box show."""
+    """Termwise bound and curvature enclose what samples in the box show."""
     generator = np.random.default_rng(seed)
     polynomial = random_polynomial(generator, n, 6, 3)
     center, half = generator.uniform(-3.0, 3.0, (1, n)), generator.uniform(0.01, 1.0, (1, n))
     q = center + half * generator.uniform(-1.0, 1.0, (200, n))
     assert polynomial.termwise(center, half)[0] >= plainly(polynomial, q).max() - 1e-12
     assert polynomial.bound(center, half)[1][0] >= plainly(polynomial, q).max() - 1e-12
-    low, high = polynomial.slopes(center, half)
     curvature = polynomial.curvature(center, half)[0]
     for point in q[:20]:
         slope = numerical_slope(polynomial, point)
-        assert np.all((slope >= low[0] - 1e-6) & (slope <= high[0] + 1e-6))
         steps = [numerical_slope(polynomial, point + 1e-5 * e) - slope for e in np.eye(n)]
         hessian = np.array(steps) / 1e-5
         assert np.linalg.eigvalsh(0.5 * (hessian + hessian.T))[-1] <= curvature + 1e-3
