@@ -374,8 +374,7 @@ def cross_check_table(compared: list[dict[str, Any]]) -> Sheet:
 # -- missing effects ---------------------------------------------------------------------------------------------------
 def discriminating_parts(result: DiscriminationDesign) -> list[Any]:
     """The efficiency that the plan gives up, and what it can detect in return."""
-    from doe.discrimination.design import MOST_SEEN
-    from doe.discrimination.misidentification import LAMBDA
+    from doe.discrimination.design import LAMBDA, MOST_SEEN
 
     parts: list[Any] = [
         f"D-efficiency relative to the best plan found: {result.relative_efficiency:.4f}",
