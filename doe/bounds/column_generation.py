@@ -310,8 +310,7 @@ def continuous_design(
         return best
 
     climb, thorough = price(None), price(np.random.default_rng(0))
-    stages: list[Stage] = [(climb, max(FINE, tolerance), 0), (thorough, max(COARSE, tolerance), 1)]
-    stages += [(climb, tolerance, 0), (thorough, tolerance, 1)]
+    stages: list[Stage] = [(climb, tolerance, 0), (thorough, tolerance, 1)]
     start = also
     if not many:
         landmarks = CandidateSet(problem, everything.starts, prior)
