@@ -11,7 +11,7 @@ from doe.bounds.certificate import ApproximateDesign, largest_sensitivity
 from doe.plan.plan import Plan
 from doe.problem.postures import grid
 from doe.problem.problem import PriorInformation
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import FOUR, problem
 
 FACTORIAL = Plan(np.radians([[0, a, b, c] for a in (-90, 90) for b in (-90, 60) for c in (-90, 90)]), np.full(8, 0.125))

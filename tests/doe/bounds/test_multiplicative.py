@@ -13,7 +13,7 @@ from doe.bounds.column_generation import column_generation, rough_design
 from doe.criteria import A, D, E
 from doe.problem.postures import listed_candidates
 from identification.errors import InputError
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import ECCENTRICITY, FOUR, problem
 
 NAMES = ("encoder_eccentricity:2.a", "encoder_eccentricity:2.b")

@@ -11,7 +11,7 @@ from doe.bounds.column_generation import LARGEST, relax
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.postures import PostureList
 from identification.errors import InputError, JobError
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import FOUR, OFFSET, problem
 
 TEST_JACOBIANS = problem(FOUR).scaled_jacobians(np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (8, 4)))
