@@ -46,7 +46,7 @@ from identification import (
 )
 from identification.estimation.estimate import sessions
 from identification.files.io import write_together
-from identification.information import covariance, covariances
+from identification.information import covariances, spectrum
 from identification.kinematics.counting import in_columns, in_joints
 from identification.kinematics.parameters import orientation_transform
 
@@ -304,7 +304,7 @@ def fits_of(cell: Cell, generator: np.random.Generator, total: int) -> tuple[Arr
         plan = plan_of(truth, in_api_units(np.array(cell.postures_deg), model.joint_types))
         exact = truth.position(plan.postures, conditions=plan.conditions)
         jacobian = model.jacobian(plan.postures, values, plan.conditions)
-        expected = deviations(covariance(jacobian, model.scales, cell.sigma))[None]
+        expected = deviations(cell.sigma**2 * spectrum(jacobian, model.scales).covariance)[None]
         for count in _sizes(total, MOST_ROWS // rows):
             positions = cell.sigma * generator.standard_normal((count, rows, model.dimension))
             positions += exact
