@@ -55,7 +55,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 def _measured(path: Path, arm: Arm) -> Measurements:
-    from identification.inspection.data_checks import certainly_wrong_units, data_warnings
+    from identification.inspection.readings import certainly_wrong_units, data_warnings
     from identification.measurements import load_measurements
 
     measurements = load_measurements(path, arm)

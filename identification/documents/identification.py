@@ -86,7 +86,7 @@ def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
 def reading_unit(model: Any) -> str:
     """Unit of the errors of a model: that of what its instrument reads."""
     arm = getattr(model, "arm", None)
-    return "px" if arm is not None and arm.chain.instrument.coordinates[0].quantity == "pixel" else "mm"
+    return "px" if arm is not None and any(c.quantity == "pixel" for c in arm.chain.instrument.coordinates) else "mm"
 
 
 def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:

@@ -23,8 +23,7 @@ from identification.arrays import Array, rows_in_words
 from identification.estimation.problem import Earlier
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, product_inverse
-from identification.inspection.data_checks import DRAWN
-from identification.inspection.readings import read_differently
+from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR, KinematicChain
 from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.counting import in_columns, turned_into

@@ -27,7 +27,7 @@ from identification.gap.posterior import MOST_ROWS, NOISES, PASSES, Explanation,
 from identification.gap.replication import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, candidate_of, trials
 from identification.gap.verdict import likeliest_with, probabilities
-from identification.inspection.data_checks import gap_notes
+from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical

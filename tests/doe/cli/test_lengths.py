@@ -224,6 +224,13 @@ z_mm = 80.0
 ECCENTRIC = '[[effects]]\nname = "encoder_eccentricity"\njoint = 3\na_deg = 0.05\nb_deg = 0.04\n'
 
 
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Postures to choose from: hundreds in place of thousands."""
+    monkeypatch.setattr("identification.for_design.CHOICES", 300)
+
+
+@pytest.mark.usefixtures("few")
 def test_the_loop_of_a_socket(folder: Folder) -> None:
     """Plan, simulated seatings, checks, fit, diagnosis: nothing but joints and the names of cups is measured, and where
     cups and ball are nobody says."""

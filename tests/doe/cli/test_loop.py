@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doe.cli import main
-from identification.validate import validation
+from identification.validate import REFITS
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 
 DESIGN_KEYS = {
@@ -192,4 +192,4 @@ def test_validate_on_another_session_and_on_the_own_data(folder: Folder) -> None
     shown = folder.armcal("validate", "calibrated.toml", "data.csv")
     assert (note in " ".join(shown.out.split()), note in shown.err) == (True, False)  # once
     (refit,) = (parameter for parameter in main.commands["validate"].params if parameter.name == "refit")
-    assert tuple(refit.type.choices) == validation.REFITS
+    assert tuple(refit.type.choices) == REFITS

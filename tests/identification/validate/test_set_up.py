@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.inspection.data_checks import certainly_wrong_units
+from identification.inspection.readings import certainly_wrong_units
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements
