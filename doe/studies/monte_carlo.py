@@ -457,7 +457,8 @@ def fits_of(cell: Cell, generator: np.random.Generator, total: int) -> tuple[Arr
     if given is not None:
         plan = plan_of(truth, given)
         exact = truth.position(plan.postures, conditions=plan.conditions)
-        matrices = covariance(model.jacobian(plan.postures, values, plan.conditions), model.scales, sigma)[None]
+        jacobian = model.jacobian(plan.postures, values, plan.conditions)
+        matrices = sigma**2 * spectrum(jacobian, model.scales).covariance[None]
     for count in (min(size, total - start) for start in range(0, total, size)):
         if given is not None:
             positions = sigma * generator.standard_normal((count, rows, model.dimension))
