@@ -55,7 +55,7 @@ from identification import (
 from identification.estimation.estimate import sessions
 from identification.files.io import named_file, read_toml, write_together
 from identification.files.schema import StrictTable, validated
-from identification.information import covariances
+from identification.information import covariances, spectrum
 from identification.kinematics.counting import in_columns, in_joints
 from identification.kinematics.parameters import orientation_transform
 
