@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from doe.cli import main
-from identification import validate as validation
+from identification.validate import REFITS
 from tests.doe.cli.conftest import ARM, CALIBRATION, LOWER, UPPER, Folder, table
 
 KEYS = {
@@ -153,4 +153,4 @@ def test_validate_on_another_session_and_on_the_own_data(folder: Folder) -> None
     shown = folder.armcal("validate calibrated.toml data.csv")
     assert (note in shown.flat, note in shown.err) == (True, False)  # once
     (refit,) = (parameter for parameter in main.commands["validate"].params if parameter.name == "refit")
-    assert tuple(refit.type.choices) == validation.REFITS
+    assert tuple(refit.type.choices) == REFITS

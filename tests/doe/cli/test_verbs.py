@@ -39,10 +39,10 @@ from doe.cli.verb import (
     stopped_by,
     verb,
 )
-from doe.studies.monte_carlo.specification import StudyFile
+from doe.studies.monte_carlo import StudyFile
 from identification.document import Answer
 from identification.errors import InputError
-from identification.progress import silent
+from identification.running import silent
 from tests.doe.cli.conftest import Folder, without_progress
 
 FULL = Path("/dev/full")
