@@ -55,7 +55,7 @@ from identification import (
 from identification.estimation.estimate import sessions
 from identification.files.io import named_file, read_toml, write_together
 from identification.files.schema import StrictTable, validated
-from identification.information import covariance, covariances
+from identification.information import covariances, spectrum
 from identification.kinematics.counting import in_columns, in_joints
 from identification.kinematics.parameters import orientation_transform
 
@@ -457,7 +457,8 @@ def fits_of(cell: Cell, generator: np.random.Generator, total: int) -> tuple[Arr
     if given is not None:
         plan = plan_of(truth, given)
         exact = truth.position(plan.postures, conditions=plan.conditions)
-        matrices = covariance(model.jacobian(plan.postures, values, plan.conditions), model.scales, sigma)[None]
+        jacobian = model.jacobian(plan.postures, values, plan.conditions)
+        matrices = sigma**2 * spectrum(jacobian, model.scales).covariance[None]
     for count in (min(size, total - start) for start in range(0, total, size)):
         if given is not None:
             positions = sigma * generator.standard_normal((count, rows, model.dimension))

@@ -132,12 +132,12 @@ def plan_in_view_of_a_tracker() -> tuple[float, str]:
     """Against the bound for lists of 20,000 allowed random postures."""
     from doe import solve
     from doe.bounds.column_generation import column_generation
-    from doe.problem.postures import PostureList, random_postures
+    from doe.problem.postures import random_postures
 
     problem = six_axes()[1]
     design, seconds = timed(lambda: solve(problem, 30))
     postures = np.concatenate([random_postures(problem, 1000, np.random.default_rng(k)) for k in range(20)])
-    bound = column_generation(problem, PostureList(postures), runs=30).bound
+    bound = column_generation(problem, postures, runs=30).bound
     share = problem.criterion.efficiency(design.value, bound.value, problem.parameters)
     assert not design.outside
     assert share > 0.99
@@ -179,11 +179,10 @@ def weights_on_a_million() -> tuple[float, str]:
 @job(15.0)
 def weights_on_a_million_in_space() -> tuple[float, str]:
     from doe.bounds.column_generation import column_generation
-    from doe.problem.postures import PostureList
 
     problem = six_axes()[0]
     postures = np.random.default_rng(0).uniform(problem.lower, problem.upper, (1_000_000, 6))
-    design, seconds = timed(lambda: column_generation(problem, PostureList(postures), runs=30))
+    design, seconds = timed(lambda: column_generation(problem, postures, runs=30))
     assert design.gap < 1e-4
     return seconds, f"1,000,000 postures in space: gap {design.gap:.1e}"
 

@@ -240,7 +240,7 @@ CASES: list[tuple[str | list[str], tuple[str, ...], dict[str, str]]] = [
     ),
     ("relax arm.toml --robust", ("--robust", "--runs"), {}),
     ("relax arm.toml --runs 5", ("--runs", "--robust"), {}),
-    ("relax arm.toml --solver scs --seconds 1", (), {}),
+    ("relax arm.toml --solver clarabel --seconds 1", (), {}),
     *((f"relax arm.toml --grid {n}", ("grid", n, "2 to 512"), {}) for n in ("513", "9999999", "9" * 20)),
     ("compare arm.toml --runs 8 --workers 99999999999999999999", ("--workers", "1<=x<=4096"), {}),
     ("study study.toml --workers 99999999999999999999", ("--workers", "1<=x<=4096"), study("")),
