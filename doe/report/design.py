@@ -21,7 +21,6 @@ from identification.document import Document, Pictures, PlanSteps, Section, Shee
 
 if TYPE_CHECKING:
     from doe.advise import Advice
-    from doe.cross_check import CrossCheck
     from doe.discrimination.design import DiscriminationDesign
     from doe.discrimination.t_optimal import NextPostures
     from identification import Arm, Diagnosis, Measurements
@@ -115,7 +114,7 @@ def remarks(design: Design) -> list[str]:
     lines, runs, apart = [], len(design.plan), design.problem.spacing
     if not np.isfinite(design.log_det):
         still, combinations = design.problem.without_effect, design.not_identifiable
-        if design.identifies_all:
+        if not combinations:
             why = "the information matrix of the plan is singular to the precision of the computer"
         elif still:
             why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
@@ -364,10 +363,10 @@ def relax_document(design: ApproximateDesign) -> Document:
     return Document("Weights", [], [facts_sheet(facts), support, *rest])
 
 
-def cross_check_table(compared: CrossCheck) -> Sheet:
+def cross_check_table(compared: list[dict[str, Any]]) -> Sheet:
     """Independent answers side by side."""
     digits = {"value": 7, "bound": 7, "table_1_max_residual": 4}
-    rows = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared.rows()]
+    rows = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
     title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
     return Sheet(("method", "over", "value", "upper bound", "Table I"), rows, title)
 

@@ -6,7 +6,7 @@ import tomllib
 from importlib.metadata import version
 
 from doe.cli import main
-from doe.studies.monte_carlo.specification import StudyFile
+from doe.studies.monte_carlo import StudyFile
 from tests.doe.cli.conftest import Folder
 
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import Progress as Bar
 
 from doe.cli.verb import Lines, bar_columns, lines, shown_progress
-from identification.progress import silent
+from identification.running import silent
 from tests.doe.cli.conftest import Folder
 
 
