@@ -140,6 +140,7 @@ def test_contacts_with_a_ball_that_nobody_measured(cell: Folder) -> None:
     cell.refused("design ball.toml --runs 30")
 
 
+@pytest.mark.usefixtures("few")
 def test_a_plan_of_contacts(cell: Folder) -> None:
     """Chosen from postures that touch, with a bound over these; what needs free postures is refused in one line."""
     place = "radius_mm = 30.0\ncenter_mm = [600.0, -200.0, 300.0]\n[tool]\nx_mm = 60.0\nz_mm = 80.0\n"
@@ -180,12 +181,6 @@ B = [480.0, 160.5, 150.0]
 C = [250.0, 450.0, 350.0]
 D = [350.0, -380.0, 380.0]
 {TOOL}"""
-
-
-@pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Postures to choose from: hundreds in place of thousands."""
-    monkeypatch.setattr("identification.for_design.CHOICES", 300)
 
 
 @pytest.mark.usefixtures("few")
