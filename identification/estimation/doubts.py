@@ -23,8 +23,7 @@ from identification.arrays import Array, rows_in_words
 from identification.estimation.problem import Earlier
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, product_inverse
-from identification.inspection.data_checks import DRAWN
-from identification.inspection.readings import read_differently
+from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR, KinematicChain
 from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.counting import in_columns, turned_into
@@ -39,8 +38,8 @@ from identification.kinematics.parameters import (
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import FEWEST, tip_jacobian
+from identification.running import single_thread
 from identification.sessions import placing
-from identification.threads import single_thread
 from identification.workspace import ColumnLimits
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from identification.gap.noise import SPARE
 from identification.information import VISIBLE, product_inverse
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.threads import single_thread
+from identification.running import single_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

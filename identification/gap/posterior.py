@@ -17,7 +17,7 @@ from identification.gap.hypotheses import Block, Library, with_further_orders
 from identification.gap.likelihood import Key, State
 from identification.gap.noise import NoiseModel, log_likelihoods, noises
 from identification.gap.search import ROUNDING, Search, Weighed
-from identification.progress import Tell, say_nothing
+from identification.running import Tell, say_nothing
 
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
 PASSES = 3  # effort: linearizations
