@@ -176,7 +176,7 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".") -> Arm:
         chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in limits))
     calibration, halves = None, Plain(center_of_mass=(0.5,) * n)
     if file.calibration is not None:
-        calibration, chain = _calibration(file, chain, effects)
+        calibration, chain = _calibration(file, chain, effects, tables["calibration"].get("provenance", {}))
     return Arm(
         chain,
         lower=lower,
@@ -341,7 +341,9 @@ def _effects(file: ArmFile, chain: KinematicChain) -> Effects:
     return effects
 
 
-def _calibration(file: ArmFile, chain: KinematicChain, effects: Effects) -> tuple[Calibration, KinematicChain]:
+def _calibration(
+    file: ArmFile, chain: KinematicChain, effects: Effects, provenance: Plain
+) -> tuple[Calibration, KinematicChain]:
     """In API units, and the chain whose errors it has. Raises `InputError` for parameters that arm and effects do not
     have."""
     table = file.calibration
@@ -369,7 +371,7 @@ def _calibration(file: ArmFile, chain: KinematicChain, effects: Effects) -> tupl
         values,
         tuple(api for api, _ in order),
         None if matrix is None else matrix / np.outer(factors, factors),
-        MappingProxyType(table.provenance.model_dump(exclude_unset=True)),
+        MappingProxyType(dict(provenance)),
         base,
         tools,
         dict(chain.tool_axes) if tools and chain.angle_scale is not None else {},
