@@ -23,13 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
 from identification.estimation.doubts import contradiction, doubts, far_from_drawing, far_rows, flange_turns
-from identification.estimation.levenberg_marquardt import (
-    GRADIENT_TOLERANCE,
-    ITERATIONS,
-    Index,
-    Solution,
-    outcomes,
-)
+from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.estimation.problem import (
     METHODS,
     Prior,
@@ -240,12 +234,7 @@ def _with_likeliest_noise(
 
 
 def _identification(
-    problem: Problem,
-    data: Measurements,
-    method: str,
-    solution: Solution,
-    decomposed: Spectrum,
-    determined: float,
+    problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, determined: float
 ) -> Identification:
     """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit.
 

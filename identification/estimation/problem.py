@@ -36,13 +36,7 @@ from identification.estimation.levenberg_marquardt import (
     levenberg_marquardt,
     outcomes,
 )
-from identification.information import (
-    PRODUCT_TOLERANCE,
-    RANK_TOLERANCE,
-    product_inverse,
-    significant,
-    spectrum,
-)
+from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, product_inverse, significant, spectrum
 from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.measurements import Conditions, Measurements
@@ -132,11 +126,6 @@ class Prior(ByValue):
         kept = self.earlier.about(set(self.earlier.names) - set(names))
         machined = {name: size for name, size in machining.items() if name in names}
         return Prior({**machined, **self.deviations}, kept if kept.names else None)
-
-    def center(self, parameters: ParameterSet) -> Array:
-        """(p,) means; zero where there is none."""
-        means = {} if self.earlier is None else dict(zip(self.earlier.names, self.earlier.values.tolist(), strict=True))
-        return parameters.vector(means, default=0.0)
 
     def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
         """(r, p) rows for the Jacobian, one for each parameter that has a prior; its residuals are rows @ (center -
@@ -292,14 +281,15 @@ class Problem:
     @cached_property
     def prior_rows(self) -> Array:
         """(r, p) rows of the prior in the Jacobian, see `Prior.rows`."""
-        nothing = np.zeros((0, len(self.model.parameters)))
-        return nothing if self.prior is None else self.prior.rows(self.model.parameters, self.noise)
+        parameters = self.model.parameters
+        return np.zeros((0, len(parameters))) if self.prior is None else self.prior.rows(parameters, self.noise)
 
     @cached_property
     def prior_center(self) -> Array:
-        """(p,) means of the prior, see `Prior.center`."""
-        parameters = self.model.parameters
-        return np.zeros(len(parameters)) if self.prior is None else self.prior.center(parameters)
+        """(p,) means of the prior; zero where there is none."""
+        earlier = None if self.prior is None else self.prior.earlier
+        means = {} if earlier is None else dict(zip(earlier.names, earlier.values.tolist(), strict=True))
+        return self.model.parameters.vector(means, default=0.0)
 
     def residuals(self, parameters: Array) -> Array:
         """(K, m, d) measured less computed [mm], for parameters (p,) or (K, p)."""
@@ -418,16 +408,17 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
 
 
 # -- an earlier calibration that the measurements contradict -----------------------------------------------------------
-def posterior_squares(
-    problem: Problem, x: Array, residual: Array, jacobian: Array, prior: Prior, noise: float
-) -> float:
-    """Least weighted squares, of measurements and a prior together, in units of the noise, linear about x."""
-    rows = prior.rows(problem.model.parameters, noise)
+def posterior_squares(problem: Problem, x: Array, residual: Array, jacobian: Array) -> float:
+    """Least weighted squares, of measurements and prior together, in units of the noise, linear about x (p,).
+
+    residual, jacobian : of `Problem.linearized`
+    """
+    rows = problem.prior_rows
     whole = np.concatenate([jacobian, rows])
-    target = np.concatenate([residual, rows @ (prior.center(problem.model.parameters) - x)])
+    target = np.concatenate([residual, rows @ (problem.prior_center - x)])
     scaled = whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
     left = target - scaled @ np.linalg.lstsq(scaled, target, rcond=None)[0]
-    return float(left @ left) / noise**2
+    return float(left @ left) / problem.noise**2
 
 
 def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]], float, Array]:
@@ -458,8 +449,8 @@ def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]]
 
         left, rest = dict[str, float](), [name for name in prior.earlier.names if name in {*model.names} - {*explained}]
         for name in ("", *rest):
-            released = prior.released([*explained, name], model.prior)
-            left[name] = posterior_squares(problem, x, residual, jacobian, released, noise)
+            released = replace(problem, prior=prior.released([*explained, name], model.prior), noise=noise)
+            left[name] = posterior_squares(released, x, residual, jacobian)
         if (worst := worst_contradicted(left, freedom)) is None:
             return explained, *first
         explained |= worst

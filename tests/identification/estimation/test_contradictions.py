@@ -3,6 +3,8 @@ are as rare as said; a moved zero is named with what the data alone say."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -52,7 +54,7 @@ def test_the_drop_is_the_squared_distance_in_combined_deviations() -> None:
     residual = (data.positions - MODEL.position(data.postures, x)).ravel() / SIGMA
 
     def squares(prior: Prior) -> float:
-        return posterior_squares(problem, x, residual, jacobian, prior, 1.0)
+        return posterior_squares(replace(problem, prior=prior), x, residual, jacobian)
 
     assert problem.prior is not None
     least = squares(Prior({}, earlier))
