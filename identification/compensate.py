@@ -1,13 +1,8 @@
-"""Joint commands that bring the tip of the real arm to where the nominal arm would have been.
+"""Compensation: joint commands that bring the tip of the real arm, the calibrated model, to its targets.
 
 Targets are positions, or poses of a spatial arm's tool, where an angle counts as the distance that it is at full reach.
-The real arm is the calibrated model. A command keeps to the constraints that are given: where none does, the target
-counts as not reached, and its message says which constraint is in the way.
-
-Inverse kinematics is Levenberg-Marquardt on exact derivatives, all targets at once; steps are the shortest that close
-the gap, so a redundant arm stays near where it started. Where one start does not reach a target, or no arm may stand
-with what it reaches, there are many more (`best_of_seeds`): at first a few steps are made from each. Where no start
-reaches a target the best go on by Newton's method; where those that reach it miss a constraint, they are led away from
+Inverse kinematics is Levenberg-Marquardt on exact derivatives, all targets at once, from one start and then from many
+(`best_of_seeds`). What no start reaches goes on by Newton's method; postures that miss a constraint are led away from
 what is in the way, unless that is the target itself.
 """
 

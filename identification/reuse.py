@@ -1,8 +1,7 @@
 """Reusing a calibration: only some of its parameters are estimated again, or all of them with it as the prior.
 
-The tracker moved, a motor was changed, a year went by: most of what was found still holds. Where the set-up is another
-than the fit assumes, a freer fit says so: the base stands elsewhere, or a measured point is mounted elsewhere than in
-the session before.
+Where the set-up is another than the fit assumes, a freer fit says so: the base stands elsewhere, or a measured point is
+mounted elsewhere than in the session before.
 """
 
 from __future__ import annotations

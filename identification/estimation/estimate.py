@@ -1,13 +1,8 @@
 """Fits: of one data set with all that follows from it, or of many at once.
 
-A problem is posed, solved, and stated: what is estimable, how sure it is, and what is doubtful. With a normal prior of
-some parameters the minimum is the mode of the posterior. What the noise amounts to decides how far the data may move
-what has a prior: it is the noise of the largest marginal likelihood (`problem.likeliest`), and no less than a sigma
-that is given.
-
-Many data sets (Monte Carlo studies, bootstraps, fleets of one arm, random plans) with a closed form take a few
-multiplications per fit. Any other model starts there and goes on with Levenberg-Marquardt; on one plan, steps by
-inverse normal matrices that are made once come first (the chord method, `chord_steps`).
+With a normal prior of some parameters the minimum is the mode of the posterior. What the noise amounts to decides how
+far the data may move what has a prior: it is the noise of the largest marginal likelihood (`problem.likeliest`), and no
+less than a sigma that is given. Many data sets on one plan are fitted by the chord method (`chord_steps`).
 """
 
 from __future__ import annotations
@@ -72,17 +67,13 @@ def estimate(
         for every other model) or `paper_steps`
     sigma : standard deviation of one coordinate [mm], one number or (m,), which intervals then rely on; "given": the
         same with the data's sigma per row, else the arm's; "estimated": from the residuals, whatever the data say. Left
-        out: as "given" as long as chi2 does not contradict it; where it does, or where none is given, the scatter of
-        the residuals, robustly where something is left unexplained (`Identification.uncertainty`)
-    weights : (m,) relative weights >= 0 of the rows, on top of sigma: the variance of row i is sigma^2 / weights_i, so
-        a row of weight 3 moves the estimates as three equal rows would; rows of weight 0 are left out
+        out: as "given" as long as chi2 does not contradict it, else the scatter of the residuals
+    weights : (m,) relative weights >= 0 of the rows, on top of sigma: the variance of row i is sigma^2 / weights_i;
+        rows of weight 0 are left out
 
-    Where a spatial arm stands and where its measured points are is found from nothing, unless the arm says so. Its
-    geometry is held by the prior of its machining (`Model.prior`), as by `estimate_with_prior`.
-
-    A plan that does not make everything estimable is no error: what is estimable is estimated, the rest is named in
-    `not_identifiable`, and `status` says so. Raises `InputError` for data that do not fit the model, `JobError` if the
-    method fails.
+    Where a spatial arm stands and where its measured points are is found from nothing, unless the arm says so; its
+    geometry is held by the prior of its machining, as by `estimate_with_prior`. What a plan does not determine is named
+    in `not_identifiable`. Raises `InputError` for data that do not fit the model, `JobError` if the method fails.
     """
     check_measurements(model, measurements)
     if prior := model.prior:

@@ -1,15 +1,11 @@
 """The least-squares problem of a fit: data, model and prior, its noise, and the methods that solve it.
 
-What is known of parameters before the data is a normal distribution, as extra rows of the problem. Independent
+What is known of parameters before the data is a normal distribution, as extra rows of the problem: independent
 parameters of zero mean and standard deviations d_k each add one residual (0 - x_k) / d_k, in units of the noise; an
-earlier calibration, mean x_0 and covariance L L^T, adds the residuals L^-1 (x_0 - x). The minimum is the mode of the
-posterior, and the inverse of the normal matrix with these rows its covariance (for a linear model both exactly: ridge
-regression; A. E. Hoerl, R. W. Kennard, 1970).
-
-Noise and sizes of the prior are those of the largest marginal likelihood, the parameters without a prior integrated out
-(restricted maximum likelihood, H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are
-unequal", 1971), of a problem that is linear about its solution. Sizes are tried from a few values each: factors on
-those of the machining and of the zeros of joints.
+earlier calibration, mean x_0 and covariance L L^T, adds L^-1 (x_0 - x). Noise and sizes of the prior are those of the
+largest marginal likelihood, the parameters without a prior integrated out (restricted maximum likelihood, H. D.
+Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", 1971), of a problem that is
+linear about its solution; sizes are tried from a few values each.
 """
 
 from __future__ import annotations
