@@ -24,6 +24,7 @@ from identification.estimation.problem import (
     Prior,
     Problem,
     check_measurements,
+    conditioned,
     contradicted,
     likeliest,
     starts,
@@ -35,7 +36,6 @@ from identification.information import (
     Spectrum,
     covariances,
     identifiability,
-    information_matrix,
     spectrum,
 )
 from identification.inspection.readings import placed_with_zeros
@@ -153,10 +153,10 @@ def estimate_with_prior(
     fit = replace(fit, covariance_seen=least.noise**2 * seen)
     if not names:
         return fit
-    others = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
+    others = {name: earlier.values[name] for name in earlier.parameter_names if name not in names}
     held = replace(model, held={**model.fixed, **others})
     free = estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
-    before = earlier.conditioned_on(others)
+    before = conditioned(earlier, others)
     return replace(fit, contradictions=tuple(contradiction(name, before, free, names[name]) for name in names))
 
 
@@ -327,33 +327,32 @@ def estimate_batch(
             x[part], rss[part] = solve(measured[part])
         status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
         return solution.finished()
-    # from the closed form, by the chord method with one matrix for all, then with their own; last one by one
+    # from the closed form, by the chord method with one matrix for all, then by Levenberg-Marquardt
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
     usable = np.all(np.isfinite(x), axis=1)
     center = np.mean(x[usable], axis=0) if usable.any() else problem.start
-    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])[None]
-    for attempt in range(4):
+    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])
+    for last in (False, True):
         rest = np.flatnonzero(status != Status.converged)
         for part in _chunks(len(rest), m):
             sets = rest[part]
             problems = problem.rows(sets)
-            if attempt == 3:
-                last = problems.minimized(x[sets])
-                x[sets], rss[sets], status[sets] = last.parameters, last.rss, last.status
-                continue
-            jacobians = shared if attempt == 0 else problems.linearize(x[sets], np.arange(len(sets)))[1]
-            x[sets], rss[sets], stationary = chord_steps(problems, jacobians, x[sets])
-            status[sets[stationary]] = Status.converged
+            if last:
+                each = problems.minimized(x[sets])
+                x[sets], rss[sets], status[sets] = each.parameters, each.rss, each.status
+            else:
+                x[sets], rss[sets], stationary = chord_steps(problems, shared, x[sets])
+                status[sets[stationary]] = Status.converged
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
     return solution.finished()
 
 
-def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Parameters (k, p), weighted sums of squares (k,) and stationary (k,); of data sets that are left to others the
     last parameters inside the bounds to which steps led quickly.
 
-    jacobians : (k, N, p) of each data set with the rows of the prior; (1, N, p): one for all
+    jacobian : (N, p) with the rows of the prior, one for all
 
     Steps are N^-1 J(p)^T W r with N^-1 taken at one point, where J(p)^T W r comes exactly from CasADi's reverse mode at
     the price of a few position evaluations: no Jacobian, no decomposition per step. The matrix only sets the speed:
@@ -362,9 +361,9 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
     lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
     held = problem.prior_rows.T @ problem.prior_rows
     table = problem.model.condition_table(problem.postures, problem.conditions)
-    lengths = np.linalg.norm(jacobians, axis=1)
-    unit = jacobians / lengths[:, None]
-    inverse = np.linalg.inv(information_matrix(unit[:, :, None])) / lengths[:, None]  # for scaled gradients
+    lengths = np.linalg.norm(jacobian, axis=0)
+    unit = jacobian / lengths
+    inverse = np.linalg.inv(unit.T @ unit) / lengths  # for scaled gradients
     parameters, squares, stationary = starts.copy(), np.full(len(starts), np.nan), np.zeros(len(starts), dtype=bool)
     index, x, last = np.arange(len(starts)), starts, np.full(len(starts), np.inf)
     data, rounding = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0)), problem.rounding
@@ -386,10 +385,7 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
             break
         index, last, rounding = index[going], size[going], rounding[going]
         data = data if going.all() else np.ascontiguousarray(data[:, going])
-        if len(inverse) > 1:
-            lengths, inverse = lengths[going], inverse[going]
-        down = gradient[going]
-        x = x[going] + (down @ inverse[0] if len(inverse) == 1 else (down[:, None] @ inverse)[:, 0])
+        x = x[going] + gradient[going] @ inverse
     return parameters, squares, stationary
 
 

@@ -10,7 +10,7 @@ linear about its solution; sizes are tried from a few values each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, fdtrc
 
-from identification.arrays import Array, ByValue, readonly
+from identification.arm import Calibration
+from identification.arrays import Array, ByValue
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import (
     ITERATIONS,
@@ -54,46 +55,21 @@ SOURCES = {  # what an effect needs -> where it comes from
 
 
 # -- the prior ---------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True, eq=False)
-class Earlier(ByValue):
-    """A normal distribution of k parameters, as an earlier calibration left them.
-
-    values : (k,) means;  covariance : (k, k), its diagonal > 0 [API units]
-    """
-
-    names: tuple[str, ...]
-    values: Array
-    covariance: Array
-
-    def __post_init__(self) -> None:
-        for name in ("values", "covariance"):
-            object.__setattr__(self, name, readonly(getattr(self, name)))
-        _check_positive("variance", zip(self.names, np.diag(self.covariance).tolist(), strict=True))
-
-    def about(self, names: Collection[str]) -> Earlier:
-        """Of some of the parameters, whatever the others are."""
-        kept = [k for k, name in enumerate(self.names) if name in names]
-        return Earlier(tuple(self.names[k] for k in kept), self.values[kept], self.covariance[np.ix_(kept, kept)])
-
-    def conditioned_on(self, values: Mapping[str, float]) -> Earlier:
-        """Of the others, where some of the parameters have these values."""
-        named = np.array([name in values for name in self.names], dtype=bool)
-        crossed, among = self.covariance[np.ix_(~named, named)], self.covariance[np.ix_(named, named)]
-        off = np.array([values[name] for name in self.names if name in values]) - self.values[named]
-        gain = crossed @ product_inverse(among)
-        left = self.covariance[np.ix_(~named, ~named)] - gain @ crossed.T
-        return Earlier(tuple(name for name in self.names if name not in values), self.values[~named] + gain @ off, left)
-
-
-def _check_positive(what: str, named: Iterable[tuple[str, float]]) -> None:
-    for name, value in named:
-        if not 0.0 < value < np.inf:
-            raise InputError(f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
+def conditioned(calibration: Calibration, values: Mapping[str, float]) -> Calibration:
+    """A calibration's normal distribution of the others, where some of its parameters have these values."""
+    names, covariance = calibration.parameter_names, np.asarray(calibration.covariance)
+    means = np.array([calibration.values[name] for name in names])
+    named = np.array([name in values for name in names], dtype=bool)
+    crossed, off = covariance[np.ix_(~named, named)], [values[name] for name in names if name in values] - means[named]
+    gain = crossed @ product_inverse(covariance[np.ix_(named, named)])
+    free = tuple(name for name in names if name not in values)
+    moved = dict(zip(free, (means[~named] + gain @ off).tolist(), strict=True))
+    return Calibration(moved, free, covariance[np.ix_(~named, ~named)] - gain @ crossed.T)
 
 
 @dataclass(frozen=True, eq=False)
 class Prior(ByValue):
-    """Independent normal distributions of zero mean, and that of an earlier calibration, which comes first.
+    """Independent normal distributions of zero mean, and that of an earlier calibration, with its covariance.
 
     deviations : parameter name -> standard deviation > 0 [API unit]; parameters that are not named are free, names
         that a model does not have do not matter
@@ -102,26 +78,30 @@ class Prior(ByValue):
     """
 
     deviations: Mapping[str, float]
-    earlier: Earlier | None = None
+    earlier: Calibration | None = None
     own_error: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_positive("standard deviation", self.deviations.items())
-        first = () if self.earlier is None else self.earlier.names
-        independent = {name: deviation for name, deviation in self.deviations.items() if name not in first}
+        first = Calibration({}, (), np.zeros((0, 0))) if self.earlier is None else self.earlier
+        variances = dict(zip(first.parameter_names, np.asarray(first.covariance).diagonal().tolist(), strict=True))
+        for what, named in (("variance", variances), ("standard deviation", self.deviations)):
+            for name, value in named.items():
+                if not 0.0 < value < np.inf:
+                    raise InputError(f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
+        independent = {name: deviation for name, deviation in self.deviations.items() if name not in variances}
         object.__setattr__(self, "deviations", MappingProxyType(independent))
 
     @property
     def names(self) -> frozenset[str]:
         """Of all parameters that have one."""
-        return frozenset(self.deviations) | frozenset(() if self.earlier is None else self.earlier.names)
+        return frozenset(self.deviations) | frozenset(() if self.earlier is None else self.earlier.parameter_names)
 
     def released(self, names: Collection[str], machining: Mapping[str, float]) -> Prior:
         """Without what the earlier calibration says of these; that of the machining (name -> deviation) stays."""
         assert self.earlier is not None
-        kept = self.earlier.about(set(self.earlier.names) - set(names))
+        kept = self.earlier.about(set(self.earlier.parameter_names) - set(names))
         machined = {name: size for name, size in machining.items() if name in names}
-        return Prior({**machined, **self.deviations}, kept if kept.names else None)
+        return Prior({**machined, **self.deviations}, kept if kept.parameter_names else None)
 
     def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
         """(r, p) rows for the Jacobian, one for each parameter that has a prior; its residuals are rows @ (center -
@@ -139,11 +119,12 @@ class Prior(ByValue):
         if self.earlier is None:
             return np.zeros((2, len(parameters), 0))
         here = self.earlier.about(parameters.names)
-        sizes = np.sqrt(np.diag(here.covariance))  # combinations known better than rounding are held as well as that
-        values, vectors = np.linalg.eigh(here.covariance / np.outer(sizes, sizes))
+        covariance = np.asarray(here.covariance)
+        sizes = np.sqrt(np.diag(covariance))  # combinations known better than rounding are held as well as that
+        values, vectors = np.linalg.eigh(covariance / np.outer(sizes, sizes))
         root = np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
-        roots = np.zeros((2, len(parameters), len(here.names)))
-        roots[:, [parameters.index(name) for name in here.names]] = (
+        roots = np.zeros((2, len(parameters), len(sizes)))
+        roots[:, [parameters.index(name) for name in here.parameter_names]] = (
             sizes[:, None] * vectors * root,
             vectors / root / sizes[:, None],
         )
@@ -284,7 +265,7 @@ class Problem:
     def prior_center(self) -> Array:
         """(p,) means of the prior; zero where there is none."""
         earlier = None if self.prior is None else self.prior.earlier
-        means = {} if earlier is None else dict(zip(earlier.names, earlier.values.tolist(), strict=True))
+        means = {} if earlier is None else {name: earlier.values[name] for name in earlier.parameter_names}
         return self.model.parameters.vector(means, default=0.0)
 
     def residuals(self, parameters: Array) -> Array:
@@ -443,7 +424,10 @@ def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]]
         if freedom < 1.0 or noise <= LEAST:
             return explained, *first
 
-        left, rest = dict[str, float](), [name for name in prior.earlier.names if name in {*model.names} - {*explained}]
+        left, rest = (
+            dict[str, float](),
+            [name for name in prior.earlier.parameter_names if name in {*model.names} - {*explained}],
+        )
         for name in ("", *rest):
             released = replace(problem, prior=prior.released([*explained, name], model.prior), noise=noise)
             left[name] = posterior_squares(released, x, residual, jacobian)
