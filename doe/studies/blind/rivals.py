@@ -22,8 +22,8 @@ from identification import (
     quantile_95,
     rms_distance,
 )
+from identification.gap.blocks import hypotheses
 from identification.gap.fit import Rows, fit
-from identification.gap.hypotheses import hypotheses
 
 LENGTHS = (0.5, 8.0)  # of the process's kernel; two postures are at most 2 sqrt(n) apart
 RATIOS = (1e-6, 1e6)  # of the kernel's parts to the mean square residual

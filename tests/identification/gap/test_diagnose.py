@@ -240,7 +240,7 @@ def test_held_out_gap_shrinks_to_the_noise() -> None:
     before, after = PlainFit(data, eccentric=False), PlainFit(data, eccentric=True)
     assert gap.held_out_before == pytest.approx(before.rms(fresh), rel=1e-6)
     assert gap.held_out_after == pytest.approx(after.rms(fresh), rel=0.01)  # the size of the effect has a prior
-    assert gap.noise_floor == pytest.approx(np.sqrt(2.0) * ARM.sigma)  # no repeats here: the instrument's sigma
+    assert gap.floor.value == pytest.approx(np.sqrt(2.0) * ARM.sigma)  # no repeats here: the instrument's sigma
     columns = after.columns(fresh)
     added = np.sum((columns @ after.covariance) * columns) / len(fresh)
     assert gap.predicted == pytest.approx(np.sqrt(2.0 * after.variance + added), rel=0.02)

@@ -11,9 +11,9 @@ from doe.studies.blind.cells import CellSpec, arm_of, truth_of
 from doe.studies.blind.simulator import measure, session
 from identification.arm import Arm
 from identification.effects import Effect
+from identification.gap.blocks import hypotheses, untested_joints
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import At, Rows
-from identification.gap.hypotheses import hypotheses, untested_joints
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from tests.identification.exponentials import Exponentials, drawing
