@@ -73,20 +73,14 @@ class Advice:
 
     def to_json(self) -> dict[str, Any]:
         """One row per number of runs, and the smallest number for the target."""
-        smallest = self.smallest
-        return {
-            "rows": [self._row(k) for k in range(len(self.designs))],
-            "target_mm": self.target,
-            "smallest_runs": None if smallest is None else len(smallest.plan),
-        }
-
-    def _row(self, k: int) -> dict[str, Any]:
-        data = self.designs[k].to_json()
-        keys = ("runs", "log_det", "bound", "efficiency", "certified_optimal", "std", "status")
-        tip = self.tip_errors[k].to_json() if self.tip_errors else None
-        expected = self.designs[k].deviations
-        largest = None if expected is None else expected.largest_length
-        return {key: data[key] for key in keys} | {"largest_length_std_mm": largest, "tip_error_mm": tip}
+        keys, rows = ("runs", "log_det", "bound", "efficiency", "certified_optimal", "std", "status"), []
+        for k, design in enumerate(self.designs):
+            data, expected = design.to_json(), design.deviations
+            row = {key: data[key] for key in keys}
+            row["largest_length_std_mm"] = None if expected is None else expected.largest_length
+            rows.append(row | {"tip_error_mm": self.tip_errors[k].to_json() if self.tip_errors else None})
+        smallest = None if self.smallest is None else len(self.smallest.plan)
+        return {"rows": rows, "target_mm": self.target, "smallest_runs": smallest}
 
 
 def advise(

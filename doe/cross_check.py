@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -17,66 +16,39 @@ from identification import JobError, Status
 LEAST = 0.01  # [s] of the exact plan, where the weights took all the time: its first start
 
 
-@dataclass(frozen=True)
-class CrossCheck:
-    """What each method says is the largest criterion value; bounds and attained values bracket the truth.
-
-    relaxed : over the candidates;  continuous : over all postures, None if it failed
-    exact : best plan of whole runs;  closed_form : the theorem's value, None where it does not apply
-    """
-
-    relaxed: ApproximateDesign
-    continuous: ApproximateDesign | None
-    exact: Design
-    closed_form: float | None
-
-    @property
-    def truncation_note(self) -> str:
-        """What to say of an exact plan whose search was cut short."""
-        return f", cut at {self.exact.seconds:.0f} s" if self.exact.status is Status.time_limit else ""
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Method, space, attained value, upper bound, Table I residual of the (weighted) plan."""
-        designs: list[tuple[str, str, ApproximateDesign | Design | None]] = [
-            ("relaxation", "candidates", self.relaxed),
-            ("column generation", "all postures", self.continuous),
-            ("exact plan", f"{len(self.exact.plan)} runs", self.exact),
-        ]
-        rows: list[dict[str, Any]] = [
-            {
-                "method": f"{name}, {design.solver}",
-                "space": space,
-                "value": design.value,
-                "bound": None if design.bound is None else design.bound.value,
-                "table_1_max_residual": Design(self.exact.problem, design.plan).table_1_max_residual,
-            }
-            for name, space, design in designs
-            if design is not None
-        ]
-        rows[-1]["method"] += self.truncation_note
-        if self.closed_form is not None:
-            theorem = {"method": "closed form", "space": "all postures", "value": self.closed_form}
-            rows.append(theorem | {"bound": self.closed_form, "table_1_max_residual": None})
-        return rows
-
-
 def cross_check(
     problem: DesignProblem, relaxed: ApproximateDesign, runs: int, *, seed: int = 0, seconds: float = 60.0
-) -> CrossCheck:
-    """The relaxation's answer beside an exact plan of IPOPT, the continuous optimum and the closed form.
+) -> list[dict[str, Any]]:
+    """Rows `method`, `space`, attained `value`, upper `bound` and `table_1_max_residual` of the (weighted) plan: of the
+    relaxation, the optimum over all postures, an exact plan of IPOPT, and the closed form where it applies; bounds and
+    attained values bracket the truth.
 
-    With a prior over many effects, whose continuous optimum takes hours, beside an exact plan only.
-
+    With a prior over many effects, whose continuous optimum takes hours, without that.
     seconds : for both, the first half for the exact plan, which a bound reached ends sooner
     """
     end = perf_counter() + seconds
     solver = "exchange_ipopt" if problem.choices is None else None
     exact = solve(problem, runs, solver, seed=seed, seconds=max(0.5 * seconds, LEAST))
-    theorem = closed_form_bound(problem)
-    try:
-        continuous = (
-            None if problem.deviations else continuous_design(problem, runs=runs, stop=lambda: perf_counter() > end)
-        )
-    except JobError:
-        continuous = None
-    return CrossCheck(relaxed, continuous, exact, None if theorem is None else theorem.value)
+    designs: list[tuple[str, str, ApproximateDesign | Design]] = [("relaxation", "candidates", relaxed)]
+    if not problem.deviations:
+        try:
+            everywhere = continuous_design(problem, runs=runs, stop=lambda: perf_counter() > end)
+            designs.append(("column generation", "all postures", everywhere))
+        except JobError:
+            pass
+    designs.append(("exact plan", f"{len(exact.plan)} runs", exact))
+    rows: list[dict[str, Any]] = [
+        {
+            "method": f"{name}, {design.solver}",
+            "space": space,
+            "value": design.value,
+            "bound": None if design.bound is None else design.bound.value,
+            "table_1_max_residual": Design(problem, design.plan).table_1_max_residual,
+        }
+        for name, space, design in designs
+    ]
+    rows[-1]["method"] += f", cut at {exact.seconds:.0f} s" if exact.status is Status.time_limit else ""
+    if (theorem := closed_form_bound(problem)) is not None:
+        closed = {"method": "closed form", "space": "all postures", "value": theorem.value, "bound": theorem.value}
+        rows.append(closed | {"table_1_max_residual": None})
+    return rows

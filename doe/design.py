@@ -15,16 +15,11 @@ from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, postures_in_words
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.criteria import D
-from doe.plan.accuracy import (
-    ExpectedDeviations,
-    error_at_poses,
-    expected_deviations,
-    plan_jacobians,
-)
+from doe.plan.accuracy import ExpectedDeviations, error_at_poses, expected_deviations, plan_jacobians
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel
-from identification import PRISMATIC, Array, InputError, Status, identifiability, spectrum, turned_into
+from identification import PRISMATIC, Array, InputError, Status, identifiability, turned_into
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
@@ -59,19 +54,18 @@ class Design:
         return float(self.problem.criterion.value(self.information))
 
     @cached_property
-    def identifies_all(self) -> bool:
-        """True if every parameter is estimable, decided by the singular values as in `identify`; where the smallest is
-        below about 1e-7 of the largest, M cannot tell it from none, and `value` is -inf all the same."""
-        jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
-        return spectrum(jacobians, np.ones(self.problem.parameters)).rank == self.problem.parameters
+    def log_det(self) -> float:
+        """log det M' (doe/README.md, "Information matrix"), whatever the criterion."""
+        return float(D().value(self.information))
 
     @cached_property
     def not_identifiable(self) -> tuple[str, ...]:
-        """Combinations of parameters that are not estimable with the plan; effects at neutral conditions never are."""
+        """Combinations of parameters that are not estimable with the plan, decided by the singular values as in
+        `identify`; effects at neutral conditions never are. Where the smallest is below about 1e-7 of the largest, M
+        cannot tell it from none, and `value` is -inf all the same."""
+        parameters = self.problem.model.parameters
         jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
-        return identifiability(
-            jacobians, self.problem.model.parameters.names, np.ones(self.problem.parameters)
-        ).combinations
+        return identifiability(jacobians, parameters.names, np.ones(len(parameters))).combinations
 
     @cached_property
     def outside(self) -> tuple[int, ...]:
@@ -93,16 +87,6 @@ class Design:
         return tuple((np.flatnonzero(breaks) + 1).tolist())
 
     @cached_property
-    def log_det(self) -> float:
-        """log det M' (doe/README.md, "Information matrix"), whatever the criterion."""
-        return float(D().value(self.information))
-
-    @cached_property
-    def efficiency(self) -> float | None:
-        """Fraction 0..1 of the runs that a plan at the bound would need; None where there is `no_efficiency`."""
-        return None if self.bound is None or self.no_efficiency else min(self._share_of(self.bound), 1.0)
-
-    @cached_property
     def no_efficiency(self) -> str | None:
         """Why there is no efficiency; None where there is one."""
         if self.outside:
@@ -113,6 +97,11 @@ class Design:
         if self._share_of(self.bound) > 2.0 - CERTIFIED:
             return f"the plan is better than the bound ({self.bound}), which is therefore none"
         return None
+
+    @cached_property
+    def efficiency(self) -> float | None:
+        """Fraction 0..1 of the runs that a plan at the bound would need; None where there is `no_efficiency`."""
+        return None if self.bound is None or self.no_efficiency else min(self._share_of(self.bound), 1.0)
 
     def _share_of(self, bound: Bound) -> float:
         """Efficiency by a bound; above 1 by rounding, or where the search for it has missed something."""
@@ -154,9 +143,8 @@ class Design:
     def expected_error(self) -> dict[str, float | None] | None:
         """Of criterion I: RMS error of the tip over the test poses [mm] by this `plan`, and at its `bound`, below which
         no plan is; None for other criteria and without sigma."""
-        runs = len(self.plan)
-        plan = error_at_poses(self.problem, self.value, runs)
-        least = None if self.bound is None else error_at_poses(self.problem, self.bound.value, runs)
+        plan = error_at_poses(self.problem, self.value, len(self.plan))
+        least = None if self.bound is None else error_at_poses(self.problem, self.bound.value, len(self.plan))
         return None if plan is None else {"plan": plan, "bound": least}
 
     def to_json(self) -> dict[str, Any]:
@@ -175,7 +163,7 @@ class Design:
             "no_efficiency": self.no_efficiency,
             "certified_optimal": self.certified_optimal,
             "optimality": self.optimality,
-            "not_identifiable": [] if self.identifies_all else list(self.not_identifiable),
+            "not_identifiable": list(self.not_identifiable),
             "outside_limits": list(self.outside),
             **postures,
             "fit": self.plan.fit or None,

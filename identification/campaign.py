@@ -28,7 +28,7 @@ from identification.documents.identification import (
 )
 from identification.documents.pictures import Compared, workspace_arrows
 from identification.errors import InputError
-from identification.estimation.result import Calibrated, CorrectedValue, corrected_values
+from identification.estimation.result import CorrectedValue, corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import Table, read_table
 from identification.files.io import read_text
@@ -40,7 +40,7 @@ from identification.model import Model
 from identification.origin import data_hashes, diagnosed, mostly_outside
 from identification.reuse import same_drawing
 from identification.validate import Validation, validate
-from identification.workflow import dh_table
+from identification.workflow import dh_lines
 
 # a command -> keys that its JSON object alone has
 KEYS = {
@@ -247,8 +247,8 @@ class Campaign:
         sections = [part for part in parts if not part.folded]
         for name in sorted(self.calibrated, key=lambda name: name != self.chosen):
             arm, closed = self.calibrated[name], name != self.chosen
-            corrected, calibrated = corrected_values(arm), Calibrated.of_arm(arm)
-            rows, places = ((), []) if calibrated is None else dh_table(calibrated, corrected, Path(name))
+            corrected = corrected_values(arm)
+            rows, places = dh_lines(arm, corrected, Path(name))
             expected = expected_elsewhere(getattr(arm.calibration, "provenance", {}))
             title, space = f"Corrected values: {name}", not arm.chain.planar
             sections.append(corrected_section(title, corrected, space, expected, folded=closed))
@@ -273,7 +273,7 @@ class Campaign:
         """The error of every model on some measurements, and its sign against each joint."""
         tests, measured, fitted = self.tests[rows], self.measurements[rows], self.fitted(rows)
         last, names = list(tests.values())[-1], ["drawing", *tests]
-        figures = [vars(last.nominal).values(), *(vars(test.model).values() for test in tests.values())]
+        figures = [last.nominal, *(test.model for test in tests.values())]
         cells = [[name, *map(number, values)] for name, values in zip(names, figures, strict=True)]
         other = None if len(tests) == 1 else list(tests.values())[-2]
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])

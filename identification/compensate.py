@@ -1,17 +1,20 @@
-"""Inverse kinematics of the model: joint positions that reach targets, within joint limits.
+"""Joint commands that bring the tip of the real arm to where the nominal arm would have been.
 
-Levenberg-Marquardt on exact derivatives, all targets at once; steps are the shortest that close the gap, so a redundant
-arm stays near where it started. Where one start does not reach a target, or no arm may stand with what it reaches,
-there are many more (`best_of_seeds`): at first a few steps are made from each. Where no start reaches a target the best
-go on by Newton's method; where those that reach it miss a constraint, they are led away from what is in the way, unless
-that is the target itself.
+Targets are positions, or poses of a spatial arm's tool, where an angle counts as the distance that it is at full reach.
+The real arm is the calibrated model. A command keeps to the constraints that are given: where none does, the target
+counts as not reached, and its message says which constraint is in the way.
+
+Inverse kinematics is Levenberg-Marquardt on exact derivatives, all targets at once; steps are the shortest that close
+the gap, so a redundant arm stays near where it started. Where one start does not reach a target, or no arm may stand
+with what it reaches, there are many more (`best_of_seeds`): at first a few steps are made from each. Where no start
+reaches a target the best go on by Newton's method; where those that reach it miss a constraint, they are led away from
+what is in the way, unless that is the target itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,8 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, readonly
-from identification.data_frames import frame_of_columns
+from identification.arrays import Array, frame_of_columns, readonly
 from identification.document import Document
 from identification.documents.identification import compensation_document
 from identification.errors import InputError
@@ -30,7 +32,7 @@ from identification.kinematics.counting import counting_in, in_columns, turned_i
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
-from identification.model.positions import in_own_frame
+from identification.model.placed import in_own_frame
 from identification.newton_ascent import newton_ascent
 from identification.origin import check_calibrated, extrapolated, familiar_range, identified, outside
 from identification.sessions import BASE
@@ -47,278 +49,9 @@ CHUNK = 1_000  # targets at a time, times SEEDS starts
 BEND = 1e-7  # [rad] of a joint, for second derivatives
 WITNESSES = 6  # postures at a target that must agree before it counts as barred, and seeds that are tried for them
 SAME = 0.01  # of what is missed: margins that differ by less are those of the target, whatever the posture
-
-Constraints = Sequence[PostureCondition]
-
-
-def violations(constraints: Constraints, postures: Array) -> Array:
-    """(m, c) by how much postures (m, n) miss each of c constraints [mm]; 0: satisfied."""
-    if not constraints or not len(postures):
-        return np.zeros((len(postures), len(constraints)))
-    missed = np.column_stack([-np.min(each.margin(postures), axis=1) for each in constraints])
-    return np.where(missed > TOLERANCE, missed, 0.0)
-
-
-def inverse_kinematics(
-    model: Model, goals: Array, starts: Array, conditions: Conditions, iterations: int = MAX_ITERATIONS
-) -> tuple[Array, Array]:
-    """Postures (k, n) within the limits and errors (k,) [mm], by Levenberg-Marquardt from starts (k, n).
-
-    Steps are the shortest in joint angles, so that a redundant arm stays near where it started.
-    """
-    linearize = linearization(model, conditions)
-
-    def distances(postures: Array, rows: Index) -> tuple[Array, Array]:
-        position, jacobian = linearize(postures, rows)
-        return goals[rows] - position, jacobian
-
-    return _least(model, distances, starts, iterations)
-
-
-def _least(model: Model, linearize: Linearize, starts: Array, iterations: int) -> tuple[Array, Array]:
-    """(k, n) postures within the limits that make residuals least, from starts (k, n), and what they leave (k,)."""
-    limits, reach, negligible = (
-        (model.arm.lower, model.arm.upper),
-        metric(model),
-        np.full(len(starts), 1e-5 * TOLERANCE),
-    )
-    problem = LeastSquares(linearize, *limits, reach, negligible, metric=reach, iterations=iterations)
-    solution = levenberg_marquardt(problem, starts)
-    return solution.parameters, np.sqrt(solution.rss)
-
-
-def metric(model: Model) -> Array:
-    """(n,) length [mm] that stands for a unit of each joint: the reach for an angle."""
-    return np.where(np.array(model.joint_types) == REVOLUTE, model.reach, 1.0)
-
-
-def linearization(model: Model, conditions: Conditions) -> Linearize:
-    """Postures (k, n) and row numbers -> positions (k, d) and derivatives with respect to the posture (k, d, n)."""
-    evaluate = model.posture_jacobian
-
-    def linearize(postures: Array, rows: Index) -> tuple[Array, Array]:
-        table = model.condition_table(postures, conditions.rows(rows))
-        tips, jacobian = evaluate(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
-        return tips[..., 0], jacobian
-
-    return linearize
-
-
-class Tried(NamedTuple):
-    """What searches for k goals found, best first: (k, s, n) postures, what they leave [mm] and their rank (k, s)."""
-
-    postures: Array
-    left: Array
-    rank: Array
-
-    def at(self, rows: Index | NDArray[np.bool_]) -> Tried:
-        """Of some of the goals."""
-        return Tried._make(values[rows] for values in self)
-
-
-def ranked(distance: Array, left: Array, missed: Array) -> Array:
-    """Of goals reached the distance; behind them what misses constraints, by how much; then what is left."""
-    return np.where(left > TOLERANCE, 1e3 * MISSED + left, np.where(missed > 0.0, MISSED + missed, distance))
-
-
-def best_of_seeds(
-    model: Model, goals: Array, near: Array, conditions: Conditions, constraints: Constraints
-) -> tuple[Array, Array]:
-    """(k, n) postures and (k,) errors: of the solutions that reach a goal the nearest to `near`, else the closest.
-
-    At first a few steps are made, of a redundant arm from those seeds alone that promise to end near. What fails waits
-    for others: a search of few takes nearly as long as one of many.
-    """
-    arm, generator = model.arm, np.random.default_rng(0)  # the same postures for the same question
-    # effort: random postures of a redundant arm, of which the nearest six are tried at first
-    seeds = generator.uniform(arm.lower, arm.upper, (256, arm.links))
-    redundant = conditions.orientation is None and arm.links > goals.shape[1]
-    promising = _promising(model, seeds) if redundant else None
-    search = _Search(model, goals, near, conditions, constraints, seeds[:SEEDS], redundant)
-    postures, errors, failed = np.empty_like(near), np.empty(len(goals)), list[tuple[Index, Tried]]()
-    for rows in _parts(np.arange(len(goals))):
-        tried = search.tried(rows, None if promising is None else promising(goals[rows], near[rows]))
-        postures[rows], errors[rows] = tried.postures[:, 0], tried.left[:, 0]
-        fails = tried.rank[:, 0] >= MISSED
-        failed.append((rows[fails], tried.at(fails)))
-    if failed:
-        rest = np.concatenate([rows for rows, _ in failed])
-        first = Tried._make(np.concatenate(each) for each in zip(*(tried for _, tried in failed), strict=True))
-        for part in _parts(np.arange(len(rest))):
-            if constraints:
-                part = part[~search.barred(rest[part], first.at(part))]
-            if len(part):
-                postures[rest[part]], errors[rest[part]] = search.led_on(rest[part], first.at(part))
-    if not redundant:
-        search._replace(seeds=seeds[SEEDS:]).again(postures, errors)
-    return postures, errors
-
-
-def _parts(rows: Index, size: int = CHUNK) -> list[Index]:
-    """So many at a time; none of no rows."""
-    return [rows[start : start + size] for start in range(0, len(rows), size)]
-
-
-class _Search(NamedTuple):
-    """Goals (k, d) of a model, the postures (k, n) that theirs are to be near, and seeds (s, n)."""
-
-    model: Model
-    goals: Array
-    near: Array
-    conditions: Conditions
-    constraints: Constraints
-    seeds: Array
-    redundant: bool  # the arm has more joints than a goal needs, and any orientation will do
-
-    def tried(self, rows: Index, seeds: Array | None = None, iterations: int = QUICK) -> Tried:
-        """Of some goals, from `near` and from seeds (k, s, n) of their own; None: the common ones."""
-        seeds = np.broadcast_to(self.seeds, (len(rows), *self.seeds.shape)) if seeds is None else seeds
-        starts = np.concatenate([self.near[rows, None], seeds], axis=1)
-        every, flat = np.repeat(rows, starts.shape[1]), starts.reshape(-1, starts.shape[2])
-        flat, left = inverse_kinematics(self.model, self.goals[every], flat, self.conditions.rows(every), iterations)
-        missed = violations(self.constraints, flat).sum(axis=1).reshape(starts.shape[:2])
-        reached, left = flat.reshape(starts.shape), left.reshape(starts.shape[:2])
-        distance = np.linalg.norm((reached - self.near[rows, None]) * metric(self.model) / self.model.reach, axis=2)
-        rank = ranked(distance, left, missed)
-        order = np.argsort(rank, axis=1)
-        left, rank = (np.take_along_axis(values, order, axis=1) for values in (left, rank))
-        return Tried(np.take_along_axis(reached, order[:, :, None], axis=1), left, rank)
-
-    def again(self, postures: Array, errors: Array) -> None:
-        """Replaces postures (k, n) and errors (k,) of goals that other seeds missed, those first that were missed
-        by least, until there is no progress."""
-        missed = np.flatnonzero(errors > TOLERANCE)
-        missed = missed[np.argsort(errors[missed], kind="stable")]
-        for rows in _parts(missed, 32):  # with the seeds that were only glanced at: effort
-            reached, left = self.led_on(rows, self.tried(rows))
-            better = left <= TOLERANCE
-            if not better.any():
-                break
-            postures[rows[better]], errors[rows[better]] = reached[better], left[better]
-
-    def barred(self, rows: Index, first: Tried) -> NDArray[np.bool_]:
-        """(k,) where the goals themselves miss a constraint, as far as a first try and a few more seeds tell: postures
-        that reach a goal are different, and all miss some margin by the same amount."""
-        few = np.broadcast_to(self.seeds[:WITNESSES], (len(rows), WITNESSES, self.seeds.shape[1]))
-        further = self.tried(rows, few)
-        postures, left = (np.concatenate(pair, axis=1) for pair in zip(first[:2], further[:2], strict=True))
-        reached = left <= TOLERANCE
-        margins = np.column_stack([each.margin(postures.reshape(-1, postures.shape[2])) for each in self.constraints])
-        high, low = _ends(margins.reshape(*left.shape, -1), reached)
-        # witnesses differ by 0.5 rad or mm of some joint
-        spread = np.subtract(*_ends(postures, reached)).max(axis=1)
-        same = np.any((high < -TOLERANCE) & (high - low <= SAME * -high), axis=1)
-        return same & (np.count_nonzero(reached, axis=1) >= WITNESSES) & (spread > 0.5)
-
-    def led_on(self, rows: Index, first: Tried) -> tuple[Array, Array]:
-        """(k, n) postures and (k,) errors: where no seed reaches a goal by Newton's method, where those that reach it
-        miss constraints by what is missed as further residuals."""
-        again = bool(self.constraints) or self.redundant
-        tried = self.tried(rows, iterations=MAX_ITERATIONS if self.constraints else QUICK) if again else first
-        postures, errors = tried.postures[:, 0].copy(), tried.left[:, 0].copy()
-        beyond = errors > TOLERANCE
-        missed = ~beyond & (tried.rank[:, 0] >= MISSED) & bool(self.constraints)
-        missed &= postures.shape[1] > self.goals.shape[1]  # a redundant arm has more than the seeds found
-        for which, further in ((beyond, _polished), (missed, partial(_turned_away, constraints=self.constraints))):
-            if which.any():
-                where = self.conditions.rows(rows[which])
-                postures[which], errors[which] = further(
-                    self.model, self.goals[rows[which]], tried.postures[which], where
-                )
-        return postures, errors
-
-
-def _ends(values: Array, counted: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """(k, c) largest and smallest of values (k, s, c) over those that count (k, s)."""
-    high, low = (np.where(counted[:, :, None], values, end) for end in (-np.inf, np.inf))
-    return high.max(axis=1), low.min(axis=1)
-
-
-def _promising(model: Model, seeds: Array) -> Callable[[Array, Array], Array]:
-    """Of goals (k, d) and postures (k, n), the (k, 6, n) of random postures (s, n) of a redundant arm whose
-    linear steps to the goals end nearest to the postures."""
-    scale = metric(model) / model.reach
-    positions, jacobians = linearization(model, Conditions())(seeds, np.arange(len(seeds)))
-    shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
-
-    def promising(goals: Array, near: Array) -> Array:
-        steps = np.einsum("snd,ksd->ksn", shortest, goals[:, None] - positions)
-        ends = np.clip(seeds + steps, model.arm.lower, model.arm.upper)
-        distances = np.linalg.norm((ends - near[:, None]) * scale, axis=2)
-        return np.asarray(seeds[np.argsort(distances, axis=1, kind="stable")[:, :6]])
-
-    return promising
-
-
-def _turned_away(
-    model: Model, goals: Array, starts: Array, conditions: Conditions, constraints: Constraints
-) -> tuple[Array, Array]:
-    """(k, n) postures at goals (k, d) and what is left (k,): of those led from postures that miss constraints, starts
-    (k, s, n), best first, to where they hold; the nearest to that where none gets there."""
-    starts = starts[:, :4]  # a few seeds are led out of there, more is effort
-    every = np.repeat(np.arange(len(goals)), starts.shape[1])
-    linearize, units = linearization(model, conditions.rows(every)), model.reach / metric(model)
-
-    def distances(postures: Array, rows: Index) -> tuple[Array, Array]:
-        """Of the goal and, where a margin is missed, of a place inside."""
-        position, jacobian = linearize(postures, rows)
-        parts = [_missed(each, postures, BEND * units) for each in constraints]
-        missed, slopes = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
-        gap = goals[every[rows]] - position
-        return np.concatenate([gap, missed], axis=1), np.concatenate([jacobian, slopes], axis=1)
-
-    ends, _ = _least(model, distances, starts.reshape(len(every), -1), MAX_ITERATIONS)
-    ends, left = inverse_kinematics(model, goals[every], ends, conditions.rows(every))
-    rank = ranked(np.zeros(len(every)), left, violations(constraints, ends).sum(axis=1)).reshape(len(goals), -1)
-    best = np.ravel_multi_index((np.arange(len(goals)), np.argmin(rank, axis=1)), rank.shape)
-    return ends[best], left[best]
-
-
-def _missed(constraint: PostureCondition, postures: Array, bends: Array) -> tuple[Array, Array]:
-    """(k, c) by how much postures (k, n) are not 0.01 mm inside the margins of a constraint, and (k, c, n) derivatives
-    of the margins that they miss, by differences of `bends` (n,)."""
-    margins = constraint.margin(postures)
-    missed = np.maximum(0.01 - margins, 0.0)
-    slopes, n = np.zeros((*margins.shape, len(bends))), len(bends)
-    rows = np.flatnonzero(missed.any(axis=1))
-    bent = constraint.margin((postures[rows, None] + np.diag(bends)).reshape(-1, n))
-    bent = bent.reshape(len(rows), n, margins.shape[1])
-    slopes[rows] = np.swapaxes(bent - margins[rows, None], 1, 2) / bends
-    slopes[missed == 0.0] = 0.0
-    return missed, slopes
-
-
-def _polished(model: Model, goals: Array, starts: Array, conditions: Conditions) -> tuple[Array, Array]:
-    """(k, n) postures and (k,) errors: the closest to goals (k, d) out of reach, within the limits; starts (k, s, n),
-    best first."""
-    linearize, arm, units = linearization(model, conditions), model.arm, model.reach / metric(model)
-    # of starts that are nearly the same the first
-    firsts = (np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1]) for ordered in starts)
-    kinds = [ordered[first] for ordered, first in zip(starts, firsts, strict=True)]
-    goal = np.repeat(np.arange(len(kinds)), [len(kind) for kind in kinds])
-    bends = np.concatenate([np.zeros((1, arm.links)), np.diag(BEND * units)])
-
-    def height(q: Array, rows: Index) -> Array:
-        gap = linearize(q, goal[rows])[0] - goals[goal[rows]]
-        return -0.5 * np.sum(gap**2, axis=1)
-
-    def slopes(q: Array, rows: Index) -> tuple[Array, Array]:
-        bent = (q[:, None] + bends).reshape(-1, arm.links)
-        position, jacobian = linearize(bent, np.repeat(goal[rows], len(bends)))
-        gap = goals[goal[rows]] - position.reshape(len(q), len(bends), -1)[:, 0]
-        jacobian = jacobian.reshape(len(q), len(bends), *jacobian.shape[1:])
-        along = np.einsum("kd,kidn->kin", gap, jacobian)
-        bend = (along[:, 1:] - along[:, :1]) / (BEND * units[:, None])
-        return along[:, 0], 0.5 * (bend + np.swapaxes(bend, 1, 2)) - np.swapaxes(jacobian[:, 0], 1, 2) @ jacobian[:, 0]
-
-    ends = newton_ascent(np.concatenate(kinds), height, slopes, (arm.lower, arm.upper), units)
-    order = np.lexsort((-height(ends, np.arange(len(ends))), goal))
-    best = order[np.unique(goal[order], return_index=True)[1]]
-    return inverse_kinematics(model, goals, ends[best], conditions)  # where two postures meet Newton's method is slow
-
-
-# -- compensation ------------------------------------------------------------------------------------------------------
 APPROACH = {"directions", "past"}  # what an effect needs whose error depends on the side that a joint comes from
+Constraints = Sequence[PostureCondition]
+Tried = tuple[Array, Array, Array]  # of k goals, best first: postures (k, s, n), what they leave [mm] and rank (k, s)
 
 
 def compensate(
@@ -350,15 +83,19 @@ def compensate(
         raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
     as_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     turned = None if orientations is None else np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
-    poses = turned is not None or as_nominal
     arm = in_own_frame(arm)
     if not arm.chain.planar:  # what an angle of a pose counts times
-        arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if poses else None))
+        arm = replace(
+            arm, chain=replace(arm.chain, angle_scale=arm.reach if turned is not None or as_nominal else None)
+        )
     drawing, model, familiar = Model(drawn_arm(arm)), Model(arm), familiar_range(arm)
     # where no posture gets to a target, as of an arm with fewer joints than coordinates, it counts as reached within
     # what one in a thousand of the calibration's own measurements may be off, by what the fit left and is unsure of
-    figures = [identified(arm).get(key) for key in ("rms_after_mm", "expected_tip_mm")]
-    likely = float(np.linalg.norm([float(x) for x in figures if isinstance(x, float | int)]))
+    figures = [
+        x if isinstance(x := identified(arm).get(key), float | int) else None
+        for key in ("rms_after_mm", "expected_tip_mm")
+    ]
+    likely = float(np.linalg.norm([x for x in figures if x is not None]))
     enough = max(TOLERANCE, likely * float(np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
     if targets is not None:
         points = _checked("targets", targets, arm.dimension)
@@ -378,27 +115,34 @@ def compensate(
         sided = tuple(sorted({effect.name for effect in model.effects if not APPROACH.isdisjoint(effect.needs)}))
         past = past_from_order(start) if model.remembers else None
         where = replace(where, directions=directions_from_order(start), past=past)
-    commands = reaching(model, goals, start, where, constraints, enough)
-    if nominal is None:
-        commands = nearest_familiar(model, familiar, goals, commands, where, constraints, enough)
-    missed = violations(constraints, commands)
+    commands = reaching(Task(model, goals, start, where, constraints), enough)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
+    # found ones that are out of reach, where they are outside familiar angles: the nearest within them
+    lower, upper = familiar
+    strange = (np.linalg.norm(left, axis=1) > enough) & np.any((commands < lower) | (commands > upper), axis=1)
+    if nominal is None and strange.any():
+        # a joint that did not move has 1e-9 rad of room
+        inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + 1e-9)))
+        near = np.clip(commands[strange], lower, upper)
+        task = Task(inside, goals[strange], near, where.rows(np.flatnonzero(strange)), constraints)
+        commands[strange] = best_of_seeds(task)[0]
+        left = goals - model.position(commands, conditions=where)
+    missed = violations(constraints, commands)
     beyond = outside(arm, commands)
     if beyond is not None:  # nobody drives to what misses a constraint
         beyond = beyond & ~np.any(missed > 0.0, axis=1)[:, None]
-    rms = identified(arm).get("rms_after_mm")
     return Compensation(
         goals[:, POINT],
         start,
         commands if where.directions is None else commands - servo_shift(arm, where.directions),
         distances(left),
         arm.joint_types,
-        where.orientation,
-        None if where.orientation is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach,
+        turned,
+        None if turned is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach,
         tuple(each.kind for each in constraints),
         missed,
         beyond,
-        float(rms) if isinstance(rms, float | int) else None,
+        figures[0],
         sided,
         enough,
         model.reach,
@@ -462,17 +206,15 @@ class Compensation:
             object.__setattr__(self, name, readonly(getattr(self, name)))
 
     @property
-    def reached(self) -> NDArray[np.bool_]:
-        """(k,) True where the error is at most `tolerance`, the angle no more at full reach, or 1e-8 rad, and every
-        constraint holds."""
-        near = self.near
-        return near if self.violations is None else near & ~np.any(self.violations > 0.0, axis=1)
-
-    @property
     def near(self) -> NDArray[np.bool_]:
-        """(k,) as `reached`, whatever the constraints say."""
+        """(k,) True where the error is at most `tolerance`, the angle no more at full reach, or 1e-8 rad."""
         near = self.errors <= self.tolerance
         return near if self.angles is None else near & (self.angles <= max(1e-8, self.tolerance / self.reach))
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """(k,) True where it is near, and every constraint holds."""
+        return self.near if self.violations is None else self.near & ~np.any(self.violations > 0.0, axis=1)
 
     @property
     def messages(self) -> list[str]:
@@ -518,67 +260,14 @@ class Compensation:
             least = f"less than the {self.tolerance:.2g} mm that the calibration itself is uncertain by"
             notes.append(f"{close} of the targets reached are missed {most}, {least}: no posture of the arm is nearer")
         if self.sided and self.reached.any():
+            # how joints that all rise move as the controller counts
+            counting, joints = counting_in(self.joint_types), self.commands.shape[1]
+            moves = np.ones(joints) if counting is None else counting.signs_of_columns(np.ones((1, joints)))[0]
+            falling = ", ".join(str(j) for j, sign in enumerate(moves, start=1) if sign < 0.0)
+            rising = f"rising, but {falling} falling" if falling else "rising"
             side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
-            notes.append(f"{side}. Drive the targets in this order, and to the first with every joint {self._rising}")
+            notes.append(f"{side}. Drive the targets in this order, and to the first with every joint {rising}")
         return notes
-
-    @property
-    def _rising(self) -> str:
-        """How joints that all rise move as the controller counts."""
-        counting, joints = counting_in(self.joint_types), self.commands.shape[1]
-        moves = np.ones(joints) if counting is None else counting.signs_of_columns(np.ones((1, joints)))[0]
-        falling = [str(j) for j, sign in enumerate(moves, start=1) if sign < 0.0]
-        return f"rising, but {', '.join(falling)} falling" if falling else "rising"
-
-    def to_json(self) -> dict[str, Any]:
-        """Counts, largest errors over targets reached and over the others, unreached rows, and a row for each target
-        (identification/files/README.md, "JSON keys")."""
-        reached, out = self.reached, ~self.near
-
-        def largest(values: Array, rows: NDArray[np.bool_]) -> float | None:
-            return float(np.max(values[rows])) if rows.any() else None
-
-        angles = {} if self.angles is None else {"max_error_deg": largest(np.degrees(self.angles), reached)}
-        return {
-            "targets": len(self.targets),
-            "reached": int(np.count_nonzero(reached)),
-            "max_error_mm": largest(self.errors, reached),
-            "max_error_over": "targets reached",
-            "tolerance_mm": self.tolerance,
-            "model_rms_mm": self.model_rms,
-            "max_unreached_mm": largest(self.errors, out),
-            **angles,
-            "unreachable": [int(row) + 1 for row in np.flatnonzero(~reached)],
-            "unreachable_count": int(np.count_nonzero(~reached)),
-            "outside_identified": self._outside,
-            "warnings": self.warnings,
-            "commands_deg": _where(reached, self.commands_in_file_units),
-            "commands": self._rows(),
-        }
-
-    def _rows(self) -> list[dict[str, Any]]:
-        """One entry for each target, in file units; None for what it does not have."""
-        reached, commands = self.reached, self.commands_in_file_units
-        driven = reached | ~self.near  # or missed, by what is left
-        columns = {
-            "target_mm": self.targets.tolist(),
-            "command": _where(reached, commands),
-            "nearest": _where(~reached, commands),
-            "error_mm": _where(driven, self.errors),
-            **({} if self.angles is None else {"error_deg": _where(driven, np.degrees(self.angles))}),
-            "reachable": reached.tolist(),
-        }
-        rows = zip(*columns.values(), self.messages, strict=True)
-        return [dict(zip(("target", *columns, "message"), (k, *row), strict=True)) for k, row in enumerate(rows, 1)]
-
-    @property
-    def _outside(self) -> dict[str, Any] | None:
-        """Targets and joints, from 1, beyond the angles of the identification; None where these are not known."""
-        if (out := self.outside) is None:
-            return None
-        counts = enumerate(out.sum(axis=0).tolist(), start=1)
-        joints = [{"joint": joint, "targets": count} for joint, count in counts if count]
-        return {"targets": (np.flatnonzero(out.any(axis=1)) + 1).tolist(), "joints": joints}
 
     @property
     def commands_in_file_units(self) -> Array:
@@ -586,6 +275,53 @@ class Compensation:
         commands = in_columns(self.commands, self.joint_types)
         turning = np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
         return np.where(turning, np.degrees(commands), commands)
+
+    def to_json(self) -> dict[str, Any]:
+        """Counts, largest errors over targets reached and over the others, unreached rows, and a row for each target
+        (identification/files/README.md, "JSON keys")."""
+        reached, commands, posed = self.reached, self.commands_in_file_units, self.angles is not None
+        degrees = np.degrees(self.errors if self.angles is None else self.angles)
+        unreachable = [int(row) + 1 for row in np.flatnonzero(~reached)]
+        driven = reached | ~self.near  # or missed, by what is left
+
+        def largest(values: Array, rows: NDArray[np.bool_]) -> float | None:
+            return float(np.max(values[rows])) if rows.any() else None
+
+        def where(shown: NDArray[np.bool_], rows: Array) -> list[Any]:
+            """(k) rows, None where they are not to be said."""
+            return [row if one else None for one, row in zip(shown.tolist(), rows.tolist(), strict=True)]
+
+        columns = {
+            "target": range(1, len(reached) + 1),
+            "target_mm": self.targets.tolist(),
+            "command": where(reached, commands),
+            "nearest": where(~reached, commands),
+            "error_mm": where(driven, self.errors),
+            **({"error_deg": where(driven, degrees)} if posed else {}),
+            "reachable": reached.tolist(),
+            "message": self.messages,
+        }
+        beyond = None
+        if (out := self.outside) is not None:  # targets and joints, from 1, beyond the angles of the identification
+            counts = enumerate(out.sum(axis=0).tolist(), start=1)
+            joints = [{"joint": joint, "targets": count} for joint, count in counts if count]
+            beyond = {"targets": (np.flatnonzero(out.any(axis=1)) + 1).tolist(), "joints": joints}
+        return {
+            "targets": len(self.targets),
+            "reached": int(np.count_nonzero(reached)),
+            "max_error_mm": largest(self.errors, reached),
+            "max_error_over": "targets reached",
+            "tolerance_mm": self.tolerance,
+            "model_rms_mm": self.model_rms,
+            "max_unreached_mm": largest(self.errors, ~self.near),
+            **({"max_error_deg": largest(degrees, reached)} if posed else {}),
+            "unreachable": unreachable,
+            "unreachable_count": len(unreachable),
+            "outside_identified": beyond,
+            "warnings": self.warnings,
+            "commands_deg": columns["command"],
+            "commands": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
+        }
 
     def to_frame(self, kind: str = "polars") -> Any:
         """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`; polars or pandas."""
@@ -605,29 +341,34 @@ class Compensation:
         return self.document()._repr_html_()
 
 
-def _where(shown: NDArray[np.bool_], rows: Array) -> list[Any]:
-    """(k) rows, None where they are not to be said."""
-    return [row if one else None for one, row in zip(shown.tolist(), rows.tolist(), strict=True)]
+# -- inverse kinematics ------------------------------------------------------------------------------------------------
+class Task(NamedTuple):
+    """Goals (k, d) of a model [mm], of poses three coordinates more, and postures (k, n) that theirs are to be near."""
+
+    model: Model
+    goals: Array
+    near: Array
+    conditions: Conditions
+    constraints: Constraints = ()
+
+    def at(self, rows: Index | NDArray[np.bool_]) -> Task:
+        """Of some of the goals; rows may repeat."""
+        rows = np.flatnonzero(rows) if rows.dtype == bool else rows
+        return self._replace(goals=self.goals[rows], near=self.near[rows], conditions=self.conditions.rows(rows))
 
 
-def reaching(
-    model: Model,
-    goals: Array,
-    nominal: Array,
-    conditions: Conditions,
-    constraints: Constraints,
-    enough: float,
-) -> Array:
-    """(k, n) postures from nominal ones (k, n); from many seeds where that ends short of the target, or where the arm
-    may not stand. What ends so near as `enough` [mm] is left only for what gets there exactly: another branch of the
-    arm that is nearer by less than anybody knows is none to go to. Goals (k, d) [mm], of poses three more."""
-    nominal = turned_into(nominal, model.arm.lower, model.arm.upper, model.joint_types)
-    commands, errors = inverse_kinematics(model, goals, nominal, conditions)
-    missed = violations(constraints, commands).sum(axis=1)
+def reaching(task: Task, enough: float) -> Array:
+    """(k, n) postures, from many seeds where the search from near ends short of the goal, or where the arm may not
+    stand. What ends so near as `enough` [mm] is left only for what gets there exactly: another branch of the arm that
+    is nearer by less than anybody knows is none to go to."""
+    arm = task.model.arm
+    task = task._replace(near=turned_into(task.near, arm.lower, arm.upper, task.model.joint_types))
+    commands, errors = inverse_kinematics(task, task.near)
+    missed = violations(task.constraints, commands).sum(axis=1)
     short = np.flatnonzero((errors > TOLERANCE) | (missed > 0.0))
     if short.size:
-        again, left = best_of_seeds(model, goals[short], nominal[short], conditions.rows(short), constraints)
-        now = ranked(np.zeros(len(short)), left, violations(constraints, again).sum(axis=1))
+        again, left = best_of_seeds(task.at(short))
+        now = ranked(np.zeros(len(short)), left, violations(task.constraints, again).sum(axis=1))
         better = now < ranked(np.zeros(len(short)), errors[short], missed[short])
         better &= (errors[short] > enough) | (missed[short] > 0.0) | (left <= TOLERANCE)
         commands[short[better]] = again[better]
@@ -641,38 +382,226 @@ def familiar_postures(
     best found where no posture gets there."""
     lower, upper = familiar
     near = np.tile((lower + upper) / 2.0, (len(goals), 1))
-    reached = best_of_seeds(model, goals, near, conditions, constraints)[0]
+    reached = best_of_seeds(Task(model, goals, near, conditions, constraints))[0]
     out = np.flatnonzero(np.any((reached < lower) | (reached > upper), axis=1))
-    if not out.size or np.any(lower >= upper):
+    if np.any(lower >= upper):
         return reached
-    inside = Model(replace(model.arm, lower=lower, upper=upper))
+    inside = Task(Model(replace(model.arm, lower=lower, upper=upper)), goals, near, conditions)
     for starts in (np.clip(reached, lower, upper), near):
-        if not out.size:
+        if out.size:
+            postures, left = inverse_kinematics(inside.at(out), starts[out])
+            better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
+            reached[out[better]] = postures[better]
+            out = out[~better]
+    return reached
+
+
+def violations(constraints: Constraints, postures: Array) -> Array:
+    """(m, c) by how much postures (m, n) miss each of c constraints [mm]; 0: satisfied."""
+    if not constraints or not len(postures):
+        return np.zeros((len(postures), len(constraints)))
+    missed = np.column_stack([-np.min(each.margin(postures), axis=1) for each in constraints])
+    return np.where(missed > TOLERANCE, missed, 0.0)
+
+
+def inverse_kinematics(task: Task, starts: Array, iterations: int = MAX_ITERATIONS) -> tuple[Array, Array]:
+    """Postures (k, n) within the limits and errors (k,) [mm], by Levenberg-Marquardt from starts (k, n); steps are the
+    shortest in joint angles."""
+    linearize = linearization(task.model, task.conditions)
+
+    def gaps(postures: Array, rows: Index) -> tuple[Array, Array]:
+        position, jacobian = linearize(postures, rows)
+        return task.goals[rows] - position, jacobian
+
+    return _least(task.model, gaps, starts, iterations)
+
+
+def _least(model: Model, linearize: Linearize, starts: Array, iterations: int) -> tuple[Array, Array]:
+    """(k, n) postures within the limits that make residuals least, from starts (k, n), and what they leave (k,)."""
+    reach, negligible = metric(model), np.full(len(starts), 1e-5 * TOLERANCE)
+    limits = model.arm.lower, model.arm.upper
+    problem = LeastSquares(linearize, *limits, reach, negligible, metric=reach, iterations=iterations)
+    solution = levenberg_marquardt(problem, starts)
+    return solution.parameters, np.sqrt(solution.rss)
+
+
+def metric(model: Model) -> Array:
+    """(n,) length [mm] that stands for a unit of each joint: the reach for an angle."""
+    return np.where(np.array(model.joint_types) == REVOLUTE, model.reach, 1.0)
+
+
+def linearization(model: Model, conditions: Conditions) -> Linearize:
+    """Postures (k, n) and row numbers -> positions (k, d) and derivatives with respect to the posture (k, d, n)."""
+    evaluate = model.expressions.posture_jacobian
+
+    def linearize(postures: Array, rows: Index) -> tuple[Array, Array]:
+        table = model.condition_table(postures, conditions.rows(rows))
+        tips, jacobian = evaluate(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
+        return tips[..., 0], jacobian
+
+    return linearize
+
+
+def ranked(distance: Array, left: Array, missed: Array) -> Array:
+    """Of goals reached the distance; behind them what misses constraints, by how much; then what is left."""
+    return np.where(left > TOLERANCE, 1e3 * MISSED + left, np.where(missed > 0.0, MISSED + missed, distance))
+
+
+def tried(task: Task, seeds: Array, iterations: int = QUICK) -> Tried:
+    """From `near` and from seeds (s, n), or (k, s, n) of each goal its own."""
+    seeds = np.broadcast_to(seeds, (len(task.goals), *seeds.shape[-2:]))
+    starts = np.concatenate([task.near[:, None], seeds], axis=1)
+    k, s, n = starts.shape
+    flat, left = inverse_kinematics(task.at(np.repeat(np.arange(k), s)), starts.reshape(-1, n), iterations)
+    missed = violations(task.constraints, flat).sum(axis=1).reshape(k, s)
+    reached, left = flat.reshape(k, s, n), left.reshape(k, s)
+    distance = np.linalg.norm((reached - task.near[:, None]) * metric(task.model) / task.model.reach, axis=2)
+    rank = ranked(distance, left, missed)
+    order = np.argsort(rank, axis=1)
+    left, rank = (np.take_along_axis(values, order, axis=1) for values in (left, rank))
+    return np.take_along_axis(reached, order[:, :, None], axis=1), left, rank
+
+
+def best_of_seeds(task: Task) -> tuple[Array, Array]:
+    """(k, n) postures and (k,) errors: of the solutions that reach a goal the nearest to `near`, else the closest.
+
+    At first a few steps are made, of a redundant arm from those seeds alone that promise to end near.
+    """
+    model, arm = task.model, task.model.arm
+    # effort: random postures, always the same; of a redundant arm the six that promise most are tried at first
+    seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, arm.links))
+    redundant = task.conditions.orientation is None and arm.links > task.goals.shape[1]
+    promising = _promising(model, seeds) if redundant else lambda _: seeds[:SEEDS]
+    postures, errors = np.empty_like(task.near), np.empty(len(task.goals))
+    for start in range(0, len(task.goals), CHUNK):
+        rows = np.arange(start, min(start + CHUNK, len(task.goals)))
+        some = task.at(rows)
+        first = tried(some, promising(some))
+        postures[rows], errors[rows] = first[0][:, 0], first[1][:, 0]
+        rest = first[2][:, 0] >= MISSED
+        if task.constraints and rest.any():
+            rest[rest] = ~_barred(some.at(rest), seeds[:WITNESSES], *(values[rest] for values in first[:2]))
+        if rest.any():
+            again = task.constraints or redundant
+            iterations = MAX_ITERATIONS if task.constraints else QUICK
+            further = tried(some.at(rest), seeds[:SEEDS], iterations) if again else [values[rest] for values in first]
+            postures[rows[rest]], errors[rows[rest]] = _led_on(some.at(rest), *further)
+    missed = np.flatnonzero(errors > TOLERANCE) if not redundant else np.arange(0)
+    missed = missed[np.argsort(errors[missed], kind="stable")]
+    for start in range(
+        0, len(missed), 32
+    ):  # effort: those missed by least with the other seeds, while there is progress
+        rows = missed[start : start + 32]
+        reached, left = _led_on(task.at(rows), *tried(task.at(rows), seeds[SEEDS:]))
+        better = left <= TOLERANCE
+        if not better.any():
             break
-        postures, left = inverse_kinematics(inside, goals[out], starts[out], conditions.rows(out))
-        better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
-        reached[out[better]] = postures[better]
-        out = out[~better]
-    return reached
+        postures[rows[better]], errors[rows[better]] = reached[better], left[better]
+    return postures, errors
 
 
-def nearest_familiar(
-    model: Model,
-    familiar: tuple[Array, Array],
-    goals: Array,
-    reached: Array,
-    where: Conditions,
-    constraints: Constraints,
-    enough: float,
-) -> Array:
-    """(k, n) postures that were found for goals (k, d); for those out of reach, farther than `enough` [mm], where they
-    are outside familiar angles, the nearest within them."""
-    lower, upper = familiar
-    left = np.linalg.norm(goals - model.position(reached, conditions=where), axis=1)
-    out = np.flatnonzero((left > enough) & np.any((reached < lower) | (reached > upper), axis=1))
-    if out.size:
-        # a joint that did not move has 1e-9 rad of room
-        inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + 1e-9)))
-        starts = np.clip(reached[out], lower, upper)
-        reached[out] = best_of_seeds(inside, goals[out], starts, where.rows(out), constraints)[0]
-    return reached
+def _promising(model: Model, seeds: Array) -> Callable[[Task], Array]:
+    """Of goals the (k, 6, n) of random postures (s, n) of a redundant arm whose linear steps to the goals end nearest
+    to the postures near."""
+    scale = metric(model) / model.reach
+    positions, jacobians = linearization(model, Conditions())(seeds, np.arange(len(seeds)))
+    shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
+
+    def promising(task: Task) -> Array:
+        steps = np.einsum("snd,ksd->ksn", shortest, task.goals[:, None] - positions)
+        ends = np.clip(seeds + steps, model.arm.lower, model.arm.upper)
+        distances = np.linalg.norm((ends - task.near[:, None]) * scale, axis=2)
+        return np.asarray(seeds[np.argsort(distances, axis=1, kind="stable")[:, :6]])
+
+    return promising
+
+
+def _barred(task: Task, seeds: Array, postures: Array, left: Array) -> NDArray[np.bool_]:
+    """(k,) where the goals themselves miss a constraint, as far as postures (k, s, n) that leave (k, s), and a few more
+    seeds tell: postures that reach a goal are different, and all miss some margin by the same amount."""
+    further = tried(task, seeds)
+    postures, left = np.concatenate([postures, further[0]], axis=1), np.concatenate([left, further[1]], axis=1)
+    reached = left <= TOLERANCE
+    margins = np.column_stack([each.margin(postures.reshape(-1, postures.shape[2])) for each in task.constraints])
+
+    def ends(values: Array) -> tuple[Array, Array]:
+        """(k, c) largest and smallest of (k, s, c) over postures that reach the goal."""
+        high, low = (np.where(reached[:, :, None], values, end) for end in (-np.inf, np.inf))
+        return high.max(axis=1), low.min(axis=1)
+
+    high, low = ends(margins.reshape(*left.shape, -1))
+    same = np.any((high < -TOLERANCE) & (high - low <= SAME * -high), axis=1)
+    spread = np.subtract(*ends(postures)).max(axis=1)  # witnesses differ by 0.5 rad or mm of some joint
+    return same & (np.count_nonzero(reached, axis=1) >= WITNESSES) & (spread > 0.5)
+
+
+def _led_on(task: Task, postures: Array, left: Array, rank: Array) -> tuple[Array, Array]:
+    """(k, n) postures and (k,) errors of goals that were tried: where no seed reaches one by Newton's method, where
+    those that reach it miss constraints by what is missed as further residuals."""
+    best, errors = postures[:, 0].copy(), left[:, 0].copy()
+    beyond = errors > TOLERANCE
+    missed = ~beyond & (rank[:, 0] >= MISSED) & bool(task.constraints)
+    missed &= best.shape[1] > task.goals.shape[1]  # a redundant arm has more than the seeds found
+    for which, further in ((beyond, _polished), (missed, _turned_away)):
+        if which.any():
+            best[which], errors[which] = further(task.at(which), postures[which])
+    return best, errors
+
+
+def _turned_away(task: Task, starts: Array) -> tuple[Array, Array]:
+    """(k, n) postures and what they leave (k,): of those led from postures that miss constraints, starts (k, s, n),
+    best first, to where they hold; the nearest to that where none gets there."""
+    starts = starts[:, :4]  # a few seeds are led out of there, more is effort
+    every, k, n = task.at(np.repeat(np.arange(len(starts)), starts.shape[1])), len(starts), starts.shape[2]
+    linearize = linearization(task.model, every.conditions)
+    bends = BEND * task.model.reach / metric(task.model)
+
+    def gaps(postures: Array, rows: Index) -> tuple[Array, Array]:
+        """Of the goal and, where a margin is missed, of a place 0.01 mm inside; derivatives by differences."""
+        position, jacobian = linearize(postures, rows)
+        residuals, slopes = [every.goals[rows] - position], [jacobian]
+        for constraint in task.constraints:
+            margins = constraint.margin(postures)
+            missed, slope = np.maximum(0.01 - margins, 0.0), np.zeros((*margins.shape, n))
+            out = np.flatnonzero(missed.any(axis=1))
+            bent = constraint.margin((postures[out, None] + np.diag(bends)).reshape(-1, n))
+            bent = bent.reshape(len(out), n, margins.shape[1])
+            slope[out] = np.swapaxes(bent - margins[out, None], 1, 2) / bends
+            slope[missed == 0.0] = 0.0
+            residuals.append(missed)
+            slopes.append(slope)
+        return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1)
+
+    ends, _ = _least(task.model, gaps, starts.reshape(-1, n), MAX_ITERATIONS)
+    ends, left = inverse_kinematics(every, ends)
+    rank = ranked(np.zeros(len(left)), left, violations(task.constraints, ends).sum(axis=1)).reshape(k, -1)
+    best = np.ravel_multi_index((np.arange(k), np.argmin(rank, axis=1)), rank.shape)
+    return ends[best], left[best]
+
+
+def _polished(task: Task, starts: Array) -> tuple[Array, Array]:
+    """(k, n) postures and (k,) errors: the closest to goals out of reach, within the limits, by Newton's method;
+    starts (k, s, n), best first."""
+    model, arm, units = task.model, task.model.arm, task.model.reach / metric(task.model)
+    linearize = linearization(model, task.conditions)
+    # of starts that are nearly the same the first
+    firsts = (np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1]) for ordered in starts)
+    kinds = [ordered[first] for ordered, first in zip(starts, firsts, strict=True)]
+    goal = np.repeat(np.arange(len(kinds)), [len(kind) for kind in kinds])
+    bends = np.concatenate([np.zeros((1, arm.links)), np.diag(BEND * units)])
+
+    def height(q: Array, rows: Index) -> Array:
+        return -0.5 * np.sum((linearize(q, goal[rows])[0] - task.goals[goal[rows]]) ** 2, axis=1)
+
+    def slopes(q: Array, rows: Index) -> tuple[Array, Array]:
+        bent = (q[:, None] + bends).reshape(-1, arm.links)
+        position, jacobian = linearize(bent, np.repeat(goal[rows], len(bends)))
+        gap = task.goals[goal[rows]] - position.reshape(len(q), len(bends), -1)[:, 0]
+        jacobian = jacobian.reshape(len(q), len(bends), *jacobian.shape[1:])
+        along = np.einsum("kd,kidn->kin", gap, jacobian)
+        bend = (along[:, 1:] - along[:, :1]) / (BEND * units[:, None])
+        return along[:, 0], 0.5 * (bend + np.swapaxes(bend, 1, 2)) - np.swapaxes(jacobian[:, 0], 1, 2) @ jacobian[:, 0]
+
+    ends = newton_ascent(np.concatenate(kinds), height, slopes, (arm.lower, arm.upper), units)
+    order = np.lexsort((-height(ends, np.arange(len(ends))), goal))
+    return inverse_kinematics(task, ends[order[np.unique(goal[order], return_index=True)[1]]])

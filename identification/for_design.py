@@ -30,9 +30,8 @@ from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
 from identification.measurements import directions_from_order, past_from_order, session_time
 from identification.model import Model
-from identification.model.contacts import led_to_contact
 from identification.model.minimal import PRACTICAL, minimal
-from identification.model.positions import of_positions, tip_jacobian
+from identification.model.placed import led_to_contact, of_positions, tip_jacobian
 from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
 
 if TYPE_CHECKING:

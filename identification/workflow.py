@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
 
 from identification.document import Answer, Document
 from identification.errors import InputError
-from identification.progress import Progress, silent
+from identification.running import Progress, silent
 
 if TYPE_CHECKING:
     from identification.arm import Arm, Calibration, EffectSpec
     from identification.estimation import Identification
-    from identification.estimation.result import Calibrated, CorrectedValue
+    from identification.estimation.result import CorrectedValue
     from identification.gap.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
@@ -55,7 +55,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 def _measured(path: Path, arm: Arm) -> Measurements:
-    from identification.inspection.data_checks import certainly_wrong_units, data_warnings
+    from identification.inspection.readings import certainly_wrong_units, data_warnings
     from identification.measurements import load_measurements
 
     measurements = load_measurements(path, arm)
@@ -243,7 +243,6 @@ def identify_files(
     from identification.estimation import without_outliers as fitted_without_outliers
     from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
-    from identification.estimation.result import Calibrated
     from identification.files.arm import load_arm
     from identification.gap.noise import with_repeats_doubted
     from identification.measurements import rms_distance
@@ -251,9 +250,9 @@ def identify_files(
     from identification.origin import diagnosed
     from identification.reuse import at_reference, earlier, with_base_doubt, with_mounting_doubt, words_of
     from identification.reuse import only as only_these
+    from identification.running import Status
     from identification.sessions import with_sessions
     from identification.simulate import following_errors, with_servo_errors
-    from identification.status import Status
     from identification.validate import drawing_residuals, prior_judged
 
     loaded, words, minimal = load_arm(arm), words_of(only), parameters == "minimal"
@@ -350,7 +349,7 @@ def identify_files(
     except InputError:  # too few rows
         keys["rms_drawing_mm"] = None
     if identified.geometry is not None and not identified.not_identifiable:
-        table, places = dh_table(Calibrated.of(identified), identified.corrected_values, arm)
+        table, places = dh_lines(identified.calibrated_arm(), identified.corrected_values, arm)
         keys |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
     if (unit := reading_unit(identified.model)) != "mm":
         keys["reading_unit"] = unit
@@ -407,29 +406,29 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
     return kept
 
 
-def dh_table(
-    calibrated: Calibrated, values: Sequence[CorrectedValue], arm: Path
+def dh_lines(
+    calibrated: Arm, values: Sequence[CorrectedValue], arm: Path
 ) -> tuple[tuple[CorrectedValue, ...], list[str]]:
     """The corrected Denavit-Hartenberg table of an arm file that has one, and lines of base, measured points and the
     radius of a sphere beside it; else empty.
 
     values : corrected ones, the radius among them
     """
-    from identification.estimation.result import dh_places, dh_values
+    from identification.estimation.result import dh_table
     from identification.files.arm import dh_rows
     from identification.kinematics.frames import point_table, pose_table
 
     if (table := dh_rows(arm)) is None:
         return (), []
     try:
-        rows, places = dh_values(calibrated, *table), dh_places(calibrated, *table)
+        rows, places = dh_table(calibrated, *table)
     except InputError:  # prismatic joints, or axes that are one
         return (), []
     lines = []
     for name, at in places:
         figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
         lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
-    own = {p.name for p in calibrated.geometry.chain.instrument.parameters}
+    own = {p.name for p in calibrated.chain.instrument.parameters}
     touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
     return rows, [*lines, *touched]
 

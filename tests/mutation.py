@@ -38,7 +38,7 @@ TESTED = {  # module -> tests that must notice
     "identification/gap/search.py": ["tests/identification/gap/test_search.py"],
     "doe/bounds/planar_theorem.py": ["tests/doe/bounds/test_planar_theorem.py"],
     "doe/bounds/certificate.py": ["tests/doe/bounds/test_certificate.py"],
-    "doe/criteria/log_determinants.py": ["tests/doe/criteria"],
+    "doe/criteria.py": ["tests/doe/criteria"],
 }
 # arithmetic for other arithmetic, numbers, comparisons, logic; not what raises at once (shifts), nor annotations
 KINDS = re.compile(

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from doe.report.page import page
-from doe.studies.monte_carlo.specification import load_study
+from doe.studies.monte_carlo import load_study
 from identification.document import Document, Section, Sheet
 from identification.errors import InputError
 from identification.files.arm import load_arm
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 # module -> what it may use, and why
 ALLOWED = {
     "doe/__main__.py": {"exec"},  # of the empty text
-    "doe/jobs/running.py": {"multiprocessing", "joblib.externals.loky", "distributed"},  # own child, --cluster alone
+    "doe/jobs.py": {"multiprocessing", "joblib.externals.loky", "distributed"},  # own child, --cluster alone
     "identification/vectorize.py": {"exec", "compile"},  # of lines that it writes itself, from a CasADi function
 }
 DANGEROUS = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "yaml", "subprocess", "socket", "ssl", "ftplib"}
@@ -71,7 +71,7 @@ def test_no_module_of_the_working_directory_is_run(tmp_path: Path) -> None:
         (tmp_path / name / "__init__.py").write_text("open('hijacked', 'w').close()\nraise SystemExit(3)\n")
     task = tmp_path / "script.py"
     task.write_text(
-        "from os import getcwd\nfrom doe.jobs.running import call\nfrom doe.jobs.running import processes\n"
+        "from os import getcwd\nfrom doe.jobs import call, processes\n"
         "if __name__ == '__main__':\n"
         "    assert call(abs, -3, seconds=60.0).value == 3\n"
         "    with processes(2).open() as pool:\n        assert pool.submit(abs, -4).result() == 4\n"

@@ -13,20 +13,20 @@ lowest is far above the designs that are known.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from doe.bounds.certificate import ApproximateDesign, Bound
-from doe.bounds.column_generation import column_generation, continuous_design, rough_design
+from doe.bounds.column_generation import column_generation, continuous_design
 from doe.bounds.continuous import ContinuousSet
 from doe.bounds.planar_theorem import closed_form_bound
-from doe.bounds.weights import POWERS
 from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, JobError, information_matrix, single_thread
 
-ROUGH = 1e-3  # the same for models of many parameters: some seconds instead of half a minute
+ROUGH = 1e-3  # relative gap for models of many parameters: some seconds instead of half a minute
+COARSE = 1e-2  # the same with a prior over many effects, where weights are spread over as many postures
 LOOSE = 1e-3  # of efficiency: a bound this near to a design needs no certificate of its own
 
 
@@ -63,13 +63,9 @@ def best_design(
     if problem.choices is None:
         free, gap = (replace(problem, constraints=()), ROUGH) if many else (problem, 1e-8)
         return continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
-    candidates = listed_candidates(problem, problem.choices)
-    if problem.missing and problem.criterion.name in POWERS:
-        listed = rough_design(problem, candidates, runs=runs, stop=stop)
-    else:
-        rough = many and problem.model.dimension == 1  # one number a run: weights hardly settle
-        options = {"tolerance": ROUGH} if rough else {}
-        listed = column_generation(problem, candidates, runs=runs, stop=stop, **options)
+    one_number = ROUGH if many and problem.model.dimension == 1 else 1e-9  # a run: weights hardly settle
+    candidates, gap = listed_candidates(problem, problem.choices), COARSE if problem.missing else one_number
+    listed = column_generation(problem, candidates, runs=runs, tolerance=gap, stop=stop)
     if not problem.sampled or listed.bound is None or stop():
         return listed
     starts = np.concatenate([listed.plan.postures[:64], *([] if also is None else [also])])  # those of most weight
@@ -86,82 +82,65 @@ def bound_that_holds(
     A numerical bound rests on the largest sensitivity that a search found. A better plan proves that the search missed
     a posture, and one of the plan's own has a greater sensitivity (the criterion is concave).
     """
-    if bound is None or not _beats(value, bound):
+
+    def beaten(by: Bound) -> bool:
+        return value > by.value + 1e-8 * max(1.0, abs(by.value))  # more than rounding
+
+    if bound is None or not beaten(bound):
         return bound
     try:
         again = best_design(problem, len(postures), also=postures, stop=stop).bound
     except JobError:
         return None
-    return None if again is None or _beats(value, again) else again
-
-
-def _beats(value: float, bound: Bound) -> bool:
-    return value > bound.value + 1e-8 * max(1.0, abs(bound.value))  # more than rounding
+    return None if again is None or beaten(again) else again
 
 
 # -- many numbers of runs ----------------------------------------------------------------------------------------------
 def bounds_of_runs(problem: DesignProblem, runs: Sequence[int], stop: Stop = never) -> dict[int, Bound | None]:
     """Number of runs -> bound, None where none was found; looser ones where `stop` ended the search early.
 
-    Certificates are of the most runs, the fewest, and of numbers in between, until bounds are near to designs all the
-    way.
+    Designs are made for the most runs, the fewest, and numbers in between, until bounds are near to them all the way.
     """
     if problem.prior.empty and problem.searched_joints:
         return dict.fromkeys(runs, best_known_bound(problem, runs[0], stop))
     if problem.criterion.name == "E" or not problem.searched_joints:  # gradients of its own dual program
         return {m: best_known_bound(problem, m, stop) for m in runs}
-    fewest, most = min(runs), max(runs)
+    waiting = [(min(runs), max(runs))]
     try:
-        made = [EveryRunCertificate.of(problem, most, stop=stop)]
-        waiting = [(fewest, most)] if fewest < most else []
-        if waiting and not stop():
-            made.append(EveryRunCertificate.of(problem, fewest, made[0].postures, stop))
+        made = [_solved(problem, max(runs), (), stop)]
+        if min(runs) < max(runs) and not stop():
+            made.append(_solved(problem, min(runs), made, stop))
         while waiting and not stop():
             low, high = waiting.pop(0)
             middle = round(float(np.sqrt(low * high)))
-            values, uppers = zip(*(one.at(problem, middle) for one in made), strict=True)
-            efficiency = problem.criterion.efficiency(max(values), min(uppers), problem.parameters)
-            if low < middle < high and efficiency < 1.0 - LOOSE:
-                near = made[int(np.argmax(values))]
-                made.append(EveryRunCertificate.of(problem, middle, near.postures, stop))
+            best, upper = _at(made, problem, middle)[:2]
+            if low < middle < high and problem.criterion.efficiency(best, upper, problem.parameters) < 1.0 - LOOSE:
+                made.append(_solved(problem, middle, made, stop))
                 waiting += [(low, middle), (middle, high)]
     except (JobError, np.linalg.LinAlgError):
         return dict.fromkeys(runs)
-    lowest = {m: min((one.at(problem, m)[1], k) for k, one in enumerate(made)) for m in runs}
-    return {m: replace(made[k].bound, value=value) for m, (value, k) in lowest.items()}
+    lowest = {m: _at(made, problem, m) for m in runs}
+    return {m: None if of.bound is None else replace(of.bound, value=upper) for m, (_, upper, of) in lowest.items()}
 
 
-@dataclass(frozen=True)
-class EveryRunCertificate:
-    """What a design for some number of runs proves of all numbers of them.
+def _solved(problem: DesignProblem, runs: int, made: Sequence[ApproximateDesign], stop: Stop) -> ApproximateDesign:
+    """The optimal design for some number of runs, from the postures of the last. Raises `JobError` where there is no
+    bound."""
+    also = made[-1].plan.postures if made else None
+    optimum = best_design(problem, runs, also=also, stop=stop)
+    if optimum.bound is None:
+        raise JobError(f"bound: {optimum.status.name}, gap {optimum.gap:.2g}; {optimum.status.value}")
+    return optimum
 
-    postures : (k, n) with weight;  new : (p, p) weighted mean of B^T B;  information, gradient : (p, p) M and G
-    largest : max tr(G B^T B) over the design space;  bound : for its own number of runs
-    """
 
-    postures: Array
-    new: Array
-    information: Array
-    gradient: Array
-    largest: float
-    bound: Bound
-
-    @classmethod
-    def of(
-        cls, problem: DesignProblem, runs: int, also: Array | None = None, stop: Stop = never
-    ) -> EveryRunCertificate:
-        """Of the optimal design. Raises `JobError` where it was not reached."""
-        optimum = best_design(problem, runs, also=also, stop=stop)
-        if optimum.bound is None:
-            raise JobError(f"bound: {optimum.status.name}, gap {optimum.gap:.2g}; {optimum.status.value}")
-        prior, plan = problem.prior.per_new_run(runs), optimum.plan
-        largest = (optimum.level + max(optimum.gap, 0.0)) / prior.new_fraction - np.sum(optimum.gradient * prior.total)
-        new = information_matrix(problem.scaled_jacobians(plan.postures), plan.shares)
-        return cls(plan.postures, new, optimum.information, optimum.gradient, float(largest), optimum.bound)
-
-    def at(self, problem: DesignProblem, runs: int) -> tuple[float, float]:
-        """Value of the design, and upper bound, for another number of runs."""
-        prior = problem.prior.per_new_run(runs)
-        largest = float(prior.mixed(np.array(self.largest), self.gradient))
-        upper = problem.criterion.upper_bound(self.information, largest)
-        return float(problem.criterion.value(prior.information(self.new))), upper
+def _at(made: Sequence[ApproximateDesign], problem: DesignProblem, runs: int) -> tuple[float, float, ApproximateDesign]:
+    """For another number of runs the best value of the designs, their lowest bound, and the design that gives it."""
+    values, bounds, prior = [], [], problem.prior.per_new_run(runs)
+    for one in made:
+        fixed = np.sum(one.gradient * one.prior.total)
+        alone = (one.level + max(one.gap, 0.0)) * (1.0 + one.prior.runs) - fixed  # max tr(G B^T B)
+        bounds.append(problem.criterion.upper_bound(one.information, float(prior.mixed(alone, one.gradient))))
+        new = information_matrix(problem.scaled_jacobians(one.plan.postures), one.plan.shares)
+        values.append(float(problem.criterion.value(prior.information(new))))
+    least = int(np.argmin(bounds))
+    return max(values), bounds[least], made[least]

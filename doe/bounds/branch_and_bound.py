@@ -12,20 +12,18 @@ Where a derivative cannot change its sign the box shrinks to its face. Rounding 
 bound on the error of sums of products (number of operations times 2.2e-16 times the sum of magnitudes), where the
 magnitudes are those before anything cancels.
 
-Is a model's sensitivity a trigonometric polynomial of the joint angles? Read off its CasADi instructions.
-
-The scaled Jacobians B(q) of a chain of revolute joints, planar or spatial, are sums of products of sines and cosines of
-whole combinations of joint angles; most effects keep that. Then d(q) = c_0 + sum_t Re(c_t exp(i f_t . q)), whole f_t,
-and its maximum over a box can be bounded by a theorem (`doe.bounds.branch_and_bound`). The walk over the
-instructions is the proof: anything that leaves the ring of trigonometric polynomials gives None.
+*Is a sensitivity such a polynomial?* The scaled Jacobians B(q) of a chain of revolute joints, planar or spatial, are
+sums of products of sines and cosines of whole combinations of joint angles; most effects keep that. Then
+d(q) = c_0 + sum_t Re(c_t exp(i f_t . q)), whole f_t, read off the model's CasADi instructions. The walk over them is
+the proof: anything that leaves the ring of trigonometric polynomials gives None.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -35,8 +33,7 @@ from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array
 
 
-@dataclass(frozen=True)
-class Maximum:
+class Maximum(NamedTuple):
     """max v over the box lies in [value, upper]; `value` is attained at `posture` (n,).
 
     proven : True if `upper` is within the tolerance asked for; else `upper` still holds but is loose
@@ -173,7 +170,7 @@ def maximum(
     *,
     tried: Array,
     tolerance: float = 1e-10,
-    most_boxes: int = 100_000,
+    most_boxes: int = 8_000,  # about a second
     stop: Stop = never,
 ) -> Maximum:
     """The largest value over lower <= q <= upper, to `tolerance` (absolute).
@@ -207,15 +204,8 @@ def maximum(
 
 # -- is a sensitivity such a polynomial? -------------------------------------------------------------------------------
 Frequency = tuple[int, ...]
+Angle = tuple[Frequency, float]  # a whole combination of joint angles plus a constant [rad]
 Polynomial = dict[Frequency, complex]  # whole frequencies -> coefficient of exp(i f . q)
-
-
-@dataclass(frozen=True)
-class Angle:
-    """A whole combination of joint angles plus a constant [rad]."""
-
-    frequency: Frequency
-    constant: float
 
 
 @dataclass(frozen=True)
@@ -274,9 +264,9 @@ def polynomials(function: ca.Function) -> dict[tuple[int, int], Polynomial]:
         operation = function.instruction_id(k)
         sources, targets = function.instruction_input(k), function.instruction_output(k)
         if operation == ca.OP_CONST:
-            work[targets[0]] = Angle((0,) * n, function.instruction_constant(k))
+            work[targets[0]] = (0,) * n, function.instruction_constant(k)
         elif operation == ca.OP_INPUT:
-            work[targets[0]] = Angle(tuple(int(j == sources[1]) for j in range(n)), 0.0)
+            work[targets[0]] = tuple(int(j == sources[1]) for j in range(n)), 0.0
         elif operation == ca.OP_OUTPUT:
             entries[places[targets[1]]] = _polynomial(work[sources[0]])
         elif operation in OPERATIONS:
@@ -287,39 +277,37 @@ def polynomials(function: ca.Function) -> dict[tuple[int, int], Polynomial]:
 
 
 def _polynomial(value: Angle | Polynomial) -> Polynomial:
-    if isinstance(value, dict):
-        return value
-    return {value.frequency: complex(_constant(value))}
+    return value if isinstance(value, dict) else {value[0]: complex(_constant(value))}
 
 
 def _constant(value: Angle | Polynomial) -> float:
-    if isinstance(value, dict) or any(value.frequency):
+    if isinstance(value, dict) or any(value[0]):
         raise NotTrigonometric
-    return value.constant
+    return value[1]
 
 
 def _wave(x: Angle | Polynomial, quarter: complex = 1.0) -> Polynomial:
     """cos x, or with a `quarter` of a turn, -i, sin x."""
-    if not isinstance(x, Angle):
+    if isinstance(x, dict):
         raise NotTrigonometric
-    turn = quarter * np.exp(1j * x.constant)
-    if not any(x.frequency):
-        return {x.frequency: complex(turn.real)}
-    return {x.frequency: complex(turn / 2.0), tuple(-f for f in x.frequency): complex(np.conj(turn) / 2.0)}
+    frequency, turn = x[0], quarter * np.exp(1j * x[1])
+    if not any(frequency):
+        return {frequency: complex(turn.real)}
+    return {frequency: complex(turn / 2.0), tuple(-f for f in frequency): complex(np.conj(turn) / 2.0)}
 
 
 def _scale(x: Angle | Polynomial, factor: float) -> Angle | Polynomial:
     if isinstance(x, dict):
         return {frequency: factor * value for frequency, value in x.items()}
-    scaled = tuple(factor * f for f in x.frequency)
+    scaled = [factor * f for f in x[0]]
     if any(f != int(f) for f in scaled):
         raise NotTrigonometric  # a fraction of an angle: a gear ratio known to be wrong, not periodic
-    return Angle(tuple(int(f) for f in scaled), factor * x.constant)
+    return tuple(int(f) for f in scaled), factor * x[1]
 
 
 def _add(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
-    if isinstance(x, Angle) and isinstance(y, Angle):
-        return Angle(tuple(a + b for a, b in zip(x.frequency, y.frequency, strict=True)), x.constant + y.constant)
+    if not isinstance(x, dict) and not isinstance(y, dict):
+        return tuple(a + b for a, b in zip(x[0], y[0], strict=True)), x[1] + y[1]
     total = dict(_polynomial(x))
     for frequency, value in _polynomial(y).items():
         total[frequency] = total.get(frequency, 0.0) + value
@@ -328,8 +316,8 @@ def _add(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
 
 def _multiply(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
     for factor, other in ((x, y), (y, x)):
-        if isinstance(factor, Angle) and not any(factor.frequency):
-            return _scale(other, factor.constant)
+        if not isinstance(factor, dict) and not any(factor[0]):
+            return _scale(other, factor[1])
     product: Polynomial = {}
     for f, a in _polynomial(x).items():
         for g, b in _polynomial(y).items():
@@ -344,17 +332,15 @@ def _divide(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
     return _scale(x, 1.0 / _constant(y))
 
 
-OPERATIONS: Mapping[int, Callable[..., Angle | Polynomial]] = MappingProxyType(
-    {
-        ca.OP_ASSIGN: lambda x: x,
-        ca.OP_COS: _wave,
-        ca.OP_SIN: lambda x: _wave(x, -1j),
-        ca.OP_ADD: _add,
-        ca.OP_SUB: lambda x, y: _add(x, _scale(y, -1.0)),
-        ca.OP_NEG: lambda x: _scale(x, -1.0),
-        ca.OP_TWICE: lambda x: _scale(x, 2.0),
-        ca.OP_SQ: lambda x: _multiply(x, x),
-        ca.OP_MUL: _multiply,
-        ca.OP_DIV: _divide,
-    }
-)
+OPERATIONS: dict[int, Callable[..., Angle | Polynomial]] = {
+    ca.OP_ASSIGN: lambda x: x,
+    ca.OP_COS: _wave,
+    ca.OP_SIN: lambda x: _wave(x, -1j),
+    ca.OP_ADD: _add,
+    ca.OP_SUB: lambda x, y: _add(x, _scale(y, -1.0)),
+    ca.OP_NEG: lambda x: _scale(x, -1.0),
+    ca.OP_TWICE: lambda x: _scale(x, 2.0),
+    ca.OP_SQ: lambda x: _multiply(x, x),
+    ca.OP_MUL: _multiply,
+    ca.OP_DIV: _divide,
+}

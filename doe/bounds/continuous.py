@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.problem.postures import random_postures
-from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives, PriorInformation, Stop, never
+from doe.problem.problem import Derivatives, DesignProblem, PriorInformation, Stop, never
 from identification import Array
 from identification.newton_ascent import newton_ascent
 
@@ -39,12 +39,12 @@ class ContinuousSet:
     also: Array | None = None
 
     @cached_property
-    def _derivatives(self) -> JacobianDerivatives:
-        return JacobianDerivatives(self.problem, range(self.problem.joints))
+    def _derivatives(self) -> Derivatives:
+        return self.problem.jacobian_derivatives(range(self.problem.joints))
 
     @cached_property
-    def _walls(self) -> ConstraintDerivatives:
-        return ConstraintDerivatives(self.problem, range(self.problem.joints))
+    def _walls(self) -> Derivatives:
+        return self.problem.wall_derivatives(range(self.problem.joints))
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
@@ -57,7 +57,7 @@ class ContinuousSet:
         slope = 2.0 * np.einsum("mx,max->ma", weighted.reshape(len(first), -1), flat)
         hessian = (first @ gradient).reshape(flat.shape) @ np.swapaxes(flat, 1, 2)
         hessian += self._derivatives.bend(postures, weighted)
-        return self.prior.new_fraction * slope, 2.0 * self.prior.new_fraction * hessian
+        return slope / (1.0 + self.prior.runs), 2.0 * hessian / (1.0 + self.prior.runs)
 
     @cached_property
     def starts(self) -> Array:
@@ -126,10 +126,10 @@ class ContinuousSet:
             if not barrier.any():
                 return slope, hessian
             margins, first = self._walls.first(postures)
-            relative = first / margins[..., None]
-            bend = self._walls.bend(postures, 1.0 / margins) - np.swapaxes(relative, 1, 2) @ relative
+            relative = first / margins[:, None]
+            bend = self._walls.bend(postures, 1.0 / margins) - relative @ np.swapaxes(relative, 1, 2)
             each = barrier[rows, None]
-            return slope + each * relative.sum(axis=1), hessian + each[..., None] * bend
+            return slope + each * relative.sum(axis=2), hessian + each[..., None] * bend
 
         limits = self.problem.lower, self.problem.upper
         return newton_ascent(q, height, slopes, limits, self.problem.joint_units, 1e-3 * barrier, stop)

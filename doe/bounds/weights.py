@@ -6,40 +6,33 @@ Newton's method on w_i s_i = mu, mu -> 0, takes some twenty steps, each one Chol
 support, to a gap of 1e-13. Accuracy here saves work elsewhere: at the optimum the sensitivity of the base model is a
 sum of waves of separate joints, whose maximum is proven immediately.
 
-*Multiplicative*, for very many parameters, to a gap of a percent: w_i <- w_i tr(G B_i^T B_i)^power, made to sum to one
-(S. D. Silvey, D. M. Titterington, B. Torsney, 1978); the criterion never falls for D with power 1 and for A and I with
-power 1/2 (Y. Yu, "Monotonic convergence of a general algorithm for computing optimal designs", Annals of Statistics 38,
-2010). A step costs one pass over the postures, whatever the number of those that carry weight.
+*Multiplicative*, for hundreds of parameters, to a gap of a percent: w_i <- w_i tr(G B_i^T B_i)^power, made to sum to
+one (S. D. Silvey, D. M. Titterington, B. Torsney, 1978); the criterion never falls for D with power 1 and for A and I
+with power 1/2 (Y. Yu, Annals of Statistics 38, 2010). A step costs one pass over the postures.
 
-The relaxation as one convex program in cvxpy, with Clarabel or SCS: independent of column generation.
-
-    maximise Phi(M),  M = sum_i w_i F_i,  w >= 0, sum w = 1
-
-The textbook's V diag(w) V^T takes 1.2 GB at a thousand candidates. Here M is a variable, tied to the weights by as many
-equations as the F_i have dimensions (13 for four links), after a change of coordinates in which the average posture has
-the unit matrix.
+*One convex program* in cvxpy with Clarabel, independent of all else. The textbook's V diag(w) V^T takes 1.2 GB at a
+thousand candidates. Here M is a variable, tied to the weights by as many equations as the F_i have dimensions (13 for
+four links), after a change of coordinates in which the average posture has the unit matrix.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from itertools import combinations_with_replacement
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from doe.criteria import Criterion
-from doe.criteria.criterion import Factored, log_determinants, smooth
-from doe.criteria.variances import InverseTrace
-from doe.problem.problem import PriorInformation, Stop, never
+from doe.criteria import Criterion, InverseTrace, log_determinants
+from doe.problem.problem import PriorInformation, Stop, information_of_each, never
 from identification import Array, InputError, JobError
-from identification.information import CLEAR, PRODUCT_TOLERANCE, significant
-from identification.vectorize import PART
+from identification.information import significant
 
 POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
+PRODUCT = 1e-12  # of the largest eigenvalue of a product: below, too few digits are left
+# Clarabel fails on some of these programs with its own scaling of the rows and on others without it
+SETTINGS: tuple[dict[str, Any], ...] = ({"equilibrate_enable": False}, {})
 
 
 def interior_point_weights(
@@ -54,6 +47,10 @@ def interior_point_weights(
         gradient = criterion.gradient(prior.mixture(jacobians, w))
         return gradient, prior.sensitivities(jacobians, gradient)
 
+    def to_boundary(values: Array, change: Array) -> float:
+        falling = change < 0.0
+        return float(np.min(-values[falling] / change[falling], initial=np.inf))
+
     w = np.full(len(jacobians), 1.0 / len(jacobians))
     gradient, g = judged(w)
     nu = float(g.max()) + 0.1 * abs(float(w @ g))
@@ -66,11 +63,8 @@ def interior_point_weights(
             best, smallest, stalled = (w, gradient), gap, 0
         if gap <= tolerance * abs(float(w @ g)) or stalled > 5:  # steps without a smaller gap: rounding is reached
             break
-        curvature, mu, residual = (
-            minus_hessian(jacobians, w, criterion, prior),
-            0.1 * float(w @ s) / len(w),  # of the complementarity
-            g + s - nu,
-        )
+        curvature = minus_hessian(jacobians, w, criterion, prior)
+        mu, residual = 0.1 * float(w @ s) / len(w), g + s - nu  # of the complementarity
         try:
             factor = cho_factor(curvature + np.diag(s / w), lower=True)
         except np.linalg.LinAlgError:  # indefinite by rounding, which happens when the gap is down to rounding too
@@ -79,16 +73,28 @@ def interior_point_weights(
         dnu = float(right[:, 0].sum() / right[:, 1].sum())
         dw = right[:, 0] - dnu * right[:, 1]
         ds = curvature @ dw + dnu - residual
-        step = min(1.0, 0.99 * min(_to_boundary(w, dw), _to_boundary(s, ds)))
+        step = min(1.0, 0.99 * min(to_boundary(w, dw), to_boundary(s, ds)))
         w, s, nu = w + step * dw, s + step * ds, nu + step * dnu
         w = w / w.sum()
         gradient, g = judged(w)
     return best
 
 
-def _to_boundary(values: Array, change: Array) -> float:
-    falling = change < 0.0
-    return float(np.min(-values[falling] / change[falling], initial=np.inf))
+def multiplicative_weights(
+    jacobians: Array, criterion: Criterion, prior: PriorInformation, gap: float, stop: Stop = never
+) -> tuple[Array, Array]:
+    """(k,) weights for scaled Jacobians (k, d, p) from equal ones, until max tr(G F) is within `gap` of tr(G M); and
+    (p, p) G there. For D, A and I."""
+    weights, rows = np.full(len(jacobians), 1.0 / len(jacobians)), jacobians.reshape(-1, jacobians.shape[2])
+    for _ in range(2000):
+        information = prior.mixture(jacobians, weights)
+        gradient = criterion.gradient(information)
+        each = np.einsum("ia,ia->i", rows @ gradient, rows).reshape(len(jacobians), -1).sum(axis=1)
+        if prior.mixed(each, gradient).max() <= (1.0 + gap) * float(np.sum(gradient * information)) or stop():
+            break
+        weights = weights * each ** POWERS[criterion.name]
+        weights /= weights.sum()
+    return np.where(weights > 1e-6 * weights.max(), weights, 0.0), gradient  # the others are left out
 
 
 def minus_hessian(jacobians: Array, weights: Array, criterion: Criterion, prior: PriorInformation) -> Array:
@@ -98,11 +104,12 @@ def minus_hessian(jacobians: Array, weights: Array, criterion: Criterion, prior:
     tr(L B_i^T B_i R B_j^T B_j) is the scalar product of B_j L B_i^T and B_j R B_i^T: products of (k d, p) by (p, k d).
     """
     information = prior.mixture(jacobians, weights)
-    if not isinstance(criterion, Factored):
-        return -smooth(criterion).curvature(information, prior.posture_information(jacobians))
+    factors = criterion.curvature_factors(information)
+    if factors is None:
+        return -criterion.smooth.curvature(information, prior.posture_information(jacobians))
     k, d, _ = jacobians.shape
     total = np.zeros((k, k))
-    for factor, left, right in criterion.curvature_factors(information):
+    for factor, left, right in factors:
         halves = [jacobians @ side for side in ([left] if right is left else [left, right])]
         for one, other in combinations_with_replacement(range(d), 2):
             products = [half[:, one] @ jacobians[:, other].T for half in halves]
@@ -112,26 +119,7 @@ def minus_hessian(jacobians: Array, weights: Array, criterion: Criterion, prior:
             prior_part = left @ prior.total @ right
             each = np.einsum("kda,ab,kdb->k", jacobians, 0.5 * (prior_part + prior_part.T), jacobians, optimize=True)
             total += factor * (each[:, None] + each + np.sum(prior_part * prior.total))
-    return np.asarray(total * prior.new_fraction**2)
-
-
-def multiplicative_weights(
-    jacobians: Array, criterion: Criterion, prior: PriorInformation, gap: float, stop: Stop = never
-) -> Array:
-    """(k,) weights for scaled Jacobians (k, d, p) from equal ones, until max tr(G F) is within `gap` of tr(G M)."""
-    k, d, p = jacobians.shape
-    parts = [jacobians[start : start + PART].reshape(-1, p) for start in range(0, k, PART)]
-    weights = np.full(k, 1.0 / k)
-    for _ in range(2000):
-        information = prior.mixture(jacobians, weights)
-        gradient = criterion.gradient(information)
-        each = np.concatenate([np.einsum("ia,ia->i", rows @ gradient, rows) for rows in parts])
-        each = each.reshape(k, d).sum(axis=1)
-        if prior.mixed(each, gradient).max() <= (1.0 + gap) * float(np.sum(gradient * information)) or stop():
-            break
-        weights = weights * each ** POWERS[criterion.name]
-        weights /= weights.sum()
-    return weights
+    return np.asarray(total / (1.0 + prior.runs) ** 2)
 
 
 def proper_weights(weights: Array) -> Array:
@@ -147,69 +135,25 @@ def proper_weights(weights: Array) -> Array:
 
 
 def sparsest(jacobians: Array, weights: Array) -> Array:
-    """Weights (k,) of the same information matrix on at most p (p + 1) / 2 + 1 postures (Caratheodory).
+    """Weights (k,) of the same information matrix on as few postures as the F_i have dimensions (Caratheodory): of
+    nonnegative least squares, whose active set is independent. Large problems stay as they are."""
+    from scipy.optimize import nnls  # 0.1 s to import
 
-    Along a combination c with sum c_i F_i = 0 and sum c_i = 0 the information does not change: follow it until a
-    weight is zero, and again.
-    """
-    from scipy.linalg import null_space  # 0.1 s to import
-
-    upper = np.triu_indices(jacobians.shape[2])
-    support = np.flatnonzero(weights > 0.0)
-    carried = jacobians[support]
-    if clearly_independent(carried):
+    support, upper = np.flatnonzero(weights > 0.0), np.triu_indices(jacobians.shape[2])
+    if len(support) * len(upper[0]) > 300_000:
         return weights / weights.sum()
-    posture_information = (np.swapaxes(carried, 1, 2) @ carried)[:, upper[0], upper[1]]
-    w, alive = weights[support].copy(), np.ones(len(support), dtype=bool)
-    nothing = null_space(
-        np.vstack([posture_information.T / np.abs(posture_information).max(), np.ones(len(support))]),
-        rcond=PRODUCT_TOLERANCE,
-    )
-    while nothing.shape[1]:
-        direction = nothing[:, 0] if nothing[:, 0].min() < 0.0 else -nothing[:, 0]
-        falling = np.flatnonzero(alive & (direction < 0.0))
-        reach = -w[falling] / direction[falling]
-        gone = falling[int(np.argmin(reach))]
-        w = np.maximum(w + reach.min() * direction, 0.0)
-        w[gone], alive[gone] = 0.0, False
-        pivot = int(np.argmax(np.abs(nothing[gone])))  # combinations that leave the posture gone untouched
-        others = np.delete(nothing, pivot, axis=1)
-        nothing = others - np.outer(nothing[:, pivot], others[gone] / nothing[gone, pivot])
-        nothing[~alive] = 0.0
-    sparse = np.zeros_like(weights)
-    sparse[support] = w / w.sum()
-    return sparse
+    entries = information_of_each(jacobians[support])[:, upper[0], upper[1]]
+    equations = np.vstack([entries.T / np.abs(entries).max(), np.ones(len(support))])
+    sparse, right = np.zeros_like(weights), equations @ weights[support]
+    with suppress(RuntimeError):  # of equations that are nearly dependent it may find no end
+        sparse[support], left = nnls(equations, right)
+        if left <= 1e-13 * np.linalg.norm(right):
+            return sparse / sparse.sum()
+    return weights / weights.sum()
 
 
-def clearly_independent(jacobians: Array) -> bool:
-    """True where the F_i = B_i^T B_i of (k, d, p) are clearly independent: no combination of them is zero.
-
-    Their scalar products are tr(F_i F_j) = |B_i B_j^T|^2 (Frobenius): a matrix of k, not of p (p + 1) / 2 rows, which
-    holds half the digits; what is not clear by far is left to the singular values.
-    """
-    k, d, p = jacobians.shape
-    rows = jacobians.reshape(k * d, p)
-    products = np.square(rows @ rows.T).reshape(k, d, k, d).sum(axis=(1, 3))
-    lengths = np.sqrt(np.diag(products))
-    if not np.all(lengths > 0.0):
-        return False
-    return bool(np.linalg.eigvalsh(products / lengths / lengths[:, None])[0] > CLEAR)
-
-
-# -- one convex program ------------------------------------------------------------------------------------------------
-# Clarabel fails on some of these programs with its own scaling of the rows and on others without it
-SETTINGS: Mapping[str, Sequence[Mapping[str, Any]]] = MappingProxyType(
-    {
-        "clarabel": ({"equilibrate_enable": False}, {}),
-        "scs": ({"eps": 1e-8, "max_iters": 20_000},),
-    }
-)
-
-
-def solve_program(
-    posture_information: Array, criterion: Criterion, solver: str
-) -> tuple[Array | None, str, Array | None]:
-    """The solver's weights (N,) for F_i (N, p, p), None if it returned none; its own name for its status; and for E
+def solve_program(posture_information: Array, criterion: Criterion) -> tuple[Array | None, str, Array | None]:
+    """Clarabel's weights (N,) for F_i (N, p, p), None if it returned none; its own name for its status; and for E
     (p, p) G >= 0 of unit trace from the dual: any such G bounds the smallest eigenvalue, lambda_min(N) <= tr(G N)."""
     import cvxpy as cp
 
@@ -224,15 +168,10 @@ def solve_program(
     rows, columns = np.triu_indices(p)
     entries = (root @ posture_information @ root.T)[:, rows, columns]
     # a basis of their span, and their coordinates in it, by the smaller of the two normal matrices
-    if n < len(rows):
-        values, vectors = np.linalg.eigh(entries @ entries.T)
-        seen = significant(values, PRODUCT_TOLERANCE)
-        lengths = np.sqrt(values[seen])
-        basis, coordinates = entries.T @ (vectors[:, seen] / lengths), vectors[:, seen] * lengths
-    else:
-        values, vectors = np.linalg.eigh(entries.T @ entries)
-        basis = vectors[:, significant(values, PRODUCT_TOLERANCE)]
-        coordinates = entries @ basis
+    values, vectors = np.linalg.eigh(entries @ entries.T if n < len(rows) else entries.T @ entries)
+    seen = significant(values, PRODUCT)
+    basis = vectors[:, seen] if n >= len(rows) else entries.T @ (vectors[:, seen] / np.sqrt(values[seen]))
+    coordinates = entries @ basis
     square = np.zeros((p, p, basis.shape[1]))
     square[rows, columns], square[columns, rows] = basis, basis
     weights, place = cp.Variable(n, nonneg=True), cp.Variable(basis.shape[1])
@@ -250,7 +189,13 @@ def solve_program(
     else:
         reason = f"{criterion.name} has no program for this solver"
         raise InputError(f"criterion: {reason}, allowed: D, A, I, E; column_generation knows more")
-    status = _run(cp.Problem(cp.Maximize(objective), tied), solver)
+    program, status = cp.Problem(cp.Maximize(objective), tied), "solver_error"
+    for settings in SETTINGS:
+        with warnings.catch_warnings(), suppress(cp.error.SolverError):
+            warnings.simplefilter("ignore")  # what cvxpy warns of is the status, which is reported
+            program.solve(solver="CLARABEL", **settings)
+            status = str(program.status)
+            break
     if weights.value is None or not np.all(np.isfinite(weights.value)):
         return None, status, None
     if floor is None:
@@ -258,14 +203,3 @@ def solve_program(
     values, vectors = np.linalg.eigh(root.T @ (floor.dual_value + floor.dual_value.T) @ root)
     positive = np.maximum(values, 0.0)
     return np.asarray(weights.value), status, (vectors * (positive / positive.sum())) @ vectors.T
-
-
-def _run(program: Any, solver: str) -> str:
-    import cvxpy as cp
-
-    for settings in SETTINGS[solver]:
-        with warnings.catch_warnings(), suppress(cp.error.SolverError):
-            warnings.simplefilter("ignore")  # what cvxpy warns of is the status, which is reported
-            program.solve(solver=solver.upper(), **settings)
-            return str(program.status)
-    return "solver_error"

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from doe.problem.problem import DesignProblem
     from identification import Arm
+    from identification.document import Section
 
 UNLIKE_ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
 
@@ -205,11 +206,9 @@ def design_files(
     force : Overwrite an existing file.
     """
     from doe.plan.accuracy import tip_beside_random
-    from doe.plan.order import check_order, ordered
-    from doe.plan.plan import plan_text
-    from doe.problem.model import offers
+    from doe.plan.plan import check_order, ordered, plan_text, travel
     from doe.problem.uncertain import with_choices
-    from doe.report.design import design_document, discriminating_parts, missing_lines
+    from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
     from identification import load_arm
 
@@ -243,14 +242,13 @@ def design_files(
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
     if order is not None:
-        sequence = ordered(design.plan, order, seed=seed)
-        design = replace(design, plan=sequence.plan)
-        data["travel_deg"] = sequence.to_json()
-        before, after = (math.degrees(travel) for travel in (sequence.before, sequence.after))
-        extra.append(f"order {order}: joint travel {before:.0f} -> {after:.0f} deg ({sequence.saved:.0%} saved)")
-    model: Any = design.problem.model
-    columns = model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
-    text = plan_text(design.plan, loaded.joint_types, columns)
+        before = math.degrees(travel(design.plan.postures))
+        design = replace(design, plan=ordered(design.plan, order, seed=seed))
+        after = math.degrees(travel(design.plan.postures))
+        saved = 1.0 - after / before if before > 0.0 else 0.0
+        data["travel_deg"] = {"order": order, "before": before, "after": after, "saved": saved}
+        extra.append(f"order {order}: joint travel {before:.0f} -> {after:.0f} deg ({saved:.0%} saved)")
+    text = plan_text(design.plan, loaded.joint_types, columns_beside(design))
     extra += written({out: text, picture: drawing("plan_figure", loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
@@ -400,7 +398,7 @@ def relax_files(
 
     grid : Levels per joint; left out: about 10,000 in all.
     candidates : CSV of allowed postures instead of a grid.
-    solver : clarabel, scs, multiplicative or column_generation; left out: the latter, with --robust multiplicative.
+    solver : column_generation (the default), or clarabel, which is independent of it.
     check : Cross-check by independent methods.
     runs : Number of measurements m, for --robust and spatial arms.
     seconds : Time budget [s]; left out: 40.
@@ -422,9 +420,9 @@ def relax_files(
         raise InputError("--runs: found without --robust, allowed: with --robust")
     problem = design_problem(loaded, criterion, candidates=candidates if robust else None)
     problem = with_choices(problem) if robust and grid is None else problem
-    solver = solver or ("multiplicative" if robust else "column_generation")
+    solver = solver or "column_generation"
     if seconds is not None and solver in LARGEST:
-        reason, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
+        reason, allowed = f"found with --solver {solver}", "column_generation"
         raise InputError(f"--seconds: {reason}, which cannot be stopped, allowed: with {allowed}")
     if candidates is not None:
         places: Any = load_plan(candidates, problem.model.joint_types).postures
@@ -446,7 +444,7 @@ def relax_files(
         checked = with_choices(problem) if robust else problem
         exact = runs or max(2 * loaded.links, problem.fewest_runs)
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
-        data["cross_check"] = compared.rows()
+        data["cross_check"] = compared
         shown.append(cross_check_table(compared))
     text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
     return with_collisions(Answer(data, [*shown, *written({out: text}, force, "plan with weights")]), loaded)
@@ -478,7 +476,7 @@ def compare_files(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs.rows import RowTable, made, parquet
+    from doe.jobs import parquet, tables
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.solvers.solving import check_runs
@@ -493,13 +491,12 @@ def compare_files(
     for arm, number in product(loaded, runs):
         check_runs(compared_problem(arm, chosen[0]), number)
     where = job.where(1)  # before the folder is made
-    table_file: Path | None = job.out
-    if table_file is not None and table_file.suffix != ".parquet":
-        table_file = made(table_file) / "rows.parquet"
-    with interruptible(table_file), RowTable.open(table_file, resume=job.resume, force=job.force) as table:
+    alone = job.out is not None and job.out.suffix == ".parquet"
+    folder, name = (job.out.parent, job.out.name) if job.out is not None and alone else (job.out, "rows.parquet")
+    with interruptible(job.out), tables(folder, name, resume=job.resume, force=job.force) as (table,):
         rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown, summed = comparison_parts(rows), summary(rows)
-    if job.out is not None and table_file != job.out:
+    if job.out is not None and not alone:
         from doe.report.page import svg
         from doe.report.studies import profile_figure, time_figure
 
@@ -539,7 +536,7 @@ def discriminate_files(
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
-    from doe.report.design import missing_payload, next_document
+    from doe.report.design import next_document
     from identification import LARGEST_MASS, Model, csv_text, diagnose, load_arm, refuse_contacts
 
     loaded, masses = load_arm(arm), None
@@ -573,7 +570,7 @@ def discriminate_files(
     chosen = discriminate(loaded, diagnosis, measurements, runs, seed, masses, stop=late)
     lines = written({out: csv_text(chosen.columns)}, force, "next postures")
     lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
-    shown = [next_document(diagnosis, chosen), *lines, *missing_payload(loaded, measurements, chosen)]
+    shown = [next_document(loaded, measurements, diagnosis, chosen).plus(*lines)]
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
     return with_collisions(Answer(keys | chosen.to_json(), shown), loaded)
 
@@ -595,11 +592,15 @@ def report_files(
     out : Write the page.
     force : Overwrite an existing file.
     """
-    from doe.report.design import design_verdict, file_section
+    from doe.plan.plan import Plan
+    from doe.report.design import design_verdict, plan_section
     from doe.report.page import hashes
     from identification import Campaign
 
-    campaign = Campaign.of(files, show_plan=file_section, judge=design_verdict)
+    def show(arm: Arm, file: Any, name: str) -> Section:
+        return plan_section(arm, Plan(file.postures, file.weights, fit=file.fit), file.cells, name)
+
+    campaign = Campaign.of(files, show_plan=show, judge=design_verdict)
     write_together({out: page(campaign.document(), files)}, force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,10 +12,11 @@ from identification import InputError, JobError, Progress, nearest, silent
 from identification.document import Answer
 
 if TYPE_CHECKING:
-    from doe.jobs.running import Workers
-    from doe.studies.blind.score import BlindStudy
-    from doe.studies.paper.study import PaperStudy
+    from doe.jobs import Workers
+    from doe.studies.blind.study import BlindStudy
+    from doe.studies.paper import PaperStudy
 
+BUILT_IN = ("blind", "blind-spatial", "paper")
 Options = dict[str, Any]  # seed, resume, force, progress
 
 EXAMPLE = """armcal study study.toml --workers 4
@@ -82,32 +81,26 @@ def command(
     where = job.where()
     with interruptible(folder):
         options = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
+        if study == "paper":
+            return _paper(replications, folder, where, options)
         if study in BUILT_IN:
-            return BUILT_IN[study](replications, folder, where, options, **({"cells": cells} if cells else {}))
+            return _blind(cells, study == "blind-spatial", replications, folder, where, options)
         return _from_file(Path(study), replications, folder, where, options)
 
 
 def _from_file(path: Path, replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
-    """A Monte Carlo study that a file describes."""
-    from dataclasses import replace
-
-    from doe.jobs.rows import journal_of
+    """A Monte Carlo study that a file describes. One without a result leaves nothing."""
     from doe.report.studies import monte_carlo_parts
-    from doe.studies.monte_carlo import load_study, run_study
-    from doe.studies.monte_carlo.study import BLOCKS, CELLS, PLANS
+    from doe.studies.monte_carlo import BLOCKS, CELLS, PLANS, load_study, run_study
 
-    study = load_study(path)
-    if replications is not None:
-        study = replace(study, replications=replications)
-    new = not os.path.exists(folder)  # False for what cannot be looked at: `run_study` says so
-    tables = [folder / name for name in (PLANS, BLOCKS, CELLS)]
-    resumed = options["resume"] and any(os.path.exists(path) for table in tables for path in (table, journal_of(table)))
+    study, before = load_study(path, replications), None
+    if os.path.isdir(folder):
+        before = {name.removesuffix(".journal") for name in os.listdir(folder)}
     result = run_study(study, folder, workers, **options)
     if "done" not in set(result.blocks["status"]):
-        if not resumed:  # a study without a result leaves nothing
-            for table in tables:
-                table.unlink(missing_ok=True)
-        if new:
+        for name in {PLANS, BLOCKS, CELLS}.difference(before or () if options["resume"] else ()):
+            (folder / name).unlink(missing_ok=True)
+        if before is None:
             folder.rmdir()
         reason = re.sub(r"\b[A-Z]\w*Error: ", "", result.blocks["error"][0])  # users need no exception types
         raise JobError(f"no cell could be done: {reason}")
@@ -118,25 +111,16 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
 
 def _paper(replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
     """The paper reproduced."""
-    from doe.report.page import svg
-    from doe.report.studies import figure_1_picture, figure_2_picture, paper_parts
-    from doe.studies.paper.study import paper_study
-    from identification.files.io import write_together
+    from doe.report.studies import paper_parts, paper_pictures
+    from doe.studies.paper import paper_study
 
     study = paper_study(replications, folder, workers, **options)
-    pictures = {"figure_1": figure_1_picture, "figure_2": figure_2_picture}
-    for name, drawn in pictures.items():
-        write_together({folder / f"{name}.svg": svg(drawn(study.tables[name]))}, force=True)
+    paper_pictures(folder, study)
     return _tables_answer(study, folder, paper_parts(study))
 
 
 def _blind(
-    replications: int | None,
-    folder: Path,
-    workers: Workers,
-    options: Options,
-    cells: tuple[str, ...] = (),
-    space: bool = False,
+    cells: tuple[str, ...], space: bool, replications: int | None, folder: Path, workers: Workers, options: Options
 ) -> Answer:
     """Diagnoses of data with hidden effects, of planar arms or of arms in space; of all cells or of those named."""
     from doe.report.studies import blind_parts, blind_pictures
@@ -151,10 +135,3 @@ def _tables_answer(study: BlindStudy | PaperStudy, folder: Path, shown: list[Any
     """The tables as JSON; exit code 1 if the study missed one of its targets."""
     rows = {name: frame.to_dicts() for name, frame in study.tables.items()}
     return Answer({"out": folder, "passed": study.passed, **rows}, shown, exit_code=0 if study.passed else 1)
-
-
-BUILT_IN: dict[str, Callable[..., Answer]] = {
-    "blind": _blind,
-    "blind-spatial": partial(_blind, space=True),
-    "paper": _paper,
-}

@@ -34,7 +34,7 @@ from identification.workflow import Folder, Picture, Written
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
 
-    from doe.jobs.running import Workers as Pool
+    from doe.jobs import Workers as Pool
     from identification.document import Document
 
 SHARED_MEMORY = Path("/dev/shm")  # of Linux; may be written to where nothing else may
@@ -117,7 +117,7 @@ class JobOptions:
 
     def where(self, workers: int | None = None) -> Pool:
         """The workers asked for, left out: this many. Raises `InputError` if the cluster does not answer."""
-        from doe.jobs.running import chosen_workers
+        from doe.jobs import chosen_workers
 
         return chosen_workers(self.workers or workers, self.cluster)
 

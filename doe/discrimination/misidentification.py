@@ -14,7 +14,7 @@ distinguished by any plan, much smaller ones by none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, groupby
@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from doe.criteria.criterion import log_determinants
-from identification import ArmModel, Array
+from doe.criteria import log_determinants
+from doe.problem.model import offered
+from identification import Array, Model, design_model
 
 if TYPE_CHECKING:
     from doe.problem.model import DesignModel
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
 
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
 LAMBDA = 8.0
+# effects with as many parameters: their bases (K, G, s); (D, G) False where a direction belongs to the rival itself;
+# (G,) what is added to the diagonal of B^T S B
+Rivals = tuple[Array, NDArray[np.bool_], Array]
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class EffectLibrary:
     @classmethod
     def of(cls, arm: Arm) -> EffectLibrary:
         """The effects of the library that an arm can have, besides its own; without the rare ones."""
-        return cls(*ArmModel.of(arm).rival_effects())
+        return cls(*offered(design_model(Model(arm)), "rival_effects", "discriminating")())
 
 
 @dataclass(frozen=True)
@@ -78,10 +82,6 @@ class MisidentificationBound:
     weights: Array
     reference: Array
 
-    def value(self, information: Array) -> Array:
-        """(...) -log of `wrong` of matrices (..., p + K, p + K)."""
-        return np.asarray(-np.log(self.wrong(information)))
-
     def wrong(self, information: Array) -> Array:
         """(...) bound on the mean probability of a wrong name; infinite where the base model's part is singular."""
         p = self.base
@@ -90,27 +90,25 @@ class MisidentificationBound:
         seen = self.directions @ schur
         lengths = np.sum(seen * self.directions, axis=-1)
         total = np.sum(self._probabilities * ndtr(-0.5 * np.sqrt(np.maximum(lengths, 0.0))), axis=-1)
-        for group in self._groups:
-            explained = np.sum(np.multiply(*group.fit(schur, seen)), axis=-1)
+        for rivals in self._rivals:
+            explained = np.sum(np.multiply(*_fit(rivals, schur, seen)), axis=-1)
             d = np.sqrt(np.maximum(lengths[..., None] - explained, 0.0))
-            total = total + np.sum(self._probabilities[:, None] * group.others * ndtr(-0.5 * d), axis=(-2, -1))
+            total = total + np.sum(self._probabilities[:, None] * rivals[1] * ndtr(-0.5 * d), axis=(-2, -1))
         return np.where(usable, total, np.inf)
 
     def gradient(self, information: Array) -> Array:
-        """(p + K, p + K) derivative of `value`: each pair adds its residual's u u^T (envelope theorem)."""
+        """(p + K, p + K) derivative of -log of `wrong`: each pair adds its residual's u u^T (envelope theorem)."""
         schur, base = self._off_base(information)
-        left: list[tuple[Array, Array]] = [(self.directions, np.ones(len(self.directions)))]
-        for group in self._groups:
-            fitted = group.fit(schur, self.directions @ schur)[1]
-            beside = self.directions[:, None] - np.einsum("dgs,kgs->dgk", fitted, group.columns)
-            left.append((beside.reshape(-1, beside.shape[-1]), group.others.astype(float).ravel()))
-        u = np.vstack([rows for rows, _ in left])
-        probabilities = np.concatenate(
-            [(self._probabilities[:, None] * o.reshape(len(self._probabilities), -1)).ravel() for _, o in left]
-        )
+        rows, probabilities = [self.directions], [self._probabilities]
+        for rivals in self._rivals:
+            fitted = _fit(rivals, schur, self.directions @ schur)[1]
+            beside = self.directions[:, None] - np.einsum("dgs,kgs->dgk", fitted, rivals[0])
+            rows.append(beside.reshape(-1, beside.shape[-1]))
+            probabilities.append((self._probabilities[:, None] * rivals[1]).ravel())
+        u = np.vstack(rows)
         # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
         d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), 0.05)
-        slopes = probabilities * np.exp(-(d**2) / 8.0) / (4.0 * d * np.sqrt(2.0 * np.pi))
+        slopes = np.concatenate(probabilities) * np.exp(-(d**2) / 8.0) / (4.0 * d * np.sqrt(2.0 * np.pi))
         lift = np.vstack([base, np.eye(len(schur))])
         return np.asarray(lift @ ((u * slopes[:, None]).T @ u) @ lift.T / self.wrong(information))
 
@@ -124,11 +122,12 @@ class MisidentificationBound:
     @cached_property
     def _drawn(self) -> tuple[Array, NDArray[np.intp], Array]:
         """(D, K) directions, (D,) the effect of each and (D,) its probability."""
-        schur = self._off_base(self.reference)[0]
-        whole = np.diag(self.reference)[self.base :]
+        schur, whole = self._off_base(self.reference)[0], np.diag(self.reference)[self.base :]
         rows, owners, probabilities = [], [], []
         for number, basis in enumerate(self.bases):
-            lengths = ((v, float(v @ schur @ v)) for v in (basis @ mix for mix in mixes(basis.shape[1])))
+            axes = np.eye(basis.shape[1])  # unit vectors, and along the sum and the difference of every two
+            mixes = [*axes, *((a + sign * b) / np.sqrt(2.0) for a, b in combinations(axes, 2) for sign in (1.0, -1.0))]
+            lengths = ((v, float(v @ schur @ v)) for v in (basis @ mix for mix in mixes))
             # numerical: no plan is judged by a direction that hardly leaves the base model
             shown = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > 1e-9 * float(v**2 @ whole)]
             rows += shown
@@ -147,47 +146,30 @@ class MisidentificationBound:
         return self._drawn[2]
 
     @cached_property
-    def _groups(self) -> tuple[Rivals, ...]:
-        """The rivals, those with as many parameters together; none that the base model explains on any plan."""
+    def _rivals(self) -> tuple[Rivals, ...]:
+        """Those with as many parameters together; none that the base model explains on any plan."""
         schur, owners = self._off_base(self.reference)[0], self._drawn[1]
-        order = sorted(np.unique(owners).tolist(), key=lambda number: self.bases[number].shape[1])
+
+        def size(number: int) -> int:
+            return self.bases[number].shape[1]
+
         groups = []
-        for _, numbers in groupby(order, key=lambda number: self.bases[number].shape[1]):
+        for _, numbers in groupby(sorted(np.unique(owners).tolist(), key=size), key=size):
             chosen = list(numbers)
             columns = np.stack([self.bases[number] for number in chosen], axis=1)
             lengths = np.einsum("kgs,kl,lgs->g", columns, schur, columns)
             # numerical: the ridge keeps the inverse of a rival that a plan hides
-            groups.append(Rivals(columns, owners[:, None] != chosen, 1e-12 * np.maximum(lengths, 1e-300)))
+            groups.append((columns, owners[:, None] != chosen, 1e-12 * np.maximum(lengths, 1e-300)))
         return tuple(groups)
 
 
-@dataclass(frozen=True)
-class Rivals:
-    """Effects with as many parameters.
-
-    columns : (K, G, s) their bases;  others : (D, G) False where a direction belongs to the rival itself
-    ridge : (G,) added to the diagonal of B^T S B
-    """
-
-    columns: Array
-    others: NDArray[np.bool_]
-    ridge: Array
-
-    def fit(self, schur: Array, seen: Array) -> tuple[Array, Array]:
-        """(..., D, G, s) B^T S v, and the parameters of the rivals that come nearest to each direction."""
-        k, g, s = self.columns.shape
-        flat = self.columns.reshape(k, g * s)
-        shown = (seen @ flat).reshape(*seen.shape[:-1], g, s)
-        halves = np.moveaxis((schur @ flat).reshape(*schur.shape[:-1], g, s), -3, -1)  # (..., G, s, K)
-        gram = halves @ np.moveaxis(self.columns, 1, 0) + self.ridge[:, None, None] * np.eye(s)
-        inverse = np.linalg.inv(gram)[..., None, :, :, :]
-        return shown, (shown[..., None, :] @ inverse)[..., 0, :]
-
-
-def mixes(size: int) -> Iterator[Array]:
-    """Unit vectors along each axis, and along the sum and the difference of every two."""
-    axes = np.eye(size)
-    yield from axes
-    for one, two in combinations(axes, 2):
-        yield (one + two) / np.sqrt(2.0)
-        yield (one - two) / np.sqrt(2.0)
+def _fit(rivals: Rivals, schur: Array, seen: Array) -> tuple[Array, Array]:
+    """(..., D, G, s) B^T S v, and the parameters of the rivals that come nearest to each direction."""
+    columns, _, ridge = rivals
+    k, g, s = columns.shape
+    flat = columns.reshape(k, g * s)
+    shown = (seen @ flat).reshape(*seen.shape[:-1], g, s)
+    halves = np.moveaxis((schur @ flat).reshape(*schur.shape[:-1], g, s), -3, -1)  # (..., G, s, K)
+    gram = halves @ np.moveaxis(columns, 1, 0) + ridge[:, None, None] * np.eye(s)
+    inverse = np.linalg.inv(gram)[..., None, :, :, :]
+    return shown, (shown[..., None, :] @ inverse)[..., 0, :]

@@ -34,7 +34,6 @@ from identification import (
     Measurements,
     Model,
     Status,
-    posture_columns,
     readonly,
     refuse_contacts,
 )
@@ -52,8 +51,7 @@ class NextPostures:
     plan : (K) postures in the order of measurement
     payload : (K,) [kg], None if there was no choice;  directions : (K, n) of approach, None if they do not matter
     chance : upper bound on the predicted probability that only the right candidate is left
-    pairs : (candidate, rival) -> expected lambda between them
-    joint_types : (n) of the arm, empty: all revolute;  status : `local_optimum` or `time_limit`
+    pairs : (candidate, rival) -> expected lambda between them;  status : `local_optimum` or `time_limit`
     """
 
     plan: Plan
@@ -61,7 +59,6 @@ class NextPostures:
     directions: Array | None
     chance: float
     pairs: dict[tuple[str, str], float]
-    joint_types: tuple[str, ...] = ()
     status: Status = Status.local_optimum
 
     def __str__(self) -> str:
@@ -72,17 +69,15 @@ class NextPostures:
     @property
     def columns(self) -> dict[str, Any]:
         """Columns of the plan file: run, angles, and payload and directions where they matter."""
-        columns: dict[str, Any] = {"run": np.arange(1, len(self.plan) + 1)}
-        columns |= posture_columns(self.plan.postures, self.joint_types or None)
+        columns: dict[str, Any] = {"run": np.arange(1, len(self.plan) + 1)} | self.plan.columns
         columns |= {} if self.payload is None else {"payload_kg": self.payload}
         sides = () if self.directions is None else self.directions.T
         return columns | {f"direction{j}": column for j, column in enumerate(sides, start=1)}
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `armcal discriminate` beside those of the diagnosis."""
-        angles = posture_columns(self.plan.postures, self.joint_types or None)
         return {
-            "postures_deg": np.column_stack([*angles.values()]),
+            "postures_deg": self.plan.displayed,
             "payload_kg": self.payload,
             "directions": self.directions,
             "chance": self.chance,
@@ -212,12 +207,11 @@ def discriminate(
     needs = frozenset().union(*(Model(diagnosis.extended_arm(c)).needs for c in diagnosis.candidates))
     picked = conditions.rows(chosen)
     return NextPostures(
-        Plan(pool[chosen]),
+        Plan(pool[chosen], joint_types=diagnosis.arm.joint_types),
         readonly(picked.payload) if payloads and picked.payload is not None else None,
         readonly(picked.directions) if "directions" in needs and picked.directions is not None else None,
         rivals.right * float(rivals.weights @ chance.min(axis=1)),
         pairs,
-        diagnosis.arm.joint_types,
         Status.time_limit if stop() else Status.local_optimum,
     )
 

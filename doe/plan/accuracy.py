@@ -1,16 +1,14 @@
-"""What accuracy a plan promises before anything is measured: standard deviations from the covariance.
+"""What accuracy a plan promises before anything is measured.
 
-Every criterion of a plan, and the observability indices O1 to O5 of the robot calibration literature.
+*Standard deviations* from the covariance; *every criterion* of a plan, and the *observability indices* O1 to O5 of the
+robot calibration literature (Y. Sun, J. M. Hollerbach, "Observability index selection for robot calibration", ICRA
+2008): from the singular values s_1 >= ... >= s_p of the identification Jacobian of all m runs, here scaled (lengths in
+mm, angles times link length). O1 is D-, O3 is E-, O5 is close to A-optimality (of deviations, not variances). Only
+O1's order of plans is invariant to units. Larger is better for each; 0 where the plan does not identify all parameters.
 
-Y. Sun, J. M. Hollerbach, "Observability index selection for robot calibration", ICRA 2008: from the singular values
-s_1 >= ... >= s_p of the identification Jacobian of all m runs, here scaled (lengths in mm, angles times link length).
-O1 is D-, O3 is E-, O5 is close to A-optimality (of deviations, not variances). Only O1's order of plans is invariant to
-units. Larger is better for each; 0 where the plan does not identify all parameters.
-
-Predicted tip error of a plan: with a correct model, and with effects of typical size missing from it.
-
-The plan is measured with noise sigma. The tip is then computed at test poses, where nothing was measured; its error
-is counted against the arm's true position, as root mean square over poses and over arms that the prior may give.
+*Error of the tip*, with a correct model, and with effects of typical size missing from it. The plan is measured with
+noise sigma; the tip is then computed at test poses, where nothing was measured; its error is counted against the arm's
+true position, as root mean square over poses and over arms that the prior may give.
 """
 
 from __future__ import annotations
@@ -22,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from doe.criteria import A, Criterion, D, Ds, DStar, E, I
-from doe.criteria.criterion import inverses
+from doe.criteria import A, Criterion, D, Ds, DStar, E, I, inverses
 from doe.problem.model import offers
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
@@ -35,16 +32,7 @@ from doe.problem.uncertain import (
     tip_jacobians,
     workspace,
 )
-from identification import (
-    EFFECT,
-    JOINT_OFFSET,
-    LENGTH_ERROR,
-    Array,
-    ParameterSet,
-    information_matrix,
-    readonly,
-    spectrum,
-)
+from identification import EFFECT, JOINT_OFFSET, LENGTH_ERROR, Array, ParameterSet, information_matrix, spectrum
 
 
 @dataclass(frozen=True)
@@ -59,10 +47,6 @@ class ExpectedDeviations:
     parameters: ParameterSet
     values: Array
     orientation: Array
-
-    def __post_init__(self) -> None:
-        for name in ("values", "orientation"):
-            object.__setattr__(self, name, readonly(getattr(self, name), -1))
 
     @property
     def planar(self) -> bool:
@@ -98,7 +82,7 @@ class ExpectedDeviations:
         by_joint = np.zeros(self.orientation.size)
         for k in self.parameters.indices(kind).tolist():
             by_joint[(self.parameters[k].joint or 0) - 1] = self.values[k]
-        return readonly(by_joint)
+        return by_joint
 
 
 def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | None:
@@ -238,10 +222,9 @@ class TipErrors:
         model = problem.model
         if model.sigma is None or not offers(model, "missing_effects") or problem.missing:
             return None
-        poses = workspace(problem)  # once: rare postures take long to find
-        if getattr(model, "complete", False):
-            return cls(problem, problem, tip_jacobians(problem, poses))
-        wide = robust_problem(problem, missing_effects(problem), poses=poses)
+        poses, wide = workspace(problem), problem  # once: rare postures take long to find
+        if not getattr(model, "complete", False):
+            wide = robust_problem(problem, missing_effects(problem), poses=poses)
         return cls(problem, wide, tip_jacobians(wide, poses))
 
     @cached_property
@@ -256,14 +239,16 @@ class TipErrors:
         """(P, P) mean of the squares of the tip's Jacobian."""
         return information_matrix(self._targets) / len(self._targets)
 
-    def _information(self, postures: Array) -> Array:
-        """(P, P) sum of B^T B of the plan and of what is measured already, without any prior."""
-        every = np.concatenate([postures, self.problem.kept])
-        return self.wide.weighted_information(every, np.ones(len(every)))
+    def _information(self, postures: Array) -> tuple[Array, Array]:
+        """(P, P) sum of B^T B of the plan and of what is measured already, without any prior; and (p, p) the posterior
+        of the model as it is, infinite where it is not identified."""
+        information = information_matrix(self.wide.scaled_jacobians(np.concatenate([postures, self.problem.kept])))
+        p = self.problem.parameters
+        return information, inverses(information[:p, :p] + np.diag(self.problem.precisions))
 
     def with_prior(self, postures: Array) -> float:
         """Of a plan (m, n) and the postures measured already, fitted with the effects and their prior."""
-        posterior = inverses(self._information(postures) + np.diag(self.wide.precisions))
+        posterior = inverses(self._information(postures)[0] + np.diag(self.wide.precisions))
         if np.isinf(posterior[0, 0]):
             return np.inf
         return float(np.sqrt((self.wide.model.sigma or 0.0) ** 2 * np.sum(posterior * self._weight) + self.wide.beyond))
@@ -272,8 +257,7 @@ class TipErrors:
         """The same without the effects, which are there: the fit takes up of each what the geometry can, and the tip
         lacks the rest; it takes the noise for that of the instrument, which each posture's own error comes on top of.
         """
-        p, wide, information = self.problem.parameters, self.wide, self._information(postures)
-        posterior = inverses(information[:p, :p] + np.diag(self.problem.precisions))
+        p, wide, (information, posterior) = self.problem.parameters, self.wide, self._information(postures)
         if np.isinf(posterior[0, 0]):
             return np.inf
         sigma, noise = float(self.problem.model.sigma or 0.0) ** 2, float(wide.model.sigma or 0.0) ** 2
@@ -288,8 +272,7 @@ class TipErrors:
         p = self.problem.parameters
         if spectrum(plan_jacobians(self.problem, postures), np.ones(p)).rank < p:
             return TipError(np.inf, np.inf, self.with_prior(postures))
-        posterior = inverses(self._information(postures)[:p, :p] + np.diag(self.problem.precisions))
-        targets = self._targets[..., :p]
+        posterior, targets = self._information(postures)[1], self._targets[..., :p]
         right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
         mean, largest = float(np.sqrt(right.mean())), float(np.sqrt(right.max()))
         if self.wide.parameters == p:
@@ -354,7 +337,7 @@ def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) ->
     judge = errors.with_prior if problem.fit else errors.missing
     generator, m = np.random.default_rng([seed, len(postures)]), len(postures)
     if problem.choices is not None and not problem.sampled:
-        pool = listed_candidates(problem, problem.choices).postures
+        pool = listed_candidates(problem, problem.choices)
     else:
         pool = random_postures(problem, min(plans * m, most), generator)
     rows = [generator.choice(len(pool), m, replace=len(pool) < m) for _ in range(plans)]

@@ -16,13 +16,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from doe.criteria.criterion import smooth
-from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives, Stop, never
+from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, information_matrix
-from identification.information import VISIBLE
 
 FIRMNESS = (10.0, 100.0, 1000.0)  # s in units of the mean slope: a tenth, hundredth, thousandth of a radian outside
-INSIDE = 1e-6  # [rad] constraints are kept by this much: geometry and symbolic forms differ by rounding
+INSIDE = 1e-6  # [rad] constraints are kept by this much: rounding
 
 
 class PlanAscent:
@@ -30,10 +28,10 @@ class PlanAscent:
 
     def __init__(self, problem: DesignProblem, runs: int | None = None) -> None:
         self.problem, self.runs = problem, runs
-        self.criterion = smooth(problem.criterion)
+        self.criterion = problem.criterion.smooth
         self.joints = list(problem.searched_joints)
-        self.derivatives = JacobianDerivatives(problem, self.joints)
-        self.walls = ConstraintDerivatives(problem, self.joints)
+        self.derivatives = problem.jacobian_derivatives(self.joints)
+        self.walls = problem.wall_derivatives(self.joints)
         self.firmness, self.steepness = 0.0, np.ones(1)
 
     def rise(self, plan: Array) -> tuple[float, Array]:
@@ -65,7 +63,7 @@ class PlanAscent:
         tolerance = 1e-6 if tolerance is None else tolerance
         self.firmness = 0.0
         slope = float(np.sqrt(np.mean(self.rise(plan)[1] ** 2)))
-        steepness = np.sqrt(np.mean(np.sum(self.walls.first(plan)[1] ** 2, axis=2), axis=0))
+        steepness = np.sqrt(np.mean(np.sum(self.walls.first(plan)[1] ** 2, axis=1), axis=0))
         # of the steepest: less steep ones, such as the height of the base, do not count as walls
         self.steepness = np.maximum(steepness, 1e-3 * steepness.max(initial=0.0))
         moved = plan
@@ -101,11 +99,9 @@ class PlanAscent:
             return plan
         # pairs of steps and slopes that stand for the Hessian
         options = {"ftol": tolerance, "gtol": 0.0, "maxcor": 12, "maxiter": 400}
-        reached = minimize(
-            fall, start, jac=True, method="L-BFGS-B", bounds=list(zip(*limits, strict=True)), callback=ended,
-            options=options,
-        )  # fmt: skip
-        climbed = postures(reached.x)
+        box = list(zip(*limits, strict=True))
+        found = minimize(fall, start, jac=True, method="L-BFGS-B", bounds=box, callback=ended, options=options)
+        climbed = postures(found.x)
         return climbed if self.rise(climbed)[0] >= self.rise(plan)[0] else plan
 
     def put_inside(self, postures: Array) -> Array:
@@ -117,8 +113,9 @@ class PlanAscent:
             outside = np.flatnonzero((missing > INSIDE).any(axis=1))
             if not len(outside):
                 break
-            slopes = np.where(missing[outside, :, None] > 0.0, slopes[outside] / self.steepness[:, None], 0.0)
-            steps = (np.linalg.pinv(slopes, rcond=VISIBLE) @ missing[outside, :, None])[..., 0]
+            slopes = np.where(missing[outside, None] > 0.0, slopes[outside] / self.steepness, 0.0)
+            # the shortest steps, by the slopes that are more than rounding
+            steps = (np.linalg.pinv(np.swapaxes(slopes, 1, 2), rcond=1e-6) @ missing[outside, :, None])[..., 0]
             # the largest change of a joint in one step
             steps *= np.minimum(1.0, 0.3 / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-300))
             moved = inside[outside]

@@ -9,23 +9,16 @@ from __future__ import annotations
 
 from functools import lru_cache
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.criterion import surrogate, values_after_adding
-from doe.problem.postures import listed_candidates, random_postures
+from doe.problem.postures import half_at_limits, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from identification import Array, information_matrix
 
 ROUNDING = 1.0 + 1e-9
 CHUNK = 10_000_000  # pairs of rows to compare one by one
-
-
-def free_values(problem: DesignProblem) -> Array:
-    """(n,) the middle of the joint limits: where joints stay that play no part in the criterion."""
-    return (problem.lower + problem.upper) / 2.0
 
 
 def distance_to_keep(problem: DesignProblem, runs: int) -> float:
@@ -95,28 +88,29 @@ def neighbor_counts(points: Array, distance: float) -> NDArray[np.intp]:
 @lru_cache(maxsize=2)
 def _counted(content: bytes, columns: int, distance: float) -> NDArray[np.intp]:
     """Remembered, since a search asks of one plan again and again; of 100,000 rows an answer takes seconds."""
+    from scipy.spatial import KDTree  # 0.1 s to import
+
     points = np.frombuffer(content).reshape(-1, columns)
-    counts = np.asarray(_tree(points).query_ball_point(points, distance, p=np.inf, return_length=True)) - 1
+    counts = np.asarray(KDTree(points).query_ball_point(points, distance, p=np.inf, return_length=True)) - 1
     counts.setflags(write=False)
     return counts
 
 
-def _tree(points: Array) -> Any:
-    from scipy.spatial import KDTree  # 0.1 s to import
-
-    return KDTree(points)
-
-
 def separated(problem: DesignProblem, postures: Array) -> Array:
     """The same plan with every repeat moved to the best free posture near it; unchanged where there is none."""
-    plan = np.array(postures)
-    crowded = too_near(problem, plan)
+    plan, crowded = np.array(postures), too_near(problem, postures)
+    sizes = problem.minimum_distance * ROUNDING * np.array([-3, -2, -1, 1, 2, 3])
+    units = (problem.joint_units * np.eye(problem.joints))[list(problem.searched_joints)]
+    steps = [size * unit for unit in units for size in sizes]  # of one joint, and below of two
+    steps += [a + b for a, b in product(steps, steps) if np.count_nonzero(a + b) == 2] if len(crowded) else []
     for row in crowded if len(crowded) * len(plan) <= CHUNK else ():
         others = np.vstack([np.delete(plan, row, axis=0), problem.kept])
-        if len(places := with_room(problem, around(problem, plan[row]), others)):
+        around = plan[row] + np.array(steps)
+        around = around[np.all((around >= problem.lower) & (around <= problem.upper), axis=1)]
+        if len(places := with_room(problem, around, others)):
             information = information_matrix(problem.scaled_jacobians(others)) / len(others)
             jacobians = problem.scaled_jacobians(places) / np.sqrt(len(others))
-            values = values_after_adding(surrogate(problem.criterion), information[None], jacobians[None])[0]
+            values = problem.criterion.surrogate.values_after_adding(information[None], jacobians[None])[0]
             plan[row] = places[np.argmax(values)]
     return plan
 
@@ -133,16 +127,6 @@ def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
     return places[problem.feasible(places)] if len(places) else places
 
 
-def around(problem: DesignProblem, posture: Array) -> Array:
-    """(k, n) postures within the limits that differ by up to 3 times the minimum distance in up to two joints."""
-    sizes = problem.minimum_distance * ROUNDING * np.array([-3, -2, -1, 1, 2, 3])
-    units = (problem.joint_units * np.eye(problem.joints))[list(problem.searched_joints)]
-    moves = [size * unit for unit in units for size in sizes]
-    pairs = [a + b for a, b in product(moves, moves) if np.count_nonzero(a + b) == 2]
-    places = posture + np.array(moves + pairs)
-    return places[np.all((places >= problem.lower) & (places <= problem.upper), axis=1)]
-
-
 def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
     """The same plan with joints that play no part spread evenly over their limits in shuffled order.
 
@@ -150,8 +134,9 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.ra
     constant. Where even steps are below the minimum distance, the widest of them sets apart postures that are alike in
     all other joints.
     """
-    spread = np.array(postures)
-    m = len(spread)
+    from scipy.spatial import KDTree
+
+    spread, m = np.array(postures), len(postures)
     for joint in free_joints(problem):
         shares = (generator.permutation(m) + 0.5) / m
         spread[:, joint] = problem.lower[joint] + shares * (problem.upper[joint] - problem.lower[joint])
@@ -164,7 +149,7 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.ra
     places = problem.lower[joint] + (np.arange(count) + 0.5) / count * width
     by_measured = gaps(places[:, None], problem.kept[:, joint, None]) < distance * problem.joint_units[joint]
     used, chosen = np.zeros(count), np.full(m, -1)
-    tree = _tree(searched if searched.shape[1] else np.zeros((m, 1)))
+    tree = KDTree(searched if searched.shape[1] else np.zeros((m, 1)))
     for rows in np.array_split(np.arange(m), -(-m // 256)):  # rows whose neighbors are sought at once
         wishes = generator.uniform(0.0, 0.5, (len(rows), count))
         alike = tree.query_ball_point(tree.data[rows], distance, p=np.inf)
@@ -182,35 +167,31 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.ra
 # -- additions ---------------------------------------------------------------------------------------------------------
 def with_additions(problem: DesignProblem, plan: Array, count: int, generator: np.random.Generator) -> Array | None:
     """(m + count, n) the plan (m, n) and, one by one, the postures that add most; None where none more is allowed."""
-    longer = np.array(plan)
-    if problem.choices is not None:
-        places = listed_candidates(problem, problem.choices).postures
-    else:  # random allowed postures, and half of them once more with each joint at a limit with probability one half
+    total = len(plan) + problem.prior.runs
+
+    def best(places: Array) -> Array | None:
+        """(n,) the place that the plan gains most by; None where none is allowed beside the plan's postures."""
+        places = with_room(problem, places, np.concatenate([longer, problem.kept]))
+        if not len(places):
+            return None
+        before = total / (total + 1.0) * problem.information(longer)[None]
+        offered = problem.scaled_jacobians(places)[None] / np.sqrt(total + 1.0)
+        return np.asarray(places[np.argmax(problem.criterion.surrogate.values_after_adding(before, offered)[0])])
+
+    longer, listed = np.array(plan), problem.choices
+    if listed is not None:
+        places = listed_candidates(problem, listed)
+    else:
         anywhere = random_postures(problem, 2000, generator)
-        half = anywhere[:1000]
-        nearer = np.where(half < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
-        places = np.concatenate([anywhere, np.where(generator.random(half.shape) < 0.5, nearer, half)])
+        places = half_at_limits(problem, anywhere, anywhere[:1000], generator)
     for _ in range(count):
-        posture = _best_place(problem, longer, places)
-        if posture is None:
+        if (posture := best(places)) is None:
             return None
         # random postures around the best, at ever smaller parts of half the range of each joint
-        for step in 0.3 * 0.3 ** np.arange(8) if problem.choices is None else ():
+        for step in 0.3 * 0.3 ** np.arange(8) if listed is None else ():
             moves = step * generator.standard_normal((64, problem.joints))
             near = problem.clip(posture + moves * 0.5 * (problem.upper - problem.lower))
-            best = _best_place(problem, longer, np.concatenate([posture[None], near]))
-            posture = posture if best is None else best
-        longer = np.concatenate([longer, posture[None]])
+            better = best(np.concatenate([posture[None], near]))
+            posture = posture if better is None else better
+        longer, total = np.concatenate([longer, posture[None]]), total + 1.0
     return longer
-
-
-def _best_place(problem: DesignProblem, plan: Array, places: Array) -> Array | None:
-    """(n,) the place that the plan gains most by; None where none is allowed beside the plan's postures."""
-    places = with_room(problem, places, np.concatenate([plan, problem.kept]))
-    if not len(places):
-        return None
-    total = len(plan) + 1 + problem.prior.runs
-    share = (total - 1.0) / total
-    offered = problem.scaled_jacobians(places)[None] / np.sqrt(total)
-    values = values_after_adding(surrogate(problem.criterion), share * problem.information(plan)[None], offered)[0]
-    return np.asarray(places[int(np.argmax(values))])

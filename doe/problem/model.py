@@ -2,8 +2,7 @@
 
 A model is a function of a posture and of p parameters that gives d measured coordinates. `DesignModel` is all that
 `solve`, `relax`, `score` and `advise` ask for; tests/doe/problem/test_model.py has one of ten lines that is no robot.
-`Offers` are members that only some questions need: a model that lacks one gets a line that names it. The model of an
-arm has them all (`identification.for_design`).
+`Offers` are members that only some questions need. The model of an arm has them all (`identification.for_design`).
 
 n joints, m postures; mm and rad, or whatever units the parameters say.
 """
@@ -14,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import casadi as ca
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification import Array, InputError, ParameterSet
@@ -73,15 +73,12 @@ class Offers(Protocol):
 
     # -- geometry, for constraints -------------------------------------------------------------------------------------
     constraints: Sequence[Any]  # of `identification.workspace`
+    joint_types: tuple[str, ...]  # as of `DesignModel`
     space: int  # coordinates of a point, 2 or 3
     reach: float  # [mm]
 
-    def points(self, postures: ArrayLike) -> Array:
-        """(m, k, space) base, joints and tip [mm] at postures (m, n)."""
-        ...
-
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
-        """k points (space,), the same at one posture."""
+        """k points (space,), base, joints and tip [mm], at one posture q (n,)."""
         ...
 
     def with_tip_moved(self, offset: Array) -> Any:
@@ -136,12 +133,18 @@ class Offers(Protocol):
 REQUIRED = tuple(name for name in vars(DesignModel) if not name.startswith("_"))
 
 
-def check_model(model: object) -> None:
-    """Raises `InputError`, which names the first member that a model lacks of `DesignModel`."""
+def check_model(model: Any) -> None:
+    """Raises `InputError`, which names the first member of `DesignModel` that a model lacks, or whose size is wrong."""
     for name in REQUIRED:
         if not hasattr(model, name):
             allowed = f"one with {name} and all of doe.problem.model.DesignModel, such as Model(arm)"
             raise InputError(f"model: {type(model).__name__}, allowed: {allowed}")
+    n, p = len(model.joint_types), len(model.parameters)
+    for name, size in {"values": p, "lower": n, "upper": n}.items():
+        array = np.asarray(getattr(model, name), dtype=float)
+        if array.shape != (size,) or not np.all(np.isfinite(array)):
+            wrong = "not finite" if array.shape == (size,) else f"shape {array.shape}"
+            raise InputError(f"model: {name} is {wrong}, allowed: ({size},) finite numbers")
 
 
 def offers(model: object, name: str) -> bool:

@@ -1,27 +1,17 @@
-"""Which postures may be chosen: random ones that satisfy the constraints, however few there are, grids and lists.
-
-A grid of a million postures is three short axes, not an array: postures exist only while a chunk is visited.
-"""
+"""Which postures may be chosen: random ones that satisfy the constraints, however few there are, grids and lists."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from math import prod
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from doe.problem.constraints import Constraint
 from doe.problem.problem import DesignProblem
-from identification import Array, InputError, readonly
+from identification import Array, InputError
 
-Index = NDArray[np.int64]
-CHUNK = 8192  # postures; the Jacobians of a chunk stay in the processor's cache, which is fastest
-MOST = 2**27  # candidates of a grid: a number for each fits into memory
+MOST = 2**24  # candidates of a grid: a gigabyte
 OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, from rounding in a file in degrees
-SOME = "constraints that leave some"  # postures
 
 
 # -- random postures ---------------------------------------------------------------------------------------------------
@@ -34,13 +24,21 @@ def random_postures(problem: DesignProblem, count: int, generator: np.random.Gen
     def anywhere(size: int) -> Array:
         return generator.uniform(problem.lower, problem.upper, (size, problem.joints))
 
-    if not problem.constraints:
-        return anywhere(count)
     return fill(problem, count, anywhere, generator)
+
+
+def half_at_limits(problem: DesignProblem, anywhere: Array, others: Array, generator: np.random.Generator) -> Array:
+    """(k, n) postures as they are, and others of which each joint is at its nearer limit with probability one half,
+    where constraints allow that."""
+    nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
+    at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
+    return np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
 
 
 def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], generator: np.random.Generator) -> Array:
     """(count, n) feasible postures of those that `draw(size)` makes, or near them where they are too rare."""
+    if not problem.constraints:
+        return draw(count)
     feasible, seen = np.empty((0, problem.joints)), []
     for _ in range(8):  # batches, before feasible postures are searched for
         drawn = draw(max(4096, count))
@@ -48,14 +46,24 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
         feasible = np.concatenate([feasible, drawn[problem.feasible(drawn)]])
         if len(feasible) >= count:
             return feasible[:count]
+    width = problem.upper - problem.lower
     if not len(feasible):
-        feasible = led_inside(problem, np.concatenate(seen), generator)
-    near = vary(problem, feasible[generator.integers(len(feasible), size=count)], generator)
+        feasible = _led_inside(problem, np.concatenate(seen), generator)
+    near = feasible[generator.integers(len(feasible), size=count)]
+    steps, waiting = generator.standard_normal(near.shape) * width * 0.2, np.arange(count)
+    for k in range(12):  # each moved as far as it stays feasible
+        trial = problem.clip(near[waiting] + steps[waiting] * 0.5**k)
+        fits = problem.feasible(trial)
+        near[waiting[fits]] = trial[fits]
+        waiting = waiting[~fits]
     return np.concatenate([feasible, near])[:count]
 
 
-def led_inside(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
-    """Feasible postures near the least infeasible of many, by random steps that reduce by how much they are so."""
+def _led_inside(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
+    """Feasible postures near the least infeasible of many, by random steps that reduce by how much they are so.
+
+    Raises `InputError` with the constraints that exclude everything where there are none.
+    """
 
     def shortfall(postures: Array) -> Array:
         """(m,) sum over the constraints of how far a posture is from satisfying them; 0 where it does."""
@@ -69,137 +77,26 @@ def led_inside(problem: DesignProblem, postures: Array, generator: np.random.Gen
         better = values.min(axis=0) < miss
         best[better] = trials[np.argmin(values, axis=0), np.arange(len(best))][better]
         miss[better] = values.min(axis=0)[better]
-    feasible = best[problem.feasible(best)]
-    if not len(feasible):
-        raise infeasible(tuple(problem.constraints), np.concatenate([postures, best]))
-    return feasible
-
-
-def vary(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
-    """Each posture moved at random as far as it stays feasible: steps are shortened until it does."""
-    steps = generator.standard_normal(postures.shape) * (problem.upper - problem.lower) * 0.2
-    moved, waiting = np.array(postures), np.arange(len(postures))
-    for k in range(12):
-        trial = problem.clip(postures[waiting] + steps[waiting] * 0.5**k)
-        fits = problem.feasible(trial)
-        moved[waiting[fits]] = trial[fits]
-        waiting = waiting[~fits]
-    return moved
-
-
-def infeasible(constraints: tuple[Constraint, ...], postures: Array) -> InputError:
-    """The diagnosis when none of these (many, well spread) postures satisfies all constraints: which exclude all."""
-    fits = np.array([np.all(c.margin(postures) >= 0.0, axis=1) for c in constraints])
-    names = [f"constraint {k + 1} ({c.kind})" for k, c in enumerate(constraints)]
+    if (feasible := problem.feasible(best)).any():
+        return best[feasible]
+    every = np.concatenate([postures, best])
+    fits = np.array([np.all(c.margin(every) >= 0.0, axis=1) for c in problem.constraints])
+    names = [f"constraint {k + 1} ({c.kind})" for k, c in enumerate(problem.constraints)]
     alone = [name for name, fit in zip(names, fits, strict=True) if not fit.any()]
+    pairs = [(a, b) for b in range(len(names)) for a in range(b) if not np.any(fits[a] & fits[b])]
     if alone:
         conflict = f"no posture within the joint limits satisfies {' nor '.join(alone)}"
-        return InputError(f"constraints: {conflict}, allowed: {SOME}")
-    for k in range(len(names)):
-        for other in range(k):
-            if not np.any(fits[k] & fits[other]):
-                conflict = f"no posture satisfies {names[other]} and {names[k]} together"
-                return InputError(f"constraints: {conflict}, allowed: {SOME}")
-    return InputError(f"constraints: no posture satisfies all of {', '.join(names)} together, allowed: {SOME}")
+    elif pairs:
+        conflict = f"no posture satisfies {names[pairs[0][0]]} and {names[pairs[0][1]]} together"
+    else:
+        conflict = f"no posture satisfies all of {', '.join(names)} together"
+    raise InputError(f"constraints: {conflict}, allowed: constraints that leave some")
 
 
 # -- grids and lists ---------------------------------------------------------------------------------------------------
-class Candidates(Protocol):
-    """N allowed postures, counted from 0."""
-
-    def __len__(self) -> int: ...
-
-    def take(self, index: Index) -> Array:
-        """(k, n) postures [rad] of some candidates."""
-        ...
-
-
-@dataclass(frozen=True)
-class PostureList:
-    """Candidates that are simply listed.
-
-    postures : (N, n) [rad]
-    dropped : how many more there were, outside the limits or the constraints
-    """
-
-    postures: Array
-    dropped: int = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
-
-    def __len__(self) -> int:
-        return len(self.postures)
-
-    def take(self, index: Index) -> Array:
-        """(k, n) postures [rad] of some candidates."""
-        return self.postures[index]
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Every combination of the axes' values, the last axis fastest, or those of them that are `allowed`.
-
-    axes : per joint its values [rad]; one value for a joint that is not gridded
-    allowed : (N,) numbers of the combinations that satisfy the constraints, None: all of them
-    dropped : how many do not
-    """
-
-    axes: tuple[Array, ...]
-    allowed: Index | None = None
-    dropped: int = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "axes", tuple(readonly(axis, -1) for axis in self.axes))
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Values per joint."""
-        return tuple(axis.size for axis in self.axes)
-
-    def __len__(self) -> int:
-        return prod(self.shape) if self.allowed is None else len(self.allowed)
-
-    @property
-    def landmarks(self) -> Index:
-        """(k,) candidates at a limit or in the middle of every axis."""
-        places = np.meshgrid(*(np.unique([0, size // 2, size - 1]) for size in self.shape), indexing="ij")
-        cells = np.ravel_multi_index(tuple(place.ravel() for place in places), self.shape)
-        if self.allowed is None:
-            return cells
-        return np.flatnonzero(np.isin(self.allowed, cells))
-
-    def take(self, index: Index) -> Array:
-        """(k, n) postures [rad] of some candidates."""
-        cell = np.asarray(index) if self.allowed is None else self.allowed[index]
-        places = np.unravel_index(cell, self.shape)
-        return np.stack([axis[place] for axis, place in zip(self.axes, places, strict=True)], axis=1)
-
-
-def chunks(candidates: Candidates, size: int = CHUNK) -> Iterator[tuple[Index, Array]]:
-    """The candidates in order, as (index, postures) of at most `size` at a time."""
-    for start in range(0, len(candidates), size):
-        index = np.arange(start, min(start + size, len(candidates)))
-        yield index, candidates.take(index)
-
-
-def well_spread(candidates: Candidates, count: int) -> Array:
-    """About `count` of the candidates (k, n), well spread; all of them if there are no more.
-
-    Of a grid, limits and middles of the axes are among them: the optimum is often made of these.
-    """
-    total = len(candidates)
-    if total <= count:
-        return candidates.take(np.arange(total))
-    generator = np.random.default_rng(0)
-    chosen = generator.integers(0, total, count)
-    marks = candidates.landmarks if isinstance(candidates, Grid) else np.array([0, total - 1])
-    few = marks if len(marks) <= count // 2 else generator.choice(marks, count // 2, replace=False)
-    return candidates.take(np.unique(np.concatenate([few, chosen[: count - len(few)]])))
-
-
-def grid(problem: DesignProblem, levels: int) -> Grid:
-    """`levels` values per joint from limit to limit, over the joints that matter, without what constraints forbid.
+def grid(problem: DesignProblem, levels: int) -> Array:
+    """(N, n) `levels` values per joint from limit to limit, over the joints that matter, without what constraints
+    forbid; the last joint fastest.
 
     A joint that changes neither information nor constraints (q_1 of a free base model) stays in the middle of its
     range. Raises InputError for fewer than two levels and where no candidate is left.
@@ -210,22 +107,16 @@ def grid(problem: DesignProblem, levels: int) -> Grid:
     if levels ** len(gridded) > MOST:
         asked, most = f"{levels} levels for each of {len(gridded)} joints", int(MOST ** (1.0 / len(gridded)) + 1e-9)
         raise InputError(f"grid: {asked}, allowed: 2 to {most}, which are {MOST:,} candidates at most")
-    limits = zip(problem.lower, problem.upper, strict=True)
-    everything = Grid(
-        tuple(
-            np.linspace(low, high, levels) if joint in gridded else np.array([0.5 * (low + high)])
-            for joint, (low, high) in enumerate(limits)
-        )
-    )
-    if not problem.constraints:
-        return everything
-    allowed = np.concatenate([index[problem.feasible(postures)] for index, postures in chunks(everything)])
-    _require_some(len(allowed), len(everything))
-    return Grid(everything.axes, allowed, len(everything) - len(allowed))
+    axes = [
+        np.linspace(low, high, levels) if joint in gridded else np.array([0.5 * (low + high)])
+        for joint, (low, high) in enumerate(zip(problem.lower, problem.upper, strict=True))
+    ]
+    postures = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+    return _allowed(problem, postures, np.ones(len(postures), dtype=bool))
 
 
-def listed_candidates(problem: DesignProblem, postures: ArrayLike) -> PostureList:
-    """The (N, n) `postures` [rad] that are within the limits and satisfy the constraints, as a list.
+def listed_candidates(problem: DesignProblem, postures: ArrayLike) -> Array:
+    """(N, n) those of the `postures` [rad] that are within the limits and satisfy the constraints.
 
     Raises InputError for another number of joints and where no candidate is left.
     """
@@ -235,12 +126,27 @@ def listed_candidates(problem: DesignProblem, postures: ArrayLike) -> PostureLis
     if len(rows := np.flatnonzero(~np.isfinite(listed).all(axis=1))):
         raise InputError(f"candidates: row {rows[0] + 1} is not finite, allowed: finite joint angles")
     inside = np.all((listed >= problem.lower - OUTSIDE) & (listed <= problem.upper + OUTSIDE), axis=1)
-    clipped = problem.clip(listed)
-    inside[inside] = problem.feasible(clipped[inside])
-    _require_some(int(inside.sum()), len(listed))
-    return PostureList(clipped[inside], len(listed) - int(inside.sum()))
+    return _allowed(problem, problem.clip(listed), inside)
 
 
-def _require_some(left: int, total: int) -> None:
-    if left == 0:
-        raise InputError(f"candidates: 0 of {total} are within limits and constraints, allowed: at least one")
+def _allowed(problem: DesignProblem, postures: Array, inside: Array) -> Array:
+    """Those inside that satisfy the constraints."""
+    inside[inside] = problem.feasible(postures[inside])
+    if not inside.any():
+        raise InputError(f"candidates: 0 of {len(inside)} are within limits and constraints, allowed: at least one")
+    return postures[inside]
+
+
+def well_spread(candidates: Array, count: int) -> Array:
+    """About `count` of the candidates (k, n), well spread; all of them if there are no more.
+
+    Those with all joints at limits or middles of their ranges are among them: the optimum is often made of these.
+    """
+    if len(candidates) <= count:
+        return candidates
+    generator = np.random.default_rng(0)
+    low, high = candidates.min(axis=0), candidates.max(axis=0)
+    places = 2.0 * (candidates - low) / np.where(high > low, high - low, 1.0)
+    marks = np.flatnonzero(np.all(np.abs(places - np.round(places)) < 1e-9, axis=1))
+    few = marks if len(marks) <= count // 2 else generator.choice(marks, count // 2, replace=False)
+    return candidates[np.unique(np.concatenate([few, generator.integers(0, len(candidates), count)[len(few) :]]))]

@@ -8,10 +8,6 @@ sigma^2 / (s d)^2 to the diagonal of K, s its scale, and no run. Then m new runs
 
 and per new run, with K / m and k / m in place of K and k, weights that sum to one give the same M. It stays a convex
 mixture of the matrices F_i = (B_i^T B_i + K) / (1 + k), so that the equivalence theorem holds as it stands.
-
-*Derivatives by the joint angles*, of Jacobians and of constraints, are of many postures at once. A criterion needs the
-second derivatives of a Jacobian only in sums <W, B> over its entries with fixed weights W, and its gradient alone needs
-no more than the slope of such a sum: reverse differentiation gives each at a few times the cost of B itself.
 """
 
 from __future__ import annotations
@@ -26,20 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from doe.criteria import Criterion, D
-from doe.problem.constraints import Constraint, constraints_of
+from doe.problem.constraints import Expression, constraints_of
 from doe.problem.model import DesignModel, check_model, offers
-from identification import (
-    EFFECT,
-    NEEDS_SIGMA,
-    PRISMATIC,
-    Array,
-    InputError,
-    ParameterSet,
-    design_model,
-    information_matrix,
-    readonly,
-)
-from identification.vectorize import PART, vectorize
+from identification import EFFECT, NEEDS_SIGMA, PRISMATIC, Array, InputError, design_model, information_matrix, readonly
+from identification.vectorize import vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
 MANY = 16  # parameters above which gradients pay: exchanges and second derivatives of plans cost the cube of them
@@ -61,18 +47,10 @@ class PriorInformation:
     total: Array = field(default_factory=lambda: np.zeros(()))
     runs: float = 0.0
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "total", readonly(self.total))
-
     @property
     def empty(self) -> bool:
         """True if nothing is known."""
         return self.runs == 0.0 and not self.total.any()
-
-    @property
-    def new_fraction(self) -> float:
-        """1 / (1 + k), of a mean over new runs, with the prior per new run."""
-        return 1.0 / (1.0 + self.runs)
 
     def per_new_run(self, new_runs: int | None = None) -> PriorInformation:
         """K / m and k / m. Raises `InputError` where something is known and `new_runs`, m, is no number >= 1."""
@@ -88,20 +66,19 @@ class PriorInformation:
 
     def mixture(self, jacobians: Array, weights: Array) -> Array:
         """(p, p) M of (j, d, p) scaled Jacobians with weights (j,) that sum to one, with the prior per new run."""
-        parts = (slice(k, k + PART) for k in range(0, len(jacobians), PART))
-        return self.information(sum((information_matrix(jacobians[k], weights[k]) for k in parts), np.zeros(())))
+        return self.information(information_matrix(jacobians, weights))
 
     def posture_information(self, jacobians: Array) -> Array:
         """(j, p, p) F_i, what a design with all its weight on one posture would have."""
-        return self.information(np.swapaxes(jacobians, 1, 2) @ jacobians)
+        return self.information(information_of_each(jacobians))
 
     def sensitivities(self, jacobians: Array, gradient: Array) -> Array:
         """(j,) tr(G F_i) of (j, d, p) scaled Jacobians; the literature calls it d for G = M^-1."""
         return self.mixed(np.einsum("kda,kda->k", jacobians @ gradient, jacobians), gradient)
 
-    def mixed(self, values: Array, gradient: Array) -> Array:
+    def mixed(self, values: Array | float, gradient: Array) -> Array:
         """tr(G F) of values tr(G B^T B)."""
-        return np.asarray((values + float(np.sum(gradient * self.total))) / (1.0 + self.runs))
+        return np.asarray((values + np.sum(gradient * self.total)) / (1.0 + self.runs))
 
 
 @dataclass(frozen=True)
@@ -126,7 +103,7 @@ class DesignProblem:
     lower: Array = None  # type: ignore[assignment]  # arrays from construction on
     upper: Array = None  # type: ignore[assignment]
     criterion: Criterion = field(default_factory=D)
-    constraints: Sequence[Constraint] = ()
+    constraints: Sequence[Expression] = ()
     kept: Array = None  # type: ignore[assignment]
     choices: Array | None = None
     sampled: bool = False
@@ -136,21 +113,24 @@ class DesignProblem:
     beyond: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "model", design_model(self.model))
+        def settle(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        settle("model", design_model(self.model))
         check_model(self.model)
         if not callable(getattr(self.criterion, "value", None)):
             allowed = "an object with value(), such as doe.criteria.criterion('A', ...)"
             raise InputError(f"criterion: {self.criterion!r:.40}, allowed: {allowed}")
         for name in ("lower", "upper"):
             limit = getattr(self, name)
-            object.__setattr__(self, name, readonly(getattr(self.model, name) if limit is None else limit, -1))
+            settle(name, readonly(getattr(self.model, name) if limit is None else limit, -1))
         kept = np.empty((0, self.joints)) if self.kept is None else np.atleast_2d(np.asarray(self.kept, dtype=float))
         if kept.size and kept.shape[1:] != (self.joints,):
             raise InputError(f"kept: shape {kept.shape}, allowed: (k, {self.joints})")
-        object.__setattr__(self, "kept", readonly(kept.reshape(-1, self.joints)))
+        settle("kept", readonly(kept.reshape(-1, self.joints)))
         if self.choices is not None and np.shape(self.choices)[1:] != (self.joints,):
             raise InputError(f"candidates: shape {np.shape(self.choices)}, allowed: (N, {self.joints})")
-        object.__setattr__(self, "deviations", dict(self.deviations))
+        settle("deviations", dict(self.deviations))
         _ = self.precisions  # raises for deviations that do not fit
         if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):
             raise InputError(f"minimum distance: {np.degrees(self.minimum_distance):g} deg, allowed: a number >= 0")
@@ -236,12 +216,7 @@ class DesignProblem:
         """
         rows = np.atleast_2d(postures)
         shares = np.full(len(rows), 1.0 / len(rows)) if weights is None else weights
-        return self.prior.per_new_run(len(rows)).information(self.weighted_information(rows, shares))
-
-    def weighted_information(self, postures: Array, weights: Array) -> Array:
-        """(p, p) sum of w_i B_i^T B_i of postures (m, n) with weights (m,), without what is known beforehand."""
-        parts = (slice(k, k + PART) for k in range(0, len(postures), PART))  # Jacobians that stay in the cache
-        return np.asarray(sum(information_matrix(self.scaled_jacobians(postures[k]), weights[k]) for k in parts))
+        return self.prior.per_new_run(len(rows)).mixture(self.scaled_jacobians(rows), shares)
 
     def objective(self, postures: ArrayLike, weights: Array | None = None) -> float:
         """Criterion value of a plan (to maximise); -inf if its information matrix is singular."""
@@ -271,15 +246,28 @@ class DesignProblem:
 
     @cached_property
     def precisions(self) -> Array:
-        """(p,) information of `deviations`, in scaled parameters and units of sigma; 0: nothing is known."""
-        return precisions(self.model.parameters, self.deviations, self.model.sigma)
+        """(p,) what `deviations` add to the diagonal of sum B^T B; 0: nothing is known.
+
+        Raises `InputError` for unknown names, deviations that are not > 0, and where sigma is not known.
+        """
+        parameters, sizes = self.model.parameters, np.full(self.parameters, np.inf)
+        for name, deviation in self.deviations.items():
+            if not 0.0 < deviation < np.inf:
+                raise InputError(f"deviations: {name} has {deviation:g}, allowed: a finite number > 0")
+            sizes[parameters.index(name)] = deviation
+        if self.deviations and self.model.sigma is None:
+            raise InputError(f"a prior {NEEDS_SIGMA}")
+        return readonly(((self.model.sigma or 0.0) / (parameters.scales * sizes)) ** 2)
 
     @cached_property
     def scaled_jacobian_function(self) -> ca.Function:
         """CasADi q -> B (d, p) at the model's best known parameter values."""
         q, p = ca.SX.sym("q", self.joints), ca.SX.sym("p", self.parameters)
-        jacobian = ca.jacobian(self.model.symbolic_position(q, p), p)
-        jacobian = ca.substitute(jacobian, p, ca.DM(self.model.values))
+        position = ca.SX(self.model.symbolic_position(q, p))
+        if position.shape != (self.model.dimension, 1):
+            wrong = f"symbolic_position has shape {position.shape}"
+            raise InputError(f"model: {wrong}, allowed: ({self.model.dimension},), as its dimension says")
+        jacobian = ca.substitute(ca.jacobian(position, p), p, ca.DM(self.model.values))
         scaled = ca.cse(jacobian @ ca.diag(ca.DM(1.0 / self.model.parameters.scales)))
         return ca.Function("scaled_jacobian", [q], [scaled], ["q"], ["jacobian"])
 
@@ -306,11 +294,19 @@ class DesignProblem:
 
     @cached_property
     def active_joints(self) -> tuple[int, ...]:
-        """Joints (from 0) that change B^T B; the others, such as q_1 of the base model, are free for other purposes."""
+        """Joints (from 0) that change B^T B; the others, such as q_1 of the base model, are free for other purposes.
+
+        Raises `InputError` for a model whose derivatives are not finite.
+        """
         base, other = np.random.default_rng(0).uniform(self.lower, self.upper, (2, 16, self.joints))
         moved = np.where(np.eye(self.joints, dtype=bool)[:, None], other, base)  # (n, 16, n)
-        before = information_of_each(self.scaled_jacobians(base))
-        changes = np.abs(information_of_each(self.scaled_jacobians(moved)) - before).max(axis=(1, 2, 3))
+        before, after = (information_of_each(self.scaled_jacobians(q)) for q in (base, moved))
+        if not (np.all(np.isfinite(before)) and np.all(np.isfinite(after))):
+            allowed = "finite ones within the joint limits"
+            raise InputError(
+                f"model: derivatives by its parameters are not numbers at some postures, allowed: {allowed}"
+            )
+        changes = np.abs(after - before).max(axis=(1, 2, 3))
         return tuple(np.flatnonzero(changes > 1e-9 * np.abs(before).max()).tolist())
 
     @cached_property
@@ -319,95 +315,66 @@ class DesignProblem:
         tied = bool(self.constraints) or self.choices is not None
         return tuple(range(self.joints)) if tied else self.active_joints
 
+    def jacobian_derivatives(self, joints: Sequence[int]) -> Derivatives:
+        """Of B (d, p) by some joints."""
+        q = ca.SX.sym("q", self.joints)
+        jacobian = self.scaled_jacobian_function(q)
+        return Derivatives(q, jacobian, joints, jacobian.shape)
+
+    def wall_derivatives(self, joints: Sequence[int]) -> Derivatives:
+        """Of all constraints' expressions (k,), which are kept >= 0, by some joints."""
+        q = ca.SX.sym("q", self.joints)
+        walls = ca.SX(ca.vertcat(*(constraint.symbolic(q) for constraint in self.constraints)))
+        return Derivatives(q, walls, joints, (walls.numel(),))
+
 
 def information_of_each(jacobians: Array) -> Array:
     """(..., p, p) B^T B of every posture by itself, from (..., d, p) B."""
     return np.swapaxes(jacobians, -1, -2) @ jacobians
 
 
-def precisions(parameters: ParameterSet, deviations: Mapping[str, float], sigma: float | None) -> Array:
-    """(p,) diagonal of what normal distributions beforehand add to sum B^T B; 0 for parameters without a deviation.
-
-    deviations : parameter name -> standard deviation [API unit];  sigma : of a measured coordinate [mm]
-    Raises `InputError` for unknown names, deviations that are not > 0, and where sigma is not known.
-    """
-    sizes = np.full(len(parameters), np.inf)
-    for name, deviation in deviations.items():
-        if not 0.0 < deviation < np.inf:
-            raise InputError(f"deviations: {name} has {deviation:g}, allowed: a finite number > 0")
-        sizes[parameters.index(name)] = deviation
-    if deviations and sigma is None:
-        raise InputError(f"a prior {NEEDS_SIGMA}")
-    return readonly(((sigma or 0.0) / (parameters.scales * sizes)) ** 2)
-
-
-# -- derivatives by the joint angles -----------------------------------------------------------------------------------
 class Derivatives:
-    """Of an expression c (k,) of one posture by a of the joints; weights w are (m, k)."""
+    """Of an expression C, whose entries have the `shape` (...), by a of the joints, at many postures.
 
-    def __init__(self, q: ca.SX, expression: ca.SX, joints: Sequence[int]) -> None:
-        self._q, self._expression = q, ca.densify(ca.SX(expression))
-        self._active = q[list(joints)]
-        self._weights = ca.SX.sym("w", self._expression.numel())
-        self._sum = ca.dot(self._expression, self._weights)
+    A criterion needs second derivatives only in sums <W, C> over the entries with weights W (m, ...), and its gradient
+    alone no more than the slope of such a sum: reverse differentiation gives each at a few times the cost of C itself.
+    """
+
+    def __init__(self, q: ca.SX, expression: ca.SX, joints: Sequence[int], shape: tuple[int, ...]) -> None:
+        self.shape = shape
+        entries = ca.densify(ca.vec(expression.T))
+        self._active, self._count = q[list(joints)], entries.numel()
+        weights = ca.SX.sym("w", self._count)
+        total = ca.dot(entries, weights)
+        self._parts = {
+            "values": ([q], lambda: [entries]),
+            "first": ([q], lambda: [entries, ca.jacobian(entries, self._active)]),
+            "slope": ([q, weights], lambda: [ca.gradient(total, self._active)]),
+            "bend": ([q, weights], lambda: [ca.hessian(total, self._active)[0]]),
+        }
+        self._compiled: dict[str, Callable[..., tuple[Array, ...]]] = {}
+
+    def _evaluated(self, name: str, *arguments: Array) -> tuple[Array, ...]:
+        if name not in self._compiled:
+            inputs, outputs = self._parts[name]
+            function = ca.Function("derivatives", inputs, ca.cse([ca.densify(each) for each in outputs()]))
+            self._compiled[name] = vectorize(function)
+        return self._compiled[name](*arguments)
 
     def values(self, postures: Array) -> Array:
-        """(m, k) c."""
-        return self._values(postures)[0][..., 0]
+        """(m, ...) C."""
+        return self._evaluated("values", postures)[0].reshape(-1, *self.shape)
 
     def first(self, postures: Array) -> tuple[Array, Array]:
-        """c (m, k) and its derivatives (m, k, a)."""
-        values, slopes = self._first(postures)
-        return values[..., 0], slopes
+        """(m, ...) C and its derivatives (m, a, ...)."""
+        values, slopes = self._evaluated("first", postures)
+        slopes = np.swapaxes(slopes, 1, 2)
+        return values.reshape(-1, *self.shape), slopes.reshape(*slopes.shape[:2], *self.shape)
 
     def slope(self, postures: Array, weights: Array) -> Array:
-        """(m, a) gradients of <w, c>."""
-        return self._slope(postures, weights.reshape(len(weights), self._weights.numel()))[0][..., 0]
+        """(m, a) gradients of <W, C>."""
+        return self._evaluated("slope", postures, weights.reshape(-1, self._count))[0][..., 0]
 
     def bend(self, postures: Array, weights: Array) -> Array:
-        """(m, a, a) Hessians of <w, c>."""
-        return self._bend(postures, weights.reshape(len(weights), self._weights.numel()))[0]
-
-    def _compiled(self, inputs: list[ca.SX], *outputs: ca.SX) -> Callable[..., tuple[Array, ...]]:
-        return vectorize(ca.Function("derivatives", inputs, ca.cse([ca.densify(output) for output in outputs])))
-
-    @cached_property
-    def _values(self) -> Callable[..., tuple[Array, ...]]:
-        return self._compiled([self._q], self._expression)
-
-    @cached_property
-    def _first(self) -> Callable[..., tuple[Array, ...]]:
-        return self._compiled([self._q], self._expression, ca.jacobian(self._expression, self._active))
-
-    @cached_property
-    def _slope(self) -> Callable[..., tuple[Array, ...]]:
-        return self._compiled([self._q, self._weights], ca.gradient(self._sum, self._active))
-
-    @cached_property
-    def _bend(self) -> Callable[..., tuple[Array, ...]]:
-        return self._compiled([self._q, self._weights], ca.hessian(self._sum, self._active)[0])
-
-
-class JacobianDerivatives(Derivatives):
-    """Of the scaled Jacobian B (d, p); weights W are (m, d, p)."""
-
-    def __init__(self, problem: DesignProblem, joints: Sequence[int]) -> None:
-        q = ca.SX.sym("q", problem.joints)
-        jacobian = problem.scaled_jacobian_function(q)
-        self._shape = jacobian.shape
-        super().__init__(q, ca.vec(jacobian.T), joints)
-
-    def first(self, postures: Array) -> tuple[Array, Array]:
-        """B (m, d, p) and its derivatives (m, a, d, p)."""
-        jacobian, first = super().first(postures)
-        return jacobian.reshape(-1, *self._shape), np.moveaxis(first, -1, -2).reshape(
-            *first.shape[:-2], first.shape[-1], *self._shape
-        )
-
-
-class ConstraintDerivatives(Derivatives):
-    """Of the symbolic forms c (k,) of all constraints, which are kept >= 0."""
-
-    def __init__(self, problem: DesignProblem, joints: Sequence[int]) -> None:
-        q = ca.SX.sym("q", problem.joints)
-        super().__init__(q, ca.vertcat(*(constraint.symbolic(q) for constraint in problem.constraints)), joints)
+        """(m, a, a) Hessians of <W, C>."""
+        return self._evaluated("bend", postures, weights.reshape(-1, self._count))[0]

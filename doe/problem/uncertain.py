@@ -1,18 +1,15 @@
-"""Designs for an arm whose parameters are not known yet: good on average, or at worst, over a prior.
+"""Designs for an arm whose parameters are not known yet, and for one whose model may lack something.
 
-Effects make the Jacobian depend on the parameters, so one guess may give a plan that is poor for the real arm. Draw K
-parameter vectors from the prior and imagine K arms that are measured together: the Jacobian of a posture is
-block-diagonal of the K Jacobians, and so is the information matrix. Then log det M = sum_k log det M_k, so that
-D-optimality of this model is the average over the prior, and `Worst` takes the smallest of the M_k. Solvers,
-relaxation, column generation and certificates need no change: it is a model like any other, with d K coordinates and
-p K parameters.
+*Several arms.* Effects make the Jacobian depend on the parameters, so one guess may give a plan that is poor for the
+real arm. Draw K parameter vectors from the prior and imagine K arms that are measured together: the Jacobian of a
+posture is block-diagonal of the K Jacobians, and so is the information matrix. Then log det M = sum_k log det M_k: D of
+this model is the average over the prior, and `Worst` takes the smallest of the M_k. It is a model like any other, with
+d K coordinates and p K parameters.
 
-Designs for an arm whose model may lack something: what it may lack enters with its prior.
-
-The parameters are those of the model and of all effects of the library, error curves among them; the latter have a
-normal prior of zero mean, and each posture has an error of its own, which is noise to all others
-(`identification.gap.library_prior`). With K the information of the prior the posterior of a plan is
-(sum B^T B + K)^-1 sigma^2, and every criterion of it is concave as before (doe/README.md, "Prior information").
+*Missing effects.* The parameters are those of the model and of all effects of the library, error curves among them; the
+latter have a normal prior of zero mean, and each posture has an error of its own, which is noise to all others. With K
+the information of the prior the posterior of a plan is (sum B^T B + K)^-1 sigma^2, and every criterion of it is concave
+as before (doe/README.md, "Prior information").
 """
 
 from __future__ import annotations
@@ -26,17 +23,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.criteria import Criterion, D, I
-from doe.criteria.log_determinants import Average, Worst
+from doe.criteria import Average, I, Worst
 from doe.problem.model import DesignModel, offered, offers
-from doe.problem.postures import listed_candidates, random_postures
+from doe.problem.postures import half_at_limits, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from identification import NEEDS_SIGMA, Array, InputError, ParameterSet, design_model, nearest, readonly
 
+KINDS = {"average": Average, "worst": Worst}
+
+
 # -- several arms ------------------------------------------------------------------------------------------------------
-KINDS = ("average", "worst")
-
-
 @dataclass(frozen=True)
 class EnsembleModel:
     """K arms measured at the same postures. draws : (K, p) parameter vectors [mm, rad]."""
@@ -61,7 +57,7 @@ class EnsembleModel:
     def parameters(self) -> ParameterSet:
         """(K p) parameters of the model, with the number of the draw in their names."""
         draws = range(1, len(self.draws) + 1)
-        return ParameterSet.of(replace(p, name=f"{p.name} [draw {k}]") for k in draws for p in self.model.parameters)
+        return ParameterSet(replace(p, name=f"{p.name} [draw {k}]") for k in draws for p in self.model.parameters)
 
     @property
     def prior(self) -> dict[str, float]:
@@ -113,13 +109,13 @@ def ensemble_problem(problem: DesignProblem, draws: Array, kind: str = "average"
     """
     if kind not in KINDS:
         raise InputError(f"uncertain: unknown kind {kind!r}, {nearest(kind, KINDS)}")
-    if not isinstance(problem.criterion, D):
+    if problem.criterion.name != "D":
         raise InputError(f"criterion: {problem.criterion.name} for an uncertain arm, allowed: D")
     if isinstance(problem.model, EnsembleModel):
         raise InputError("uncertain: the model is one of several arms already, allowed: the model of one arm")
     model = EnsembleModel(problem.model, draws)
-    criterion: Criterion = (Average if kind == "average" else Worst)(len(model.draws))
-    return replace(problem, model=model, criterion=criterion, deviations=model.of_draws(problem.deviations))
+    deviations = model.of_draws(problem.deviations)
+    return replace(problem, model=model, criterion=KINDS[kind](len(model.draws)), deviations=deviations)
 
 
 # -- one arm that may have more effects --------------------------------------------------------------------------------
@@ -160,12 +156,10 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     enough of them to choose from. No proof over a random list says anything of all postures: it is `sampled`.
     """
     listed, sampled = problem.choices, problem.sampled
-    if listed is None:  # half as they are drawn, of the others each joint is at a limit with probability one half
+    if listed is None:
         generator, sampled = np.random.default_rng(0), True
         anywhere, others = (random_postures(problem, 1000, generator) for _ in range(2))
-        nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
-        at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
-        listed = np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
+        listed = half_at_limits(problem, anywhere, others, generator)
     return replace(problem, choices=listed if also is None else np.concatenate([listed, also]), sampled=sampled)
 
 
@@ -186,5 +180,5 @@ def workspace(problem: DesignProblem) -> Array:
     """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints, as
     where a probe is to touch something."""
     if problem.choices is not None and not getattr(problem.model, "tied", False):
-        return listed_candidates(problem, problem.choices).postures
+        return listed_candidates(problem, problem.choices)
     return random_postures(problem, 1000, np.random.default_rng(0))

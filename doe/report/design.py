@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
-from doe.plan.accuracy import ExpectedDeviations
 from doe.plan.plan import Plan
 from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
+from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
 from identification import EFFECT, Array, Model
@@ -21,7 +21,6 @@ from identification.document import Document, Pictures, PlanSteps, Section, Shee
 
 if TYPE_CHECKING:
     from doe.advise import Advice
-    from doe.cross_check import CrossCheck
     from doe.discrimination.design import DiscriminationDesign
     from doe.discrimination.t_optimal import NextPostures
     from identification import Arm, Diagnosis, Measurements
@@ -38,11 +37,21 @@ WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name c
 # -- armcal design, score ----------------------------------------------------------------------------------------------
 def design_document(design: Design) -> Document:
     """Everything about a plan: value, bound, efficiency, what a person reads first; then the postures, the accuracy."""
-    data = design.to_json()
-    rows = [[str(run), *(f"{angle:.3f}" for angle in q)] for run, q in enumerate(design.plan.displayed, start=1)]
-    plan = Sheet(["run", *posture_headings(design.plan)], rows, "Plan", 24)
-    parts = [design_facts(data, design.status.value), *remarks(design), plan, *accuracy(design)]
+    data, plan, beside = design.to_json(), design.plan, columns_beside(design)
+    rows = [[str(run), *(f"{angle:.3f}" for angle in q)] for run, q in enumerate(plan.displayed, start=1)]
+    rows = [[*row, *more] for row, *more in zip(rows, *beside.values(), strict=True)]
+    table = Sheet(["run", *posture_headings(plan), *beside], rows, "Plan", 24)
+    parts = [design_facts(data, design.status.value), *remarks(design), table, *accuracy(design)]
     return Document("Plan", [design_verdict(data)], parts)
+
+
+def columns_beside(design: Design) -> Mapping[str, Sequence[str]]:
+    """What the model says of the postures of a plan besides, name -> (m,): the cup that each touches, say."""
+    model: Any = design.problem.model
+    columns: Mapping[str, Sequence[str]] = (
+        model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
+    )
+    return columns
 
 
 def design_verdict(data: Data) -> str:
@@ -68,29 +77,27 @@ def design_verdict(data: Data) -> str:
 def design_facts(data: Data, status: str) -> Sheet:
     """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""
     bound, kind, in_mm = data["bound"], data["criterion"], data.get("expected_error_mm") is not None
-    bounded, table_1 = bound and not data["outside_limits"], data["table_1_max_residual"]
-    words, value = bound_in_words(bound) if bounded else "-", f"{number(bound['value'], 7)} " if bounded else ""
+    outside, table_1 = data["outside_limits"], data["table_1_max_residual"]
+    words = bound_in_words(bound) if bound and not outside else ""
     efficiency = f"-: {data['no_efficiency']}" if data["no_efficiency"] else number(data["efficiency"], 6)
-    searched = f"{data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
     optimal = optimality_in_words(data["optimality"], bound) or "no"
     optimal += ": the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else ""
-    if outside := data["outside_limits"]:
+    if outside:
         listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")
         are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
         optimal = f"no: {are} outside joint limits or constraints"
+    upper = None if in_mm or not words else f"{number(bound['value'], 7)} ({words})"
+    searched = f"{data['solver']}, {data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
     return facts_sheet(
         [
             ("criterion", f"{kind}, {data['runs']} runs, {data['links']} links"),
             (f"value of {kind}", None if kind == "D" or in_mm else number(data["value"], 7)),
             ("information (log det M')", None if kind == "I" else number(data["log_det"], 7)),
-            (
-                "upper bound" if kind == "D" else f"upper bound of {kind}",
-                f"{value}({words})" if value and not in_mm else None,
-            ),
-            ("efficiency", f"{efficiency} of the bound ({words})" if bounded and in_mm else efficiency),
+            ("upper bound" if kind == "D" else f"upper bound of {kind}", upper),
+            ("efficiency", f"{efficiency} of the bound ({words})" if words and in_mm else efficiency),
             ("optimal", optimal),
             ("deviation from orthogonality (Table I)", None if table_1 is None or kind == "I" else number(table_1, 6)),
-            ("solver", data["solver"] and f"{data['solver']}, {searched}"),
+            ("solver", searched if data["solver"] else None),
             ("status", status),
         ]
     )
@@ -107,7 +114,7 @@ def remarks(design: Design) -> list[str]:
     lines, runs, apart = [], len(design.plan), design.problem.spacing
     if not np.isfinite(design.log_det):
         still, combinations = design.problem.without_effect, design.not_identifiable
-        if design.identifies_all:
+        if not combinations:
             why = "the information matrix of the plan is singular to the precision of the computer"
         elif still:
             why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
@@ -131,38 +138,31 @@ def accuracy(design: Design) -> list[Sheet | str]:
         return ["No expected standard deviations: the arm file has no sigma_mm."]
     if mean is None:
         return ["No expected standard deviations: not every parameter is estimable from the plan."]
-    worst_draw = design.worst_deviations
-    over = "" if worst_draw is None else ", mean over the draws of the arm and worst of them"
-    columns = deviation_columns(mean)
-    worst = {} if worst_draw is None else deviation_columns(worst_draw)
-    missing = missing_parameters(problem)
+    worst, missing = design.worst_deviations, missing_parameters(problem)
+    over = "" if worst is None else ", mean over the draws of the arm and worst of them"
+    columns: dict[str, Array] = {}
+    for which, deviations in (("", mean), ("worst ", worst)):
+        if deviations is not None and deviations.planar:
+            columns[f"{which}length [mm]"] = deviations.length
+            columns[f"{which}orientation [deg]"] = np.degrees(deviations.orientation)
+            columns[f"{which}joint offset [deg]"] = np.degrees(deviations.joint_offset)
+        elif deviations is not None:
+            columns[f"{which}std"] = deviations.values * [p.to_file for p in deviations.parameters]
     weak = [
         p.name
         for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
         # above half of the deviation before, the prior says more of a parameter than the plan
         if not mean.planar and p.kind != EFFECT and std > 0.5 * problem.deviations.get(p.name, np.inf)
     ]
-    hidden = {*missing, *weak}
-    names = ["" if p.name in hidden else f"{p.name} [{p.file_unit}]" for p in mean.parameters]
+    names = ["" if p.name in {*missing, *weak} else f"{p.name} [{p.file_unit}]" for p in mean.parameters]
     names = [str(link) for link in range(1, mean.length.size + 1)] if mean.planar else names
-    values = zip(*columns.values(), *worst.values(), strict=True)
-    rows = [[name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True) if name]
+    values = zip(names, *columns.values(), strict=True)
+    rows = [[name, *(number(v, 5) for v in figures)] for name, *figures in values if name]
     condition = "if effects of typical size may be missing" if missing else "if the model is complete"
-    headings = ["link" if mean.planar else "parameter", *columns, *(f"worst {heading}" for heading in worst)]
+    title = f"Expected standard deviations {condition} (sigma = {sigma:g} mm{over})"
+    table = Sheet(["link" if mean.planar else "parameter", *columns], rows, title)
     held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
-    table = Sheet(headings, rows, f"Expected standard deviations {condition} (sigma = {sigma:g} mm{over})")
     return [table, *([f"and {len(weak)} {held}"] if weak else [])]
-
-
-def deviation_columns(deviations: ExpectedDeviations) -> dict[str, Array]:
-    """Heading -> figures in the units of files, (n,) per link of a planar arm, else (p,) per parameter."""
-    if not deviations.planar:
-        return {"std": deviations.values * [p.to_file for p in deviations.parameters]}
-    return {
-        "length [mm]": deviations.length,
-        "orientation [deg]": np.degrees(deviations.orientation),
-        "joint offset [deg]": np.degrees(deviations.joint_offset),
-    }
 
 
 def missing_parameters(problem: DesignProblem) -> list[str]:
@@ -224,11 +224,6 @@ def plan_section(
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
 
 
-def file_section(arm: Arm, file: Any, name: str) -> Section:
-    """The same of a plan as a file has it (`read_plan`)."""
-    return plan_section(arm, Plan(file.postures, file.weights, fit=file.fit), file.cells, name)
-
-
 def plan_steps(
     arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan"
 ) -> dict[str, Any] | None:
@@ -239,12 +234,15 @@ def plan_steps(
     """
     from doe.report.figures import FORBIDDEN, outlines
 
+    def rounded(values: Array, digits: int) -> Any:
+        array = np.asarray(values, dtype=float)
+        return np.array([float(f"{value:.{digits}g}") for value in array.ravel()]).reshape(array.shape).tolist()
+
     problem = DesignProblem.of(Model(arm))
     numbers = len(plan) * problem.model.dimension * problem.parameters
     # more runs than a person steps through, or too many numbers of the Jacobians, some 12 characters each
     if plan.weights is not None or len(plan) > 200 or numbers > 150_000:
         return None
-    jacobians = problem.scaled_jacobians(plan.postures).reshape(len(plan), -1)
     if cells is None:
         columns = zip(plan.units, plan.displayed.T, strict=True)
         cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}
@@ -254,19 +252,13 @@ def plan_steps(
         "columns": list(cells),
         "rows": [list(row) for row in zip(*cells.values(), strict=True)],
         "joints": posture_headings(plan),
-        "postures": to_digits(plan.displayed, 6),
-        "jacobians": to_digits(jacobians, 12),
+        "postures": rounded(plan.displayed, 6),
+        "jacobians": rounded(problem.scaled_jacobians(plan.postures).reshape(len(plan), -1), 12),
         "parameters": problem.parameters,
-        "known": to_digits(problem.precisions, 12),
-        "points": to_digits(Model(arm).points(plan.postures), 5),
-        "outlines": [{"line": to_digits(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
+        "known": rounded(problem.precisions, 12),
+        "points": rounded(Model(arm).points(plan.postures), 5),
+        "outlines": [{"line": rounded(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
     }
-
-
-def to_digits(values: Array, digits: int) -> Any:
-    """Nested lists of numbers rounded to this many significant digits."""
-    array = np.asarray(values, dtype=float)
-    return np.array([float(f"{value:.{digits}g}") for value in array.ravel()]).reshape(array.shape).tolist()
 
 
 # -- armcal advise -----------------------------------------------------------------------------------------------------
@@ -294,42 +286,43 @@ MISSING = (
 
 
 def advice_document(advice: Advice) -> Document:
-    """The answer in one sentence, a row for some of the numbers of runs, and what the figures do not promise."""
-    deviations = [design.deviations for design in advice.designs]
+    """The answer in one sentence, a row for the smallest number of runs for the target and about twelve of the others,
+    each the same factor above the one before, and what the figures do not promise."""
     missing = any(np.isfinite(error.missing) for error in advice.tip_errors)  # as in a model that was not diagnosed
-    stars = [" *" if (design.efficiency or 0.0) >= 0.999 else "  " for design in advice.designs]  # of the bound
-    columns: dict[str, Iterable[str]] = {
-        "runs": map(str, advice.runs),
-        "efficiency": [f"{number(d.efficiency, 5)}{star}" for d, star in zip(advice.designs, stars, strict=True)],
-    }
-    if not advice.of_tip and any(deviations):
-        columns["length\nstd\n[mm]"] = [number(None if d is None else d.largest_length, 5) for d in deviations]
-        columns["angle\nstd\n[deg]"] = [
-            number(None if d is None else np.degrees(d.largest_angle), 5) for d in deviations
-        ]
-    for key, heading in [*TIP_ERRORS.items()][: 4 if missing else 2] if advice.tip_errors else ():
-        columns[heading] = [number(getattr(error, key), 4) for error in advice.tip_errors]
-    every, shown = list(zip(*columns.values(), strict=True)), set(shown_runs(advice))
-    rows = [row for m, row in zip(advice.runs, every, strict=True) if m in shown]
-    parts: list[Any] = [Sheet(list(columns), rows)]
+    runs = sorted(set(advice.runs))
+    if len(runs) > 12:
+        runs = [min(runs, key=lambda m: abs(np.log(m / wanted))) for wanted in np.geomspace(runs[0], runs[-1], 12)]
+    shown = {*runs, *([len(advice.smallest.plan)] if advice.smallest else [])}
+    columns: dict[str, list[str]] = {"runs": [], "efficiency": []}
+    for k, design in enumerate(advice.designs):
+        if advice.runs[k] not in shown:
+            continue
+        star, sure = " *" if (design.efficiency or 0.0) >= 0.999 else "  ", design.deviations  # of the bound
+        row = {"runs": str(advice.runs[k]), "efficiency": f"{number(design.efficiency, 5)}{star}"}
+        if not advice.of_tip and any(one.deviations for one in advice.designs):
+            row["length\nstd\n[mm]"] = number(None if sure is None else sure.largest_length, 5)
+            row["angle\nstd\n[deg]"] = number(None if sure is None else np.degrees(sure.largest_angle), 5)
+        for key, heading in [*TIP_ERRORS.items()][: 4 if missing else 2] if advice.tip_errors else ():
+            row[heading] = number(getattr(advice.tip_errors[k], key), 4)
+        for heading, cell in row.items():
+            columns.setdefault(heading, []).append(cell)
+    parts: list[Any] = [Sheet(list(columns), list(zip(*columns.values(), strict=True)))]
     parts += ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
-    parts += [f"{len(rows)} of {len(every)} numbers of runs; --json has all of them."] if len(rows) < len(every) else []
+    some, every = len(columns["runs"]), len(advice.designs)
+    parts += [f"{some} of {every} numbers of runs; --json has all of them."] if some < every else []
     parts += [RIGHT, MISSING if missing else DIAGNOSED] if advice.tip_errors else []
     return Document("How many runs", [advice_sentence(advice)], parts)
 
 
-def shown_runs(advice: Advice) -> list[int]:
-    """The numbers of runs that a table shows: the smallest for the target, and about twelve of the others, spread so
-    that each is the same factor above the one before."""
-    runs = sorted(set(advice.runs))
-    spread = {min(runs, key=lambda m: abs(np.log(m / wanted))) for wanted in np.geomspace(runs[0], runs[-1], 12)}
-    smallest = {len(advice.smallest.plan)} if advice.smallest else set()
-    return sorted((set(runs) if len(runs) <= 12 else spread) | smallest)
-
-
 def advice_sentence(advice: Advice) -> str:
     """What to do, in one line."""
-    good = ", ".join(spans(advice.efficient_runs()))
+    stretches: list[list[int]] = []  # of rising whole numbers, each said once: `4, 6 to 40`
+    for m in sorted(advice.efficient_runs()):
+        if stretches and m - stretches[-1][-1] == 1:
+            stretches[-1].append(m)
+        else:
+            stretches.append([m])
+    good = ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in stretches)
     efficient = f"Plans within 0.1 % of the bound exist for m = {good}."
     efficient = efficient if good else "None of these plans is within 0.1 % of the bound."
     if advice.target is None:
@@ -343,17 +336,6 @@ def advice_sentence(advice: Advice) -> str:
     missing = "".join(f"; at the tip {error} mm if effects of typical size are missing" for error in lacks)
     suffice = f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, if the model is right{missing}."
     return f"{suffice} {efficient}"
-
-
-def spans(runs: Sequence[int]) -> list[str]:
-    """`4`, `6 to 40`: stretches of rising whole numbers, each said once."""
-    stretches: list[list[int]] = []
-    for m in sorted(runs):
-        if stretches and m - stretches[-1][-1] == 1:
-            stretches[-1].append(m)
-        else:
-            stretches.append([m])
-    return [str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in stretches]
 
 
 # -- armcal relax ------------------------------------------------------------------------------------------------------
@@ -381,10 +363,10 @@ def relax_document(design: ApproximateDesign) -> Document:
     return Document("Weights", [], [facts_sheet(facts), support, *rest])
 
 
-def cross_check_table(compared: CrossCheck) -> Sheet:
+def cross_check_table(compared: list[dict[str, Any]]) -> Sheet:
     """Independent answers side by side."""
     digits = {"value": 7, "bound": 7, "table_1_max_residual": 4}
-    rows = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared.rows()]
+    rows = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
     title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
     return Sheet(("method", "over", "value", "upper bound", "Table I"), rows, title)
 
@@ -412,15 +394,13 @@ def discriminating_parts(result: DiscriminationDesign) -> list[Any]:
 
 
 # -- armcal discriminate -----------------------------------------------------------------------------------------------
-def missing_payload(arm: Arm, measurements: Measurements, result: NextPostures) -> list[str]:
-    """What to do before the rows can be appended: data without a payload column mean the arm's own payload."""
-    if result.payload is None or measurements.payload is not None or arm.gravity is None:
-        return []
-    return [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
-
-
-def next_document(diagnosis: Diagnosis, result: NextPostures) -> Document:
-    """The rivals, the chance, the postures."""
+def next_document(arm: Arm, measurements: Measurements, diagnosis: Diagnosis, result: NextPostures) -> Document:
+    """The rivals, the chance, the postures, and what to do before their rows can be appended: measurements without a
+    payload column mean the arm's own payload."""
     columns = result.columns
     rows = [[f"{value:g}" for value in row] for row in zip(*columns.values(), strict=True)]
-    return Document("Next postures", [str(result)], [diagnosis.sentence, Sheet(list(columns), rows, "Next postures")])
+    notes = []
+    if result.payload is not None and measurements.payload is None and arm.gravity is not None:
+        notes = [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
+    table = Sheet(list(columns), rows, "Next postures")
+    return Document("Next postures", [str(result)], [diagnosis.sentence, table, *notes])

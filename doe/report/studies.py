@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from doe.report.figures import AFTER, BEFORE
-from doe.studies.blind.score import ALL, KEEPS, BlindStudy
+from doe.report.page import svg
+from doe.studies.blind.study import ALL, FURTHER_RUNS, KEEPS, NOTHING, OUTSIDE, BlindStudy
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
-from doe.studies.monte_carlo.specification import CELL
-from doe.studies.monte_carlo.study import StudyResult
-from doe.studies.paper.study import PaperStudy
+from doe.studies.monte_carlo import CELL, StudyResult
+from doe.studies.paper import PaperStudy
 from identification import Array
 from identification.document import Sheet, picture_bytes
 from identification.files.io import write_together
@@ -44,21 +43,16 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
     for part in summary(rows).partition_by(*PROBLEM, maintain_order=True):
         arm, arm_hash, criterion, m = (part[name][0] for name in PROBLEM)
         bounds = runs.filter(arm_hash=arm_hash, criterion=criterion, runs=m)["bound"].drop_nulls().to_list()
-        cells = [
-            [
-                label((row["solver"], row["starts"])),
-                *(
-                    cell_text(row[name], "z.5f" if abs(row[name] or 0.0) < 10.0 else ".3f")
-                    for name in ("best", "median")
-                ),
-                cell_text(row["efficiency"], ".5f"),
-                f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}",
-                *(cell_text(row[name], ".2g") for name in ("seconds", "seconds_to_hit")),
-                cell_text(row["peak_memory_mb"], ".0f"),
-                str(row["not_correct"] or "-"),
-            ]
-            for row in part.iter_rows(named=True)
-        ]
+        cells = []
+        for row in part.iter_rows(named=True):
+            best, median = (
+                cell_text(row[k], "z.5f" if abs(row[k] or 0.0) < 10.0 else ".3f") for k in ("best", "median")
+            )
+            hits = f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}"
+            times = [cell_text(row[name], ".2g") for name in ("seconds", "seconds_to_hit")]
+            rest = [cell_text(row["peak_memory_mb"], ".0f"), str(row["not_correct"] or "-")]
+            name = label((row["solver"], row["starts"]))
+            cells.append([name, best, median, cell_text(row["efficiency"], ".5f"), hits, *times, *rest])
         bound = f", bound {min(bounds):z.7f}" if bounds else ""
         parts.append(Sheet(headings, cells, f"{arm}, {criterion}, {m} runs{bound}"))
     failed = runs.filter(pl.col("status") != "done")
@@ -162,8 +156,11 @@ def _styles(settings: list[Any]) -> dict[Setting, tuple[Any, str, str]]:
 
 # -- armcal study STUDY.toml -------------------------------------------------------------------------------------------
 def monte_carlo_parts(result: StudyResult) -> list[Any]:
-    """One table per cell, up to twelve, and the cells that could not be simulated."""
+    """One table per cell, up to twelve, of errors, deviations and coverage of each parameter (dashes where no fit
+    succeeded), and the cells that could not be simulated."""
     parts: list[Any] = [str(result)]
+    formats = {"parameter": "", "mean_error": ".4g", "std": ".4g", "expected_std": ".4g", "coverage": ".2%", "unit": ""}
+    headings = ("parameter", "mean error", "std", "expected std", "95 % intervals hold", "unit")
     cells = result.cells.partition_by(*CELL, maintain_order=True)
     for cell in cells[:12]:
         rows = cell.to_dicts()
@@ -172,18 +169,12 @@ def monte_carlo_parts(result: StudyResult) -> list[Any]:
         title = f"{plan}, truth {first['truth']}, model {first['model']}"
         if first["error"] is not None:
             parts.append(f"{title}: {first['status']}: {first['error']}")
-        else:
-            parts.append(cell_table(title, rows))
+            continue
+        failed = f", {first['failed']} failed" if first["failed"] else ""
+        figures = [[cell_text(row[name], kind) for name, kind in formats.items()] for row in rows]
+        rms = f"RMS {cell_text(first['rms_mm'])} mm"
+        parts.append(Sheet(headings, figures, f"{title}: {first['fits']} fits{failed}, {rms}"))
     return [*parts, *([f"first 12 of {len(cells)} cells"] if len(cells) > 12 else [])]
-
-
-def cell_table(title: str, rows: Sequence[dict[str, Any]]) -> Sheet:
-    """Errors, deviations and coverage of each parameter; dashes where no fit succeeded."""
-    failed = f", {rows[0]['failed']} failed" if rows[0]["failed"] else ""
-    formats = {"parameter": "", "mean_error": ".4g", "std": ".4g", "expected_std": ".4g", "coverage": ".2%", "unit": ""}
-    cells = [[cell_text(row[name], kind) for name, kind in formats.items()] for row in rows]
-    headings = ("parameter", "mean error", "std", "expected std", "95 % intervals hold", "unit")
-    return Sheet(headings, cells, f"{title}: {rows[0]['fits']} fits{failed}, RMS {cell_text(rows[0]['rms_mm'])} mm")
 
 
 # -- armcal study paper ------------------------------------------------------------------------------------------------
@@ -212,6 +203,13 @@ def paper_parts(result: PaperStudy) -> list[Any]:
     ]
     names = ("place", "printed", "correct", "error of printed", "error of correct", "shown")
     return [*parts, Sheet(names, errata, "Errata, each checked by numbers")]
+
+
+def paper_pictures(folder: Path, result: PaperStudy) -> None:
+    """figure_1.svg and figure_2.svg in the folder, replaced if they are there."""
+    pictures = {"figure_1": figure_1_picture, "figure_2": figure_2_picture}
+    for name, drawn in pictures.items():
+        write_together({folder / f"{name}.svg": svg(drawn(result.tables[name]))}, force=True)
 
 
 def figure_1_picture(data: pl.DataFrame) -> Figure:
@@ -257,36 +255,22 @@ def figure_2_picture(data: pl.DataFrame) -> Figure:
 # -- armcal study blind ------------------------------------------------------------------------------------------------
 # title -> measures side by side, where a cell has the first of them
 MEASURES = {
-    "Blind study": (
-        "alarm",
-        "exact",
-        "class",
-        "in the set",
-        "size of the set",
-        "located",
-        "gap / true",
-    ),
+    "Blind study": ("alarm", "exact", "class", "in the set", "size of the set", "located", "gap / true"),
     "Many effects at once": ("error / true", "effects named", "false names", "intervals, all", "false unknown"),
     "Outside the library": ("no effect", "named at 0.9", "located", "wrong place"),
     "The model that is written": (
-        "inside tip intervals",
-        "error / geometry",
-        "promised / reached",
-        KEEPS,
-        "contradiction",
+        *("inside tip intervals", "error / geometry", "promised / reached"),
+        *(KEEPS, "contradiction"),
     ),
 }
-FURTHER = ("right", "right, gravity", "right, others", "right, alone", "class", "predicted")
-WAYS = {"next": "{} of armcal discriminate", "loaded": "{}, two payloads", "random": "{} at random"}
 
 
 def blind_parts(result: BlindStudy) -> list[Any]:
     """Verdict, figures of the cells, further postures, reliability, targets, and the most frequent mistakes."""
     parts: list[Any] = [str(result)]
-    cells = {
-        part["cell"][0]: {row["measure"]: row for row in part.iter_rows(named=True)}
-        for part in result.cells.partition_by("cell", maintain_order=True)
-    }
+    cells: dict[str, dict[str, Any]] = {}
+    for row in result.tables["cells"].iter_rows(named=True):
+        cells.setdefault(row["cell"], {})[row["measure"]] = row
     for title, measures in MEASURES.items():
         rows = [
             [cell, str(figures[measures[0]]["count"]), *(with_error(figures.get(name)) for name in measures)]
@@ -295,31 +279,29 @@ def blind_parts(result: BlindStudy) -> list[Any]:
         ]
         parts.append(Sheet(("hidden", "sets", *measures), rows, title))
     every = {name: row for figures in cells.values() for name, row in figures.items()}
-    rows = [["none", with_error(every["next_0 right"]), *[""] * 5]] if "next_0 right" in every else []
-    for count in (2, 8, 16):
-        for way, text in WAYS.items():
-            if f"{way}_{count} right" in every:
-                figures = (with_error(every.get(f"{way}_{count} {measure}")) for measure in FURTHER)
-                rows.append([text.format(count), *figures])
-    sets = next((row["count"] for name, row in every.items() if name.endswith(" right")), 0)
-    headings = ("postures", "right", "gravity", "others", "right and alone", "right class", "predicted")
+    rows, sets = [], 0
+    for count in (0, *FURTHER_RUNS):
+        figures = [every.get(f"next_{count} {measure}") for measure in ("right", "class", "predicted")]
+        if figures[0] is not None:
+            sets = figures[0]["count"]
+            rows.append([f"{count} of armcal discriminate" if count else "none", *map(with_error, figures)])
+    headings = ("postures", "right", "right class", "predicted")
     parts.append(Sheet(headings, rows, f"{sets} ambiguous sets after further postures"))
-    if len(result.reliability):
+    if len(result.tables["reliability"]):
         rows = [
             [f"{row['from']:g} to {row['to']:g}", f"{row['said']:.3f}", f"{row['right']:.3f}", str(row["count"])]
-            for row in result.reliability.iter_rows(named=True)
+            for row in result.tables["reliability"].iter_rows(named=True)
         ]
         error = result.value(ALL, "calibration error")
         title = f"Said with probability p: right in p? Expected calibration error {error:.3f}"
         parts.append(Sheet(("said", "mean", "right", "sets"), rows, title))
-    bars = result.bars.iter_rows(named=True)
+    bars = result.tables["bars"].iter_rows(named=True)
     rows = [[row["cell"], row["measure"], row["asked"], with_error(row), row["outcome"]] for row in bars]
     parts.append(Sheet(("cell", "measure", "asked", "measured", "outcome"), rows, "Bars"))
     wrong = [
         [row["hidden"], row["named"], str(row["count"])]
-        for row in result.confusion.iter_rows(named=True)
-        if row["hidden"] != row["named"]
-        and not (row["hidden"] == "outside the library" and row["named"].endswith("unknown"))
+        for row in result.tables["confusion"].iter_rows(named=True)
+        if row["hidden"] != row["named"] and not (row["hidden"] == OUTSIDE and row["named"].endswith("unknown"))
     ]
     return [*parts, Sheet(("hidden", "named", "sets"), wrong, "Most frequent mistakes between classes", 12)]
 
@@ -335,10 +317,10 @@ def with_error(row: dict[str, Any] | None) -> str:
 
 def blind_pictures(folder: Path, result: BlindStudy) -> None:
     """confusion.png and reliability.png in the folder, replaced if they are there."""
-    for name, rows in (("confusion.png", result.confusion), ("reliability.png", result.reliability)):
-        if len(rows):
-            figure = confusion_figure(rows) if name == "confusion.png" else reliability_figure(rows)
-            write_together({folder / name: picture_bytes(figure, folder / name)}, force=True)
+    for name, drawn in {"confusion": confusion_figure, "reliability": reliability_figure}.items():
+        if len(result.tables[name]):
+            path = folder / f"{name}.png"
+            write_together({path: picture_bytes(drawn(result.tables[name]), path)}, force=True)
 
 
 def reliability_figure(rows: pl.DataFrame) -> Figure:
@@ -379,7 +361,7 @@ def confusion_figure(confusion: pl.DataFrame) -> Figure:
 def confusion_matrix(confusion: pl.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
     """Row names, column names, fractions and row totals; sets with several effects hidden are left out, several names
     at once go into one column, unless the rest of the gap stayed unknown; special names are last."""
-    last = ("nothing", "several", "outside the library", "unknown")
+    last = (NOTHING, "several", OUTSIDE, "unknown")
     counts: dict[tuple[str, str], int] = {}
     for row in confusion.iter_rows(named=True):
         several = "several" if " + " in row["named"] else row["named"]
@@ -387,7 +369,7 @@ def confusion_matrix(confusion: pl.DataFrame) -> tuple[list[str], list[str], Arr
         counts[pair] = counts.get(pair, 0) + row["count"]
     counts = {(hidden, named): count for (hidden, named), count in counts.items() if " + " not in hidden}
     classes = {hidden for hidden, _ in counts}
-    names = classes, ({*classes, "unknown"} - {"outside the library"}) | {named for _, named in counts}
+    names = classes, ({*classes, "unknown"} - {OUTSIDE}) | {named for _, named in counts}
     rows, columns = (sorted(every - set(last)) + [one for one in last if one in every] for every in names)
     fractions = np.array([[counts.get((hidden, named), 0.0) for named in columns] for hidden in rows])
     totals = fractions.sum(axis=1)

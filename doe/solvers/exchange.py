@@ -6,61 +6,100 @@
 Optimal Experiments", 1972). One sweep visits every run in random order; a start ends when a sweep changes nothing. The
 starts of a batch advance together, so that numpy works on arrays of starts x candidates.
 
-Exchange for the pattern, a climb for precision: solvers that put the two together.
-
-Near a good plan there are better ones more often than at random, so each of them also starts from the best plans so
-far, or from the optimal weights, with some runs drawn again.
+Exchange finds the pattern, a climb the last digits: with one (IPOPT, L-BFGS) the two are put together. Near a good plan
+there are better ones more often than at random, so each then also starts from the best plans so far, or from the
+optimal weights, with some runs drawn again.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.criterion import surrogate, values_after_adding
 from doe.plan.ascent import PlanAscent
 from doe.plan.plan import rounded_plan
 from doe.plan.spacing import distance_to_keep
 from doe.problem.postures import fill, listed_candidates, random_postures
 from doe.problem.problem import MANY, DesignProblem, information_of_each
-from doe.solvers.ipopt import Climber, Ipopt, polishes
+from doe.solvers.ipopt import Climber, Ipopt, variables
 from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError, information_matrix
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
+SAME = 1e-7  # of criterion values: the same plan up to symmetry, polished once
+POLISHED = 1500  # variables up to which IPOPT improves what exchange found: beyond it takes longer than to search on
+TOGETHER = 2_000_000  # entries of the Jacobians on offer that are compared at once
 
 
 @dataclass(frozen=True)
 class Exchange:
-    """Coordinate exchange from random grid postures.
+    """Coordinate exchange from random grid postures; with `climb` the best plans of each batch are polished by IPOPT,
+    and every second batch varies the best.
 
     levels : grid values per joint, its limits included;  batch : starts that advance together
+    rounded : begin with the rounded optimum of the relaxation, and vary that
+    polished : plans per batch;  elite : how many of the best plans are varied;  redrawn : fraction of their runs
     """
 
     levels: int = 9
     batch: int = 50
+    climb: Ipopt | None = None
+    rounded: bool = False
+    polished: int = 5
+    elite: int = 10
+    redrawn: float = 0.25
     name: str = "exchange"
 
     def starts_for(self, problem: DesignProblem) -> int:
         """Thirty per pair of joints, as local optima grow with them; fewer for many parameters, as each costs p^3."""
         wanted = max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
-        return max(10, round(wanted * min(1.0, (MANY / problem.parameters) ** 2)))
+        return 20 if self.rounded else max(10, round(wanted * min(1.0, (MANY / problem.parameters) ** 2)))
 
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
     ) -> Iterator[Offer]:
-        """The plans of each batch, best first."""
-        left = budget.starts
+        """The plans of each batch, best first; the polished ones of each where there is a climb."""
+        climb, best, left, vary = None, list[tuple[float, Array]](), budget.starts, False
+        seen = list[float]()
+        if self.climb and variables(problem, runs) <= POLISHED:
+            climb = Climber(problem, runs, self.climb, budget)
+        if self.rounded:
+            from doe.bounds.column_generation import continuous_design  # deferred: it needs scipy.linalg
+
+            weights = continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(0.5).ended)
+            first = rounded_plan(weights.plan, runs)
+            yield Offer(first)
+            best, vary = [(problem.objective(first), first)], True
         while True:
             started = self.begin(problem, left, runs, generator)
-            left -= len(started)
             yield Offer(started[0])  # something to return if the user stops during the first batch
-            for plan in self.improve(problem, started, generator, budget)[0]:
-                yield Offer(plan, 1, independent=True)
+            if vary:
+                elite = np.array([plan for _, plan in best])
+                chosen = elite[generator.integers(len(best), size=len(started))]
+                kept = generator.random(started.shape[:2]) > self.redrawn
+                started = np.where(kept[..., None], chosen, started)
+            plans, values = self.improve(problem, started, generator, budget)
+            if climb is None:
+                yield from (Offer(plan, 1, independent=not vary) for plan in plans)
+            else:
+                yield Offer(plans[0], 1)
+                rows: list[int] = []
+                for k, value in enumerate(values.tolist()):
+                    if len(rows) < self.polished and np.isfinite(value) and _unlike(value, seen):
+                        seen.append(value)
+                        rows.append(k)
+                for plan in plans[rows]:
+                    climbed = climb(plan)
+                    if np.isfinite(value := problem.objective(climbed)) and _unlike(value, [one for one, _ in best]):
+                        best = sorted([*best, (value, climbed)], key=lambda pair: -pair[0])[: self.elite]
+                    yield Offer(climbed, independent=not vary)
+                    climb.pass_on_interrupt()
+                yield Offer(plans[0], len(started) - 1)
+                vary = self.rounded or (not vary and bool(best))
+            left -= len(started)
 
     def begin(self, problem: DesignProblem, left: int, runs: int, generator: np.random.Generator) -> Array:
         """(s, m, n) random plans on the grid: a batch, or as many starts as are left; joints that play no part stay in
@@ -74,23 +113,21 @@ class Exchange:
                 postures[:, joint] = grid[joint, generator.integers(grid.shape[1], size=size)]
             return postures
 
-        size = count * runs
-        postures = fill(problem, size, on_grid, generator) if problem.constraints else on_grid(size)
-        return postures.reshape(count, runs, problem.joints)
+        return fill(problem, count * runs, on_grid, generator).reshape(count, runs, problem.joints)
 
     def improve(
         self, problem: DesignProblem, plans: Array, generator: np.random.Generator, budget: Budget
     ) -> tuple[Array, Array]:
         """Plans (s, m, n) that no single exchange improves, and their values (s,), best first."""
-        search = GridBatch(problem, self.grid(problem), plans)
-        search.improve(generator, budget)
-        values = np.asarray(problem.criterion.value(search.information))
-        order = np.argsort(-values, kind="stable")
-        return search.plans[order], values[order]
+        return Batch(problem, plans, grid=self.grid(problem)).improved(generator, budget)
 
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""
         return np.linspace(problem.lower, problem.upper, self.levels, axis=1)
+
+
+def _unlike(value: float, others: list[float]) -> bool:
+    return all(abs(value - other) > SAME for other in others)
 
 
 @dataclass(frozen=True)
@@ -109,7 +146,6 @@ class Fedorov:
         """Each start is thorough; fewer for many parameters that have a prior, as each costs the square of them."""
         if not problem.deviations:
             return self.count
-        # fewer of a list where parameters are many
         return max(2, round(self.batch * min(1.0, (100 / problem.parameters) ** 2)))
 
     def offers(
@@ -118,37 +154,64 @@ class Fedorov:
         """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
         if problem.choices is None:
             raise InputError("solver: fedorov needs a list of postures, found none, allowed: with --candidates")
-        postures = listed_candidates(problem, problem.choices).postures
+        postures = listed_candidates(problem, problem.choices)
         if problem.minimum_distance > 0.0:
             postures = np.unique(postures, axis=0)
             if len(postures) < runs:
                 allowed = f"up to {len(postures)}, the different postures to choose from"
                 raise InputError(f"runs: found {runs}, allowed: {allowed}")
-        shape = (1 if problem.deviations else self.batch, runs)
-        jacobians = problem.scaled_jacobians(postures)
+        count = 1 if problem.deviations else self.batch
         while True:
-            search = ListBatch.started(problem, jacobians, shape, generator)
-            search.improve(generator, budget)
-            for chosen in search.chosen[np.argsort(-search.values, kind="stable")]:
-                yield Offer(postures[chosen], 1, independent=True)
+            yield from (
+                Offer(p, 1, independent=True) for p in exchanged(problem, postures, (count, runs), generator, budget)
+            )
 
 
-class Batch(ABC):
-    """Starts that advance together, whatever postures a run is exchanged for.
+def exchanged(
+    problem: DesignProblem, postures: Array, shape: tuple[int, int], generator: np.random.Generator, budget: Budget
+) -> Array:
+    """(s, m, n) plans of listed postures (N, n), all different, that no exchange with the list improves, best first;
+    from random ones."""
+    if problem.minimum_distance == 0.0:
+        chosen = generator.integers(len(postures), size=shape)
+    else:
+        chosen = np.array([generator.choice(len(postures), shape[1], replace=False) for _ in range(shape[0])])
+    return Batch(problem, postures[chosen], listed=postures, chosen=chosen).improved(generator, budget)[0]
+
+
+class Batch:
+    """Starts (s, m, n) that advance together; runs are exchanged for postures on a grid (n, L) that differ in one
+    joint, or for any of a list (N, n), of which `chosen` (s, m) are the rows.
 
     jacobians : (s, m, d, p), scaled;  information : (s, p, p);  values : (s,) criterion, or its surrogate
     running : starts that still improve
     """
 
-    def __init__(self, problem: DesignProblem, jacobians: Array) -> None:
-        self.problem, self.jacobians, self.runs = problem, jacobians, jacobians.shape[1]
-        self.criterion = surrogate(problem.criterion)
-        self.total = self.runs + problem.prior.runs
-        self.running = np.arange(len(jacobians))
+    def __init__(
+        self,
+        problem: DesignProblem,
+        plans: Array,
+        *,
+        grid: Array | None = None,
+        listed: Array | None = None,
+        chosen: NDArray[np.intp] | None = None,
+    ) -> None:
+        self.problem, self.plans, self.runs, self.listed = problem, plans, plans.shape[1], listed
+        self.grid = np.empty((0, 0)) if grid is None else grid
+        self.chosen = np.zeros(plans.shape[:2], dtype=np.intp) if chosen is None else chosen
+        self.criterion, self.total = problem.criterion.surrogate, self.runs + problem.prior.runs
+        self.distance = distance_to_keep(problem, self.runs)
+        if listed is None:
+            self.jacobians, self.running = problem.scaled_jacobians(plans), np.arange(len(plans))
+        else:
+            self.offered, self.running = problem.scaled_jacobians(listed), np.arange(len(plans))
+            self.jacobians = self.offered[self.chosen]
         self.information, self.values = self._information(self.running)
+        if listed is None and not problem.searched_joints:
+            self.running = self.running[:0]
 
-    def improve(self, generator: np.random.Generator, budget: Budget) -> None:
-        """Sweeps until none changes anything, or time is up."""
+    def improved(self, generator: np.random.Generator, budget: Budget) -> tuple[Array, Array]:
+        """The plans after sweeps until none changes anything, or time is up, and values (s,) of them, best first."""
         for _ in range(60):
             if not self.running.size or budget.out_of_time:
                 break
@@ -156,49 +219,45 @@ class Batch(ABC):
             for run in generator.permutation(self.runs).tolist():
                 if budget.ended():
                     break
-                self.exchange(run)
+                together = 1 if self.listed is not None else len(self.running)
+                for starts in np.array_split(self.running, -(-len(self.running) // together)):
+                    self._exchange(starts, run)
             information, values = self._information(self.running)  # computed afresh: no rounding piles up
             self.information[self.running], self.values[self.running] = information, values
             self.running = self.running[~(values <= before + IMPROVEMENT) | np.isneginf(before)]
-
-    @abstractmethod
-    def exchange(self, run: int) -> None:
-        """Move one run of every running start to the best posture on offer."""
+        values = np.asarray(self.problem.criterion.value(self.information))
+        order = np.argsort(-values, kind="stable")
+        return self.plans[order], values[order]
 
     def _information(self, starts: NDArray[np.intp]) -> tuple[Array, Array]:
         """(s, p, p) information matrices, and (s,) their values."""
         information = self.problem.prior.information(information_matrix(self.jacobians[starts]), self.runs)
         return information, np.array(self.criterion.value(information))
 
-    def _put(self, starts: NDArray[np.intp], run: int, without: Array, jacobians: Array) -> None:
-        """Put postures with these Jacobians (s, d, p) in the place of a run; `without` (s, p, p): all but that run."""
-        self.jacobians[starts, run] = jacobians
-        self.information[starts] = without + information_of_each(jacobians) / self.total
-
-
-class GridBatch(Batch):
-    """Plans (s, m, n) whose runs are exchanged for postures on a grid (n, L) that differ in one joint."""
-
-    def __init__(self, problem: DesignProblem, grid: Array, plans: Array) -> None:
-        super().__init__(problem, problem.scaled_jacobians(plans))
-        self.grid, self.plans = grid, plans
-        self.distance = distance_to_keep(problem, self.runs)
-        if not problem.searched_joints:
-            self.running = self.running[:0]
-
-    def exchange(self, run: int) -> None:
-        """Move one run of every running start to the best posture on offer."""
-        old = self.jacobians[self.running, run]
-        without = self.information[self.running] - information_of_each(old) / self.total
-        postures = self._neighbors(self.plans[self.running, run])
-        jacobians = self.problem.scaled_jacobians(postures)
-        offered = np.concatenate([old[:, None], jacobians], axis=1) / np.sqrt(self.total)
-        values = values_after_adding(self.criterion, without, offered)
-        values[:, 1:][~self._allowed(postures, run)] = -np.inf
-        starts = np.flatnonzero(values[:, 1:].max(axis=1) > values[:, 0] + IMPROVEMENT)
-        best, at = np.argmax(values[starts, 1:], axis=1), self.running[starts]
-        self.plans[at, run] = postures[starts, best]
-        self._put(at, run, without[starts], jacobians[starts, best])
+    def _exchange(self, starts: NDArray[np.intp], run: int) -> None:
+        """Move one run of some starts to the best posture on offer."""
+        old = self.jacobians[starts, run]
+        without = self.information[starts] - information_of_each(old) / self.total
+        if self.listed is None:
+            postures = self._neighbors(self.plans[starts, run])
+            jacobians, allowed = self.problem.scaled_jacobians(postures), self._allowed(starts, postures, run)
+            offered = np.concatenate([jacobians, old[:, None]], axis=1)
+            now = np.full(len(starts), jacobians.shape[1])  # where the posture itself is on offer
+        else:
+            postures, jacobians, offered = self.listed[None], self.offered[None], self.offered[None]
+            allowed, now = np.ones((1, len(self.listed)), dtype=bool), self.chosen[starts, run]
+            if self.problem.minimum_distance > 0.0:
+                allowed[0, self.chosen[starts[0]]] = False
+        parts = np.array_split(offered, -(-offered.size // TOGETHER), axis=1)  # what stays in cache
+        each = [self.criterion.values_after_adding(without, part / np.sqrt(self.total)) for part in parts]
+        values = np.concatenate(each, axis=1)
+        now = values[np.arange(len(starts)), now]
+        values = np.where(allowed, values[:, : allowed.shape[1]], -np.inf)
+        rows = np.flatnonzero(values.max(axis=1) > now + IMPROVEMENT)
+        best, at = np.argmax(values[rows], axis=1), starts[rows]
+        self.chosen[at, run], self.plans[at, run] = best, postures[rows, best]
+        self.jacobians[at, run] = jacobians[rows, best]
+        self.information[at] = without[rows] + information_of_each(jacobians[rows, best]) / self.total
 
     def _neighbors(self, postures: Array) -> Array:
         """(s, c, n) postures that differ from those given (s, n) in one joint, on the grid."""
@@ -208,147 +267,17 @@ class GridBatch(Batch):
             moved[:, k * levels : (k + 1) * levels, joint] = self.grid[joint]
         return moved
 
-    def _allowed(self, postures: Array, run: int) -> NDArray[np.bool_]:
+    def _allowed(self, starts: NDArray[np.intp], postures: Array, run: int) -> NDArray[np.bool_]:
         """(s, c) True where a posture satisfies the constraints and repeats no other run of its plan."""
         allowed = self.problem.feasible(postures)
         if self.distance > 0.0:
-            others = np.delete(self.plans[self.running], run, axis=1)
+            others = np.delete(self.plans[starts], run, axis=1)
             kept = np.broadcast_to(self.problem.kept, (len(others), *self.problem.kept.shape))
             others = self.problem.comparable(np.concatenate([others, kept], axis=1))
             offered = self.problem.comparable(postures)
             for other in np.moveaxis(others, 1, 0):
                 allowed &= np.abs(offered - other[:, None]).max(axis=-1) >= self.distance
         return allowed
-
-
-class ListBatch(Batch):
-    """Rows (s, m) of a list, `chosen`, whose runs are exchanged for any of its N postures; offered : (N, d, p)."""
-
-    def __init__(self, problem: DesignProblem, offered: Array, chosen: NDArray[np.intp]) -> None:
-        super().__init__(problem, offered[chosen])
-        self.offered, self.chosen = offered, chosen
-
-    @classmethod
-    def started(
-        cls, problem: DesignProblem, offered: Array, shape: tuple[int, int], generator: np.random.Generator
-    ) -> ListBatch:
-        """(s, m) random rows of the list."""
-        if problem.minimum_distance == 0.0:
-            return cls(problem, offered, generator.integers(len(offered), size=shape))
-        rows = [generator.choice(len(offered), shape[1], replace=False) for _ in range(shape[0])]
-        return cls(problem, offered, np.array(rows))
-
-    def exchange(self, run: int) -> None:
-        """Move one run of every running start to the best posture of the list."""
-        parts = np.array_split(self.offered, -(-len(self.offered) // 20_000))  # what stays in cache
-        for start in self.running.tolist():
-            old = self.chosen[start, run]
-            without = self.information[start] - information_of_each(self.offered[old]) / self.total
-            scaled = (part[None] / np.sqrt(self.total) for part in parts)
-            values = np.concatenate([values_after_adding(self.criterion, without[None], part)[0] for part in scaled])
-            now = values[old]
-            if self.problem.minimum_distance > 0.0:
-                values[self.chosen[start]] = -np.inf
-            best = int(np.argmax(values))
-            if values[best] > now + IMPROVEMENT:
-                self.chosen[start, run] = best
-                self._put(np.array([start]), run, without[None], self.offered[best][None])
-
-
-# -- with a climb ------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class ExchangeIpopt:
-    """Exchange in batches; the best plans of each batch are polished by IPOPT. Every second batch varies the best.
-
-    polished : plans per batch;  elite : how many of the best plans are varied;  redrawn : fraction of their runs
-    """
-
-    exchange: Exchange = field(default_factory=Exchange)
-    ipopt: Ipopt = field(default_factory=lambda: Ipopt(warm=True))
-    polished: int = 5
-    elite: int = 10
-    redrawn: float = 0.25
-    name: str = "exchange_ipopt"
-
-    def starts_for(self, problem: DesignProblem) -> int:
-        """Starts of the exchange."""
-        return self.exchange.starts_for(problem)
-
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
-        """For each batch the best plan unchanged, then the polished ones."""
-        if not polishes(problem, runs):
-            yield from self.exchange.offers(problem, runs, generator, budget)
-            return
-        climb = Climber(problem, runs, self.ipopt, budget)
-        seen, best = list[float](), list[tuple[float, Array]]()
-        left, vary = budget.starts, False
-        while True:
-            started = self.exchange.begin(problem, left, runs, generator)
-            yield Offer(started[0])  # something to return if the user stops during the first batch
-            if vary:
-                elite = np.array([plan for _, plan in best])
-                started = varied(
-                    started, elite[generator.integers(len(best), size=len(started))], generator, self.redrawn
-                )
-            plans, values = self.exchange.improve(problem, started, generator, budget)
-            yield Offer(plans[0], 1)
-            for plan in plans[self._unlike(values, seen)]:
-                climbed = climb(plan)
-                if np.isfinite(value := problem.objective(climbed)) and unlike(value, [other for other, _ in best]):
-                    best = sorted([*best, (value, climbed)], key=lambda pair: -pair[0])[: self.elite]
-                yield Offer(climbed, independent=not vary)
-                climb.pass_on_interrupt()
-            yield Offer(plans[0], len(started) - 1)
-            left, vary = left - len(started), not vary and bool(best)
-
-    def _unlike(self, values: Array, seen: list[float]) -> list[int]:
-        """Rows of the best plans that no earlier one equals, whose values are added to those seen."""
-        rows: list[int] = []
-        for k, value in enumerate(values.tolist()):
-            if len(rows) < self.polished and np.isfinite(value) and unlike(value, seen):
-                seen.append(value)
-                rows.append(k)
-        return rows
-
-
-@dataclass(frozen=True)
-class RelaxRound:
-    """Start 1 is the rounded optimum of the relaxation, the others have some runs drawn again; exchange, then IPOPT.
-
-    count : starts;  redrawn : fraction of the runs
-    """
-
-    count: int = 20
-    redrawn: float = 0.25
-    exchange: Exchange = field(default_factory=Exchange)
-    ipopt: Ipopt = field(default_factory=lambda: Ipopt(warm=True))
-    name: str = "relaxation_rounding"
-
-    def starts_for(self, problem: DesignProblem) -> int:
-        """The same for every problem."""
-        return self.count
-
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
-        """The rounded plan as it is, then one offer per start."""
-        from doe.bounds.column_generation import continuous_design  # deferred: it needs scipy.linalg
-
-        weights = continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(0.5).ended)  # of the time, at most
-        first = rounded_plan(weights.plan, runs)
-        yield Offer(first)
-        started = varied(self.exchange.begin(problem, budget.starts, runs, generator), first, generator, self.redrawn)
-        started[0] = first
-        improved = self.exchange.improve(problem, started, generator, budget)[0]
-        if not polishes(problem, runs):
-            yield Offer(improved[0], budget.starts)
-            return
-        climb = Climber(problem, runs, self.ipopt, budget)
-        for plan in improved:
-            yield Offer(climb(plan), 1)
-            climb.pass_on_interrupt()
 
 
 @dataclass(frozen=True)
@@ -367,50 +296,25 @@ class Gradient:
 
     def starts_for(self, problem: DesignProblem) -> int:
         """Fewer under constraints."""
-        return min(self.count, 2 * self._together(problem)) if problem.constraints else self.count
-
-    def _together(self, problem: DesignProblem) -> int:
-        return max(1, self.batch // 2) if problem.constraints else self.batch
+        return min(self.count, 2 * max(1, self.batch // 2)) if problem.constraints else self.count
 
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
     ) -> Iterator[Offer]:
         """One offer per start."""
         climb, left, best = PlanAscent(problem), budget.starts, list[Array]()
-        elite = max(2, self.pool // runs)
+        together = max(1, self.batch // 2) if problem.constraints else self.batch
         while True:
             # runs of all starts that climb between two exchanges, at most
-            count = max(1, min(self._together(problem), left, 2_000 // runs))
+            count, first = max(1, min(together, left, 2_000 // runs)), not best
             left -= count
             started = random_postures(problem, count * runs, generator).reshape(count, runs, -1)
             yield Offer(started[0])  # something to return if the user stops during the first batch
-            first = not best
             if not first or problem.constraints:  # penalties climb slowly from poor plans
-                pool = np.concatenate([*best, *(started if first else started[:1])])
+                pool = np.unique(np.concatenate([*best, *(started if first else started[:1])]), axis=0)
                 started = exchanged(problem, pool, (count, runs), generator, budget)
             for plan in started:
                 climbed = climb(plan, stop=budget.ended)
                 yield Offer(climbed, 1, independent=first)
                 best.append(climbed)
-            best = sorted(best, key=lambda plan: -problem.objective(plan))[:elite]
-
-
-def varied(plans: Array, best: Array, generator: np.random.Generator, redrawn: float) -> Array:
-    """(s, m, n) the best plans (s, m, n), or the best one (m, n), with a fraction of their runs taken from `plans`."""
-    kept = generator.random(plans.shape[:2]) > redrawn
-    return np.where(kept[..., None], best, plans)
-
-
-def unlike(value: float, others: list[float]) -> bool:
-    """True for a criterion value that none of the others equals."""
-    return all(abs(value - other) > 1e-7 for other in others)  # the same plan up to symmetry: polished once
-
-
-def exchanged(
-    problem: DesignProblem, pool: Array, shape: tuple[int, int], generator: np.random.Generator, budget: Budget
-) -> Array:
-    """(s, m, n) plans of the pool's postures that no exchange with the pool improves."""
-    postures = np.unique(pool, axis=0)
-    search = ListBatch.started(problem, problem.scaled_jacobians(postures), shape, generator)
-    search.improve(generator, budget)
-    return np.asarray(postures[search.chosen])
+            best = sorted(best, key=lambda plan: -problem.objective(plan))[: max(2, self.pool // runs)]

@@ -8,7 +8,8 @@ G = dPhi/dM and X_ia = dM/dq_ia,
     df/dq_ia            = (2/N) tr(G B_i^T dB_i/dq_a)
     d2f/dq_ia dq_kb     = D^2 Phi[X_ia, X_kb] + (2/N) [i = k] ( tr(G dB_a^T dB_b) + tr(G B^T d2B_ab) )
 
-B and its derivatives come from `doe.problem.problem`; CasADi calls numpy for them, since Phi is numpy's.
+B and its derivatives come from `doe.problem.problem`; CasADi calls numpy for them, since Phi is numpy's. Of a criterion
+without second derivatives (E) its smooth stand-in is climbed.
 """
 
 from __future__ import annotations
@@ -18,16 +19,14 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from doe.criteria.criterion import smooth
-from doe.plan.spacing import free_values
 from doe.problem.postures import random_postures
-from doe.problem.problem import ConstraintDerivatives, DesignProblem, JacobianDerivatives
+from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError, information_matrix
 
@@ -88,71 +87,48 @@ def variables(problem: DesignProblem, runs: int) -> int:
     return runs * len(problem.searched_joints)
 
 
-def polishes(problem: DesignProblem, runs: int) -> bool:
-    """Whether IPOPT improves what other solvers found: not where that takes longer than to search on."""
-    return variables(problem, runs) <= 1500
+class Climber:
+    """IPOPT set up once for a problem; each call improves one plan (m, n) as far as it goes, or until time is up.
 
-
-@dataclass(frozen=True)
-class PlanFunction:
-    """The criterion of plans of m runs as a function of the angles of some `joints`; the others stay where they are.
-
-    Of a criterion without second derivatives (E) it is the smooth stand-in. Derivatives are ordered run by run, joint
-    by joint: (m a), (m a, m a).
+    Variables and derivatives are ordered run by run, joint by joint of the searched ones: (m a), (m a, m a).
     """
 
-    problem: DesignProblem
-    joints: Sequence[int]
-
-    def value(self, postures: Array) -> float:
-        """f; -inf where the information matrix is singular."""
-        return float(smooth(self.problem.criterion).value(self.problem.information(postures)))
+    def __init__(self, problem: DesignProblem, runs: int, settings: Ipopt, budget: Budget) -> None:
+        self.problem, self.runs, self.budget = problem, runs, budget
+        self.criterion, self.joints = problem.criterion.smooth, list(problem.searched_joints)
+        self.derivatives = problem.jacobian_derivatives(self.joints)
+        self.walls = problem.wall_derivatives(self.joints)
+        self.base = np.tile((problem.lower + problem.upper) / 2.0, (runs, 1))
+        self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
+        # an interior point method ends this near to a limit that is active; it is put on it
+        self.near_limit = np.tile(1e-5 * problem.joint_units[self.joints], runs)
+        self.interrupted = False
+        self.expanded = lru_cache(1)(lambda x: self.expand(self._of_bytes(x)))  # IPOPT asks one by one
+        self.values = lru_cache(1)(self._values)
+        self._callbacks = self._build()
+        nlp = self._callbacks.pop("nlp")
+        self.ipopt = ca.nlpsol("ipopt", "ipopt", nlp, settings.options | self._callbacks | {"no_nlp_grad": True})
+        self._callbacks["nlp"] = nlp  # CasADi does not keep them alive
 
     def expand(self, postures: Array) -> tuple[float, Array, Array]:
         """f, its gradient (m a,) and its Hessian (m a, m a), in one pass.
 
         Raises numpy's `LinAlgError` where the information matrix is singular.
         """
-        criterion = smooth(self.problem.criterion)
-        jacobian, first = self._derivatives.first(postures)
+        jacobian, first = self.derivatives.first(postures)
         m, a, d, p = first.shape
         total = m + self.problem.prior.runs
         information = self.problem.prior.information(information_matrix(jacobian), m)
-        gradient = criterion.gradient(information)
+        gradient = self.criterion.gradient(information)
         slope = (2.0 / total) * np.einsum("mdp,madp->ma", jacobian @ gradient, first)
         half = np.swapaxes(jacobian, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
         directions = (half + np.swapaxes(half, -1, -2)).reshape(m * a, p, p) / total
-        hessian = criterion.curvature(information, directions).reshape(m, a, m, a)
+        hessian = self.criterion.curvature(information, directions).reshape(m, a, m, a)
         flat = first.reshape(m, a, d * p)
         bend = flat @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
-        bend += self._derivatives.bend(postures, jacobian @ gradient)
+        bend += self.derivatives.bend(postures, jacobian @ gradient)
         hessian[np.arange(m), :, np.arange(m), :] += (2.0 / total) * bend
-        return float(criterion.value(information)), slope.ravel(), hessian.reshape(m * a, m * a)
-
-    @cached_property
-    def _derivatives(self) -> JacobianDerivatives:
-        return JacobianDerivatives(self.problem, self.joints)
-
-
-class Climber:
-    """IPOPT set up once for a problem; each call improves one plan (m, n) as far as it goes, or until time is up."""
-
-    def __init__(self, problem: DesignProblem, runs: int, settings: Ipopt, budget: Budget) -> None:
-        self.problem, self.runs, self.budget = problem, runs, budget
-        self.joints = list(problem.searched_joints)
-        self.function = PlanFunction(problem, self.joints)
-        self.walls = ConstraintDerivatives(problem, self.joints)
-        self.base = np.tile(free_values(problem), (runs, 1))
-        self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
-        # an interior point method ends this near to a limit that is active; it is put on it
-        self.near_limit = np.tile(1e-5 * problem.joint_units[self.joints], runs)
-        self.interrupted = False
-        self.expand = lru_cache(1)(lambda x: self.function.expand(self._of_bytes(x)))  # IPOPT asks one by one
-        self.values = lru_cache(1)(self._values)
-        self._callbacks = self._build()
-        nlp = self._callbacks.pop("nlp")
-        self.ipopt = ca.nlpsol("ipopt", "ipopt", nlp, settings.options | self._callbacks | {"no_nlp_grad": True})
-        self._callbacks["nlp"] = nlp  # CasADi does not keep them alive
+        return float(self.criterion.value(information)), slope.ravel(), hessian.reshape(m * a, m * a)
 
     def __call__(self, postures: Array) -> Array:
         """(m, n) a plan at least as good as the one given."""
@@ -232,19 +208,19 @@ class Climber:
         """-f and g."""
         plan = self._of_bytes(point)
         walls = self.walls.values(plan).ravel() if self.problem.constraints else np.empty(0)
-        return [np.array([-self.function.value(plan)]), walls]
+        return [np.array([-float(self.criterion.value(self.problem.information(plan)))]), walls]
 
     def _gradient(self, x: Array, *_: Array) -> list[Array]:
-        value, slope, _hessian = self.expand(x.tobytes())
+        value, slope, _hessian = self.expanded(x.tobytes())
         return [np.array([-value]), -slope]
 
     def _jacobian(self, x: Array, *_: Array) -> list[Array]:
         """g and its derivatives in the order of CasADi's columns: run, joint, constraint."""
         values, first = self.walls.first(self.postures(x))
-        return [values.ravel(), np.swapaxes(first, 1, 2).ravel()]
+        return [values.ravel(), first.ravel()]
 
     def _hessian(self, x: Array, _p: Array, factor: Array, multipliers: Array) -> list[Array]:
-        hessian = -float(factor[0]) * self.expand(x.tobytes())[2]
+        hessian = -float(factor[0]) * self.expanded(x.tobytes())[2]
         if multipliers.size:
             blocks = hessian.reshape(self.runs, len(self.joints), self.runs, len(self.joints))
             runs = np.arange(self.runs)

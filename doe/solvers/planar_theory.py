@@ -27,9 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.bounds.planar_theorem import applies, chain_joints
-from doe.plan.spacing import free_values, neighbor_counts, replicates_allowed, too_near
+from doe.plan.spacing import neighbor_counts, replicates_allowed, too_near
 from doe.problem.problem import DesignProblem, Stop, never
-from doe.solvers.exchange import Exchange
 from doe.solvers.solver import Budget, Offer
 from identification import Array, JobError
 
@@ -65,22 +64,6 @@ class Analytic:
                 "solver: analytic has no plan for this criterion, these limits and this number of runs, allowed: leave "
                 "--solver out"
             )
-
-
-def nearly_optimal(
-    problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-) -> Iterator[Offer]:
-    """A plan from theory of a few runs less, the others chosen by exchange, before and after; nothing without one."""
-    exchange = Exchange()
-    for fewer in range(runs - 1, max(runs - 64, problem.fewest_runs) - 1, -1):
-        optimal = next(optimal_plans(problem, fewer, generator, 12, budget.ended), None)
-        if optimal is not None:
-            plan = np.vstack([optimal, exchange.begin(problem, 1, runs - fewer, generator)[0]])
-            yield Offer(plan)
-            yield Offer(exchange.improve(problem, plan[None], generator, budget)[0][0], 1)
-            return
-        if budget.out_of_time:
-            return
 
 
 def optimal_plans(
@@ -129,7 +112,7 @@ def optimal_plans(
 
 def full_plan(problem: DesignProblem, joints: list[int], angles: Array) -> Array:
     """(m, n) postures with these angles (m, J) whose other joints stay in the middle."""
-    plan = np.tile(free_values(problem), (len(angles), 1))
+    plan = np.tile((problem.lower + problem.upper) / 2.0, (len(angles), 1))
     plan[:, joints] = angles
     return plan
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,8 +16,7 @@ LONG_PLAN = 100  # runs above which a search has a time limit of its own
 LONG_PLAN_SECONDS = 30.0
 
 
-@dataclass(frozen=True)
-class Offer:
+class Offer(NamedTuple):
     """A plan that a solver offers.
 
     postures : (m, n) [rad];  starts : how many starts have come to their end with this offer
@@ -66,11 +65,6 @@ class Budget:
     def part(self, share: float) -> Budget:
         """The same with that share of the time that is left."""
         return self if self.deadline is None else replace(self, deadline=perf_counter() + share * self.remaining)
-
-
-def time_limit(runs: int, starts: int | None, seconds: float | None) -> float | None:
-    """[s] as given; long plans get a limit if neither starts nor seconds are given."""
-    return LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds
 
 
 class Solver(Protocol):

@@ -6,28 +6,24 @@ A row is one run of one solver: its cost, and the quality of its plan by our own
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
 
 from doe.criteria import criterion
-from doe.jobs.rows import Key, Row, RowTable, short_hash, with_columns
-from doe.jobs.running import Workers, call, run_tasks
+from doe.jobs import Key, Row, RowTable, Workers, call, run_tasks, short_hash, with_columns
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
-from identification import Arm, InputError, Model, Progress, arm_from_tables, dump_arm, nearest, refuse_contacts, silent
+from identification import Arm, InputError, Model, Progress, dump_arm, nearest, refuse_contacts, silent
 
 if TYPE_CHECKING:
     from doe.design import Design
 
-Subject = str | DesignProblem  # text of an arm file, or the problem of another model
-Task = tuple[Subject, "str | Solver"]
+Subject = Arm | DesignProblem  # an arm, or the problem of another model
 AGREES = 1e-9  # between the solver's value and ours
 HIT = 1e-6  # a run has found the best known plan if its loss of efficiency is below this
 PROBLEM = ("arm", "arm_hash", "criterion", "runs")
@@ -72,40 +68,9 @@ class Comparison:
                 raise InputError(f"criterion: {name!r} in a comparison, {nearest(name, CRITERIA)}")
         if not 0.0 < self.seconds < np.inf:  # it is part of every key, in JSON
             raise InputError(f"seconds: found {self.seconds}, allowed: a finite number > 0")
-        if len(self.by_name) < len(self.solvers):
-            names = ", ".join(s if isinstance(s, str) else s.name for s in self.solvers)
-            raise InputError(f"solvers: {names}, allowed: each name once")
-
-    @property
-    def by_name(self) -> dict[str, str | Solver]:
-        """Name -> name or settings object."""
-        return {solver if isinstance(solver, str) else solver.name: solver for solver in self.solvers}
-
-    @property
-    def subjects(self) -> dict[str, tuple[str, Subject]]:
-        """Hash -> name, and the arm file's text or the problem."""
-        texts = [(arm.name, dump_arm(arm)) for arm in self.arms]
-        arms: dict[str, tuple[str, Subject]] = {short_hash(text): (name, text) for name, text in texts}
-        return arms | {fingerprint(problem): (name, problem) for name, problem in self.problems.items()}
-
-    @property
-    def keys(self) -> list[Key]:
-        """One key per run of a solver."""
-        names = ("arm", "arm_hash", "criterion", "runs", "solver", "settings", "starts", "limit_s", "repeat")
-        subjects = [(name, digest) for digest, (name, _) in self.subjects.items()]
-        solvers = [(name, s if isinstance(s, str) else repr(s)) for name, s in self.by_name.items()]
-        grid = product(subjects, self.criteria, self.runs, solvers, self.starts, range(self.repeats))
-        return [
-            dict(zip(names, (*subject, by, runs, *solver, starts or OWN, self.seconds, repeat), strict=True))
-            for subject, by, runs, solver, starts, repeat in grid
-        ]
-
-
-def fingerprint(problem: DesignProblem) -> str:
-    """The hash of a problem: names of its parameters, and the information of a few postures to six decimals."""
-    postures = np.linspace(problem.lower, problem.upper, 7)
-    content = [",".join(problem.model.parameters.names).encode(), postures.tobytes()]
-    return short_hash(b"".join([*content, np.round(problem.information(postures), 6).tobytes()]))
+        names = [solver if isinstance(solver, str) else solver.name for solver in self.solvers]
+        if len(set(names)) < len(names):
+            raise InputError(f"solvers: {', '.join(names)}, allowed: each name once")
 
 
 def compare(
@@ -122,34 +87,50 @@ def compare(
     Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers; only times do: for
     comparable times use one process fewer than there are cores.
     """
-    subjects, solvers = comparison.subjects, comparison.by_name
-    rows = RowTable(Path()) if table is None else table
+    subjects: dict[str, tuple[str, Subject]] = {short_hash(dump_arm(arm)): (arm.name, arm) for arm in comparison.arms}
+    for name, problem in comparison.problems.items():  # known by the information of a few postures to six decimals
+        postures = np.linspace(problem.lower, problem.upper, 7)
+        information = np.round(problem.information(postures), 6).tobytes()
+        content = [",".join(problem.model.parameters.names).encode(), postures.tobytes(), information]
+        subjects[short_hash(b"".join(content))] = name, problem
+    solvers = {solver if isinstance(solver, str) else solver.name: solver for solver in comparison.solvers}
+    grid = product(
+        ({"arm": name, "arm_hash": digest} for digest, (name, _) in subjects.items()),
+        comparison.criteria,
+        comparison.runs,
+        ({"solver": name, "settings": s if isinstance(s, str) else repr(s)} for name, s in solvers.items()),
+        comparison.starts,
+        range(comparison.repeats),
+    )
+    keys: list[Key] = [
+        {**subject, "criterion": name, "runs": m, **setting, "starts": starts or OWN}
+        | {"limit_s": comparison.seconds, "repeat": repeat}
+        for subject, name, m, setting, starts, repeat in grid
+    ]
 
-    def payload(key: Key) -> Task:
+    def payload(key: Key) -> tuple[Subject, str | Solver]:
         return subjects[key["arm_hash"]][1], solvers[key["solver"]]
 
-    return run_tasks(run_of, comparison.keys, rows, workers, seed=seed, payload=payload, progress=progress)
+    return run_tasks(run_of, keys, table or RowTable(), workers, seed=seed, payload=payload, progress=progress)
 
 
-def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> list[Row]:
+def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: tuple[Subject, str | Solver]) -> list[Row]:
     """The row of one run, in a new process."""
     number = int(seed.generate_state(1)[0])
     limit = 1.5 * key["limit_s"] + 10.0  # after which it is killed
-    outcome = call(solve_and_evaluate, task, key, number, seconds=limit)
+    outcome = call(solve_and_evaluate, *task, key, number, seconds=limit)
     measured = {"status": outcome.status, "error": outcome.error, "peak_memory_mb": outcome.peak_memory_mb}
     return [{**measured, "seconds": outcome.seconds, **(outcome.value or {})}]
 
 
-def solve_and_evaluate(task: Task, key: dict[str, Any], seed: int) -> Row:
+def solve_and_evaluate(subject: Subject, solver: str | Solver, key: dict[str, Any], seed: int) -> Row:
     """Runs the solver in this process; `seconds` is the search alone."""
-    subject, solver = task
-    arm = arm_from_tables(tomllib.loads(subject)) if isinstance(subject, str) else subject
-    problem = compared_problem(arm, key["criterion"])
+    problem = compared_problem(subject, key["criterion"])
     design = solve(problem, key["runs"], solver, seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
     return evaluated(problem, key["runs"], design)
 
 
-def compared_problem(subject: Arm | DesignProblem, name: str) -> DesignProblem:
+def compared_problem(subject: Subject, name: str) -> DesignProblem:
     """What is compared: an arm or another problem, and a criterion of `CRITERIA`."""
     problem = subject if isinstance(subject, DesignProblem) else DesignProblem.of(Model(subject))
     return replace(problem, criterion=criterion(name, units=problem.model.parameters.units))
@@ -217,8 +198,6 @@ def with_hits(rows: pl.DataFrame) -> pl.DataFrame:
     needs no bound for it.
     """
     rows = with_columns(rows, COLUMNS)
-    if "criterion" not in rows.columns:
-        rows = rows.with_columns(pl.lit("D").alias("criterion"))
     good = (pl.col("status") == "done") & pl.col("correct").fill_null(value=False) & pl.col("value").is_not_null()
     best = pl.when(good).then(pl.col("value")).max().over(PROBLEM)
     relative = pl.col("efficiency") / pl.when(good).then(pl.col("efficiency")).max().over(PROBLEM)

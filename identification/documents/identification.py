@@ -86,7 +86,7 @@ def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
 def reading_unit(model: Any) -> str:
     """Unit of the errors of a model: that of what its instrument reads."""
     arm = getattr(model, "arm", None)
-    return "px" if arm is not None and arm.chain.instrument.coordinates[0].quantity == "pixel" else "mm"
+    return "px" if arm is not None and any(c.quantity == "pixel" for c in arm.chain.instrument.coordinates) else "mm"
 
 
 def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
@@ -106,7 +106,7 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     return [
         ("method", f"{fit.method}: {fit.outcome}"),
         ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} {unit}"),
-        ("largest", f"{fit.max_before:.4g} -> {fit.max_after:.4g} {unit}"),
+        ("largest", "{:.4g} -> {:.4g} ".format(*fit.largest) + unit),
         ("orientations, RMS", angles),
         ("expected error", tip),
         ("sigma", f"{sigma}, {fit.dof} degrees of freedom"),
@@ -116,10 +116,16 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
 
 
 def parameters_document(fit: Identification) -> Document:
-    """The parameters of a fit, rounded by their standard deviations, and how well it fits."""
+    """All of it: the parameters, rounded by their standard deviations, and what else was found."""
+    # an effect always has its settings: `transmission_ripple:2[k=17].a`
+    full = {p.name: f"{effect.label}.{p.short}" for effect in fit.model.effects for p in effect.parameters}
     rows = [
-        [name, *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS), row["unit"]]
-        for name, row in zip(fit.shown_names, fit.rows(), strict=True)
+        [
+            full.get(row["name"], row["name"]),
+            *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS),
+            row["unit"],
+        ]
+        for row in fit.rows()
     ]
     table = Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), rows)
     open_ones = [("not identifiable", combination) for combination in fit.not_identifiable]

@@ -21,7 +21,7 @@ from identification.arrays import Array
 from identification.conditions import REMEMBERED
 from identification.effects.base import Effect
 from identification.errors import InputError
-from identification.kinematics.chain import KinematicChain, in_space, turned_about
+from identification.kinematics.chain import KinematicChain, in_space
 from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import REVOLUTE
 
@@ -119,7 +119,7 @@ class Chain:
         gravity = in_space(ca.SX(ca.DM(self.required_gravity.acceleration)))
         if self.turn is None or self.turn.is_zero():
             return gravity
-        return ca.mtimes(turned_about(Frame.world(), self.geometry.turning, self.turn).axes, gravity)
+        return ca.mtimes(Frame.world().turned_about(self.geometry.turning, self.turn).axes, gravity)
 
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, ca.SX]]:

@@ -23,8 +23,7 @@ from identification.arrays import Array, rows_in_words
 from identification.estimation.problem import Earlier
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, product_inverse
-from identification.inspection.data_checks import DRAWN
-from identification.inspection.readings import read_differently
+from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR, KinematicChain
 from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.counting import in_columns, turned_into
@@ -38,10 +37,9 @@ from identification.kinematics.parameters import (
 )
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.model.placed import tip_frames
-from identification.model.positions import FEWEST, tip_jacobian
+from identification.model.placed import FEWEST, tip_jacobian
+from identification.running import single_thread
 from identification.sessions import placing
-from identification.threads import single_thread
 from identification.workspace import ColumnLimits
 
 if TYPE_CHECKING:
@@ -397,7 +395,7 @@ def hardly_determined(fit: Identification) -> list[str]:
 def flange_turns(chain: KinematicChain, measurements: Measurements) -> Array:
     """(3,) root mean square motion of a point 1 mm from the flange's center that its base follows [mm], by the axes
     along which it is, the least first. Each session has a base of its own."""
-    turns, square = tip_frames(chain, measurements.postures)[:, :3, :3], np.zeros((3, 3))
+    turns, square = chain.tip_frames(measurements.postures)[:, :3, :3], np.zeros((3, 3))
     for rows in measurements.session_rows:
         apart = turns[rows] - turns[rows].mean(axis=0)
         square += np.einsum("mji,mjk->ik", apart, apart)

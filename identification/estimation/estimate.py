@@ -44,8 +44,8 @@ from identification.estimation.uncertainty import WhiteRows, limit_of, outlying,
 from identification.information import (
     RANK_TOLERANCE,
     Spectrum,
-    full_rank,
-    identifiability_of,
+    covariances,
+    identifiability,
     information_matrix,
     spectrum,
 )
@@ -56,9 +56,8 @@ from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Conditions, Measurements, directions_from_order, past_from_order, session_time
 from identification.model import Model
 from identification.model.placed import placed_model
+from identification.running import Status, single_thread
 from identification.sessions import placing
-from identification.status import Status
-from identification.threads import single_thread
 
 LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
 
@@ -256,7 +255,7 @@ def _identification(
     made = uncertainty(rows, decomposed, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
-    identifiability = identifiability_of(decomposed, model.names, model.scales)
+    told = identifiability(decomposed, model.names, model.scales)
     # before: where nothing says where a spatial arm stands and what is measured on it, these are fitted in least
     # squares (one Gauss-Newton step from the closed form)
     was, after = problem.start, problem.residuals(x)[0]
@@ -267,7 +266,7 @@ def _identification(
         was = was.copy()
         was[free] += np.linalg.lstsq(slopes, left.ravel(), rcond=None)[0]
     before = problem.residuals(was)[0]
-    sentences, implausible = doubts(model, x, identifiability.identifiable, before, after, data)
+    sentences, implausible = doubts(model, x, told.identifiable, before, after, data)
     # rows that the model does not explain, where enough equations are left to tell; rows nearer than half the limit
     # need no test with their leverage, which is small where rows are many
     used, held = problem.weights > 0.0, problem.prior_rows
@@ -281,13 +280,13 @@ def _identification(
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]
     arm, status = getattr(model, "arm", None), solution.status[0]
     stands = arm is None or arm.chain.planar or {BASE, TOOL} & arm.chain.settled  # base or measured points are given
-    status = Status.not_identifiable if identifiability.combinations else status
+    status = Status.not_identifiable if told.combinations else status
     return Identification(
         model=model,
         parameters=x,
         covariance=made.covariance,
-        identifiable=identifiability.identifiable,
-        not_identifiable=identifiability.combinations,
+        identifiable=told.identifiable,
+        not_identifiable=told.combinations,
         sigma=problem.sigma if has_sigma else scatter,
         sigma_known=has_sigma,
         chi2=rows.squares if has_sigma else None,
@@ -336,7 +335,7 @@ def estimate_batch(
     prior = Prior(model.prior) if model.prior else None
     problem = replace(Problem.of(model, plan, sigma if prior is None else "given", weights, prior), positions=measured)
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
-    if undetermined := identifiability_of(decomposed, model.names, model.scales).combinations:
+    if undetermined := identifiability(decomposed, model.names, model.scales).combinations:
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
     solution = _not_fitted(len(measured), model)
     x, rss, status = solution.parameters, solution.rss, solution.status
@@ -434,7 +433,7 @@ def estimate_each(
         of_sets = sessions(plans[part], model.remembers) if conditions is None else conditions.rows(part)
         problem = Problem(model, plans[part], of_sets, measured[part], np.ones(m))
         jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
-        estimable = np.flatnonzero(full_rank(jacobians, model.scales))
+        estimable = np.flatnonzero(np.isfinite(covariances(jacobians, model.scales)[:, 0, 0]))
         if estimable.size:
             solved = METHODS["linear" if problem.exact_form else "gauss_newton"](problem.rows(estimable))
             sets = estimable + part.start

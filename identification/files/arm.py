@@ -276,7 +276,7 @@ def _joint_limits(
     if counting is not None:
         for j in filter(written.__getitem__, counting.coupled):
             ends = sorted((counting.sign[j] * (limits[:, j] - counting.zero[j])).tolist())
-            tied.append(ColumnLimits(j + 1, tuple(counting.sums[j].tolist()), *ends))
+            tied.append(ColumnLimits(j + 1, tuple((counting.sign[j] * counting.matrix[j]).tolist()), *ends))
         limits = np.where(written, counting.joint_limits(*limits), limits)
     return limits[0], limits[1], tied
 

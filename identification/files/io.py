@@ -11,7 +11,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -220,13 +220,3 @@ def provide_temporary_folder(*folders: Path) -> None:
             if os.access(existing, os.W_OK):
                 os.environ["TMPDIR"] = str(existing)  # for processes started from here too
                 return
-
-
-def sync_folder(folder: Path) -> None:
-    """Flush the folder's entries to disk, so that files just written survive a power failure."""
-    with suppress(OSError):  # not on every system
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

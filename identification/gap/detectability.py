@@ -28,7 +28,7 @@ from identification.gap.noise import SPARE
 from identification.information import VISIBLE, product_inverse
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.threads import single_thread
+from identification.running import single_thread
 
 POWER = 0.9  # convention: what is "excluded" would have been found in nine cases of ten
 # derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6

@@ -34,14 +34,12 @@ from identification.gap.result import (
     trials,
 )
 from identification.gap.search import MOST_ROWS, NOISES, PASSES, Explanation, Posterior, posterior_of
-from identification.inspection.data_checks import gap_notes
+from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
-from identification.progress import Progress, silent
+from identification.running import Progress, Status, silent, single_thread
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
-from identification.status import Status
-from identification.threads import single_thread
 
 KINDS = {
     "time": "smooth in time",

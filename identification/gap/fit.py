@@ -21,7 +21,7 @@ from identification.estimation.problem import Problem, starts
 from identification.information import column_space, spectrum
 from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 
 
 @dataclass(frozen=True)

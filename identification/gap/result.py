@@ -22,9 +22,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
-from identification.arrays import Array, readonly
+from identification.arrays import Array, frame_of_rows, readonly
 from identification.conditions import Conditions
-from identification.data_frames import frame_of_rows
 from identification.document import Document, html
 from identification.documents import diagnosis as words
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL

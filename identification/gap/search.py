@@ -31,7 +31,7 @@ from identification.gap.blocks import Block, Library, Linearized, linearized, wi
 from identification.gap.fit import At, Rows, fit
 from identification.gap.likelihood import SIZES, Key, Products, State
 from identification.gap.noise import NoiseModel, log_likelihoods, noises
-from identification.progress import Tell, say_nothing
+from identification.running import Tell, say_nothing
 
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show

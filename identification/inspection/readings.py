@@ -1,7 +1,8 @@
-"""Other readings of a measurement file: reversed joints, swapped columns, other zeros, mirrored axes, in words.
+"""Other readings of a measurement file than its columns say: other units, reversed joints, swapped columns, other
+zeros, mirrored axes, other conventions of orientations, markers and rows that are not what they say, in words.
 
-A wrong sign leaves decimetres where a real arm leaves millimetres, so the drawing is enough to see it: for each way to
-read the columns the base (and in space the measured point) is fitted to the drawing in closed form.
+A wrong unit or sign leaves decimetres where a real arm leaves millimetres, so the drawing is enough to see it: for each
+way to read the columns the base (and in space the measured point) is fitted to the drawing in closed form.
 """
 
 from __future__ import annotations
@@ -14,24 +15,238 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array
-from identification.inspection.data_checks import CLEARLY, DRAWN
+from identification.arrays import Array, rows_in_words
+from identification.errors import InputError
 from identification.instruments import Placement, Unplaced
 from identification.kinematics.chain import TOOL, KinematicChain
 from identification.kinematics.counting import Counting
+from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
-from identification.measurements import Measurements, rms_distance
+from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.model.placed import frames_of_tip, placed_model, some
+from identification.model.placed import one_unnamed, placed_model, some
 
+UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
+DRAWN = 0.02  # of the reach: what may well be the drawing's errors
+CLEARLY = 3.0  # times better: another unit or reading is suspected
+FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
 ENOUGH = 200  # rows that are used: a wrong sign shows in far fewer
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
 OTHERS = 2  # readings that are named beside the simplest
 KEPT = 4  # effort: readings from which the next kind of change starts
 ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
 MANY = 6  # joints, up to which all combinations of signs are tried
+
+
+# -- what the drawing leaves -------------------------------------------------------------------------------------------
+def anywhere(arm: Arm) -> Arm:
+    """The arm as drawn, where it stands left open, and in space what is measured on it."""
+    chain = arm.chain
+    tip = chain.settled & {TOOL} if chain.planar else frozenset[str]()
+    return replace(
+        arm, chain=KinematicChain(chain.joints, chain.end, settled=tip, instrument=chain.instrument, axes=chain.axes)
+    )
+
+
+def some_of_one_point(measurements: Measurements) -> Measurements:
+    """Rows of the point and session that is measured most, spread over the file."""
+    rows = np.arange(len(measurements))
+    for names in (measurements.marker_numbers, measurements.session):  # between sessions the base may have moved
+        if names is not None:
+            each, counts = np.unique(names[rows], return_counts=True)
+            rows = rows[names[rows] == each[counts.argmax()]]
+    return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, ENOUGH).astype(int))])
+
+
+def _few(arm: Arm, rows: Measurements) -> bool:
+    """Whether another reading would fit by chance: of a pose, of a point where it is open, and of one number more."""
+    point = 0 if TOOL in arm.chain.settled else arm.dimension
+    # below three equations for each fitted number anything may fit
+    return rows.positions[:, : arm.chain.coordinates].size < 3 * (arm.dimension + len(arm.chain.turning) + point + 1)
+
+
+def _place(arm: Arm, hopeless: float = np.inf) -> Callable[[Array, Array], Placement]:
+    """Where the drawing stands by postures (m, n) and positions (m, d), with the root mean square distance [mm] that it
+    leaves; of lengths roughly, where that is `hopeless`."""
+    chain = arm.chain
+    tool = np.zeros(3) if TOOL in chain.settled else None
+    read = partial(Unplaced, reach=chain.reach, tool=tool, hopeless=hopeless)
+    coordinates = slice(chain.coordinates)
+    return lambda q, x: chain.instrument.place(read(chain.tip_frames(q), x[:, coordinates]))
+
+
+# -- units -------------------------------------------------------------------------------------------------------------
+def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
+    """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
+    where that fits the arm clearly better, in sentences; and an arm that reaches farther than any does.
+
+    Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
+    are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %.
+    """
+    return list(_units(measurements, arm)[0])
+
+
+def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
+    """`wrong_units` of which there is no doubt, in a clause; None: there are none.
+
+    In the other units the rows are those of the drawing, but for what one may be off by; as read they are far from it
+    for how far apart they are.
+    """
+    sentences, left, gain = _units(measurements, arm)
+    if left > DRAWN or gain <= 10.0:  # of what is ten times better, and no worse than a drawing, there is no doubt
+        return None
+    return f"{'; '.join(sentences)} (read that way, the drawing leaves {100.0 * left:.2g} % of the reach)"
+
+
+@lru_cache(maxsize=2)  # asked for before a fit, and again for its warnings
+def _units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], float, float]:
+    """What to do about other units, in sentences; what the drawing leaves in them, in reaches, and how many times less
+    that is than as read, for how far apart the drawn positions are."""
+    rows, arm = some_of_one_point(measurements), anywhere(arm)
+    huge, none = arm.reach > 20000.0, 0.0  # [mm] farther than any arm reaches
+    how = "lengths that were written in millimetres there come out 1000 times too large"
+    sentences = [f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}"] * huge
+    turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
+    largest, angle = float(np.abs(rows.postures[:, turning]).max(initial=0.0)), {1.0: ""}
+    if 0.0 < largest < np.radians(7.0):  # below 7 deg numbers may be radians
+        angle[180.0 / np.pi] = "radians: name the columns q1_rad.. instead of q1_deg.."
+    elif largest > 7.0:  # [rad], more than a turn
+        angle[np.pi / 180.0] = "degrees: name the columns q1_deg.. instead of q1_rad.."
+    postures = {t: rows.postures * np.where(turning, t, 1.0) for t in angle}
+    drawn = {t: _spread(arm.chain.tip_frames(q)[:, : arm.dimension, 3]) for t, q in postures.items()}
+    spread = 0.0 if arm.chain.instrument.contact else _spread(rows.positions[:, POINT])  # of contacts nothing is read
+    # no drawing is wrong by half or twice the size; what repeats of one posture scatter by has no ratio to it
+    alike = not spread or drawn[1.0] < 2.0 * spread < 4.0 * drawn[1.0]
+    if _few(arm, rows) or max(drawn.values()) < 1e-3 * arm.reach or (len(angle) == 1 and alike):
+        return tuple(sentences), none, none
+    place, left = _place(arm), dict[tuple[float, float], float]()  # (factors) -> RMS, as a share of the spread
+    for turned, q in postures.items():
+
+        def rms(factor: float, q: Array = q, size: float = drawn[turned]) -> float:
+            return place(q, rows.positions * factor).rms / max(size, np.finfo(float).tiny)
+
+        left[turned, 1.0] = rms(1.0)
+        if spread and drawn[turned]:  # what positions are to be multiplied by; a point far from the tip adds to spreads
+            near = min(drawn[turned] / spread * 2.0 ** np.arange(-3, 4), key=rms)
+            bounds = np.log([near / 2.0, near * 2.0])
+            best = minimize_scalar(lambda k, of=rms: of(float(np.exp(k))), bounds=bounds, options={"xatol": 1e-4})
+            factor = float(np.exp(best.x))
+            if max(factor, 1.0 / factor) > 2.0 and CLEARLY * rms(factor) < left[turned, 1.0]:
+                left[turned, factor] = rms(factor)
+    turned, factor = least = min(left, key=left.__getitem__)
+    if CLEARLY * left[least] >= left[1.0, 1.0]:
+        return tuple(sentences), none, none
+    sentences = [f"the joint angles look like {angle[turned]}"] * (turned != 1.0) + sentences
+    small, large = ("measurements", "arm file") if factor > 1.0 else ("arm file", "measurements")
+    times = max(factor, 1.0 / factor)
+    lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
+    unit = next((unit for unit in UNITS if abs(times / unit - 1.0) <= 0.02), None)
+    axes = [coordinate.name for coordinate in arm.chain.instrument.coordinates][: rows.dimension]
+    names, in_metres = (", ".join(f"{axis}_{end}" for axis in axes) for end in ("mm", "m"))
+    if factor == 1.0 or (huge and factor > 1.0):
+        sentences += [lengths] * (factor != 1.0)
+    elif unit is None:
+        sentences += [f"{lengths}, which is the factor of no unit: another arm, or a length that is mistyped?"]
+    elif small == "arm file":
+        agree = f"they agree if the arm file's lengths are in {UNITS[unit]} (multiply them by {unit:g})"
+        sentences += [f"{lengths}: {agree}"]
+    else:
+        how = f"name the columns {in_metres} instead of {names}" if unit == 1000.0 else f"multiply {names} by {unit:g}"
+        sentences += [f"{lengths}: they agree if the positions are in {UNITS[unit]} ({how})"]
+    return tuple(sentences), left[least] * drawn[turned] / arm.reach, left[1.0, 1.0] / left[least]
+
+
+def _spread(points: Array) -> float:
+    """Root mean square distance of points (m, d) from their mean, of distances (m, 1) that of the points they are of,
+    if these lie on all sides."""
+    square = float(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))
+    return float(np.sqrt(square * (3.0 if points.shape[1] == 1 else 1.0)))
+
+
+# -- orientations, markers, rows far from all others -------------------------------------------------------------------
+def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
+    """Sentences about units that the numbers contradict, swapped markers and rows far from all others.
+
+    Raises `InputError` if the numbers of joints differ.
+    """
+    if measurements.links != arm.links:
+        raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
+    units = wrong_units(measurements, arm)
+    if units or arm.chain.planar or _few(anywhere(arm), some_of_one_point(measurements)):
+        return units
+    # as it is drawn; with one measured point where it has several and the rows name none
+    bare = replace(arm, chain=one_unnamed(arm.chain, measurements), effects=(), calibration=None)
+    return [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
+
+
+def gap_notes(measurements: Measurements) -> list[str]:
+    """Rows of which nothing says from which side their joints came, in a sentence; none where directions are given."""
+    if measurements.gaps is None or measurements.directions is not None:
+        return []
+    left_out = f"before {int(measurements.gaps.sum())} of {len(measurements)} rows numbers of order are left out"
+    how = "keep order 1, 2, 3 .. without steps, or give columns direction1, direction2 .."
+    return [f"{left_out}: from which side the joints came is not known there (play in gears needs it; {how})"]
+
+
+def _left(arm: Arm, measurements: Measurements, kept: NDArray[np.bool_]) -> Array:
+    """(m, d) from the nominal arm [mm], base and measured points found from the rows kept, in each session."""
+    left = np.empty(measurements.positions.shape)
+    for rows in measurements.session_rows:
+        here = measurements.rows(rows)
+        placed = placed_model(Model(arm), here.rows(kept[rows]) if kept[rows].any() else here)
+        left[rows] = here.positions - placed.position(here.postures, conditions=here.conditions)
+    return left
+
+
+def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
+    """Another convention of the orientations, where those that are measured are far from the nominal arm's."""
+    if (measured := measurements.orientations) is None:
+        return
+    every, first = np.ones(len(measurements), dtype=bool), measurements.session_rows[0]
+    fixed_axes = np.swapaxes(from_angles(-to_angles(measured)), -1, -2)
+    missed = {}
+    for name, read in {
+        "": measured,
+        "angles about fixed axes": fixed_axes,
+        "the instrument in the frame of the tool": np.swapaxes(measured, -1, -2),
+        "the instrument in the frame of the tool, by angles about fixed axes": np.swapaxes(fixed_axes, -1, -2),
+    }.items():
+        left = _left(arm, replace(measurements, orientations=read).rows(first), every[first])
+        turned = np.linalg.norm(left[:, POINT.stop :], axis=1)
+        missed[name] = float(np.median(turned)) / (arm.chain.angle_scale or 1.0)
+        if not name and missed[name] <= FAR * arm.machining.rotation:
+            return
+    best = min(missed, key=missed.__getitem__)
+    looks = f"; they look like {best}" if CLEARLY * missed[best] < missed[""] else ""
+    yield (
+        f"the orientations are {np.degrees(missed['']):.3g} deg from the nominal arm's in the median{looks}; rx_deg, "
+        "ry_deg and rz_deg turn the tool about its own x, then y, then z axis, from the frame of the instrument"
+    )
+
+
+def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
+    """Rows that another marker explains, and rows that nothing does."""
+    kept = np.ones(len(measurements), dtype=bool)
+    for _ in range(5):
+        far = distances(_left(arm, measurements, kept))
+        before, kept = kept, far <= FAR * np.median(far)
+        if np.array_equal(before, kept):
+            break
+    if kept.all() or 2 * kept.sum() < len(kept):
+        return
+    usual, swapped = float(np.median(far[kept])), np.zeros(len(kept), dtype=bool)
+    for name in measurements.marker_names:
+        other = replace(measurements, marker=np.where(kept, np.array(measurements.marker), name))
+        swapped |= ~kept & (distances(_left(arm, other, kept)) <= FAR * usual)
+    typical = f"others are {usual:.3g} mm from the nominal arm in the median"
+    if swapped.any():
+        yield f"markers look swapped in {rows_in_words(swapped)}: the position is that of another marker; {typical}"
+    if (lost := ~kept & ~swapped).any():
+        worst = float(far[lost].max())
+        yield f"a lost beam or another posture in {rows_in_words(lost)}: up to {worst:.4g} mm off; {typical}"
 
 
 # -- a reading ---------------------------------------------------------------------------------------------------------
@@ -76,23 +291,28 @@ class Reading:
     @property
     def moved_zeros(self) -> bool:
         """Nothing but zeros of joints that are off by no whole quarter turns: a fit takes them for what they are."""
-        as_written = Reading.as_written(len(self.order))
-        same = replace(self, quarters=as_written.quarters, turn=None, rms=np.inf) == as_written
-        return same and any(k % 1.0 for k in self.quarters)
+        others = self.changes - sum(k != 0 for k in self.quarters)
+        return not others and any(k % 1.0 for k in self.quarters)
 
     @property
     def zeros(self) -> tuple[float, ...]:
         """(n) what to add to each joint [rad], by the shorter way."""
         return tuple(float(np.radians(180.0 - (180.0 - 90.0 * k) % 360.0)) for k in self.quarters)
 
+    def with_quarters(self, joint: int, k: float) -> Reading:
+        """With so many quarter turns added to a joint, from 0."""
+        return replace(self, quarters=(*self.quarters[:joint], k, *self.quarters[joint + 1 :]))
+
     def postures(self, columns: Array) -> Array:
         """(m, n) what the arm's joints are, of columns (m, n)."""
         read = columns[:, list(self.order)] * np.array(self.signs) + 0.5 * np.pi * np.array(self.quarters)
         return np.linalg.solve(self.matrix, read.T).T if self.sums else read
 
-    def positions(self, columns: Array) -> Array:
-        """(m, d) what the positions are in axes of the right hand."""
-        return columns * np.r_[np.ones(columns.shape[1] - 1), -1.0] if self.mirrored else columns
+    def placed(self, rows: Measurements, place: Callable[[Array, Array], Placement]) -> Placement:
+        """Where the drawing stands by it."""
+        positions = np.array(rows.positions[:, POINT])
+        positions[:, -1] *= -1.0 if self.mirrored else 1.0
+        return place(self.postures(rows.postures), positions)
 
     def counting(self, before: Counting | None) -> Counting | None:
         """How the controller counts, where this is what its columns say to an arm whose file says `before`; None where
@@ -121,16 +341,16 @@ class Reading:
                 how = f"counted from {link}, not from link {j - 1} (its angle: column {angle})"
                 sentences.append(f"joint {j} is {how}")
         if self.mirrored:
-            # with x and y swapped the last axis turned gives back the drawing a quarter turn away, with an axis turned
-            # it stands as drawn or half a turn away
-            swapped, flipped = "x_mm and y_mm are swapped", "an axis of the positions points the other way"
-            if self.turn is None:
-                swapped, turn_tells = "two of x_mm, y_mm, z_mm are swapped", False
-            else:
-                turn_tells = abs(np.sin(2.0 * self.turn)) <= np.sin(2.0 * np.radians(20.0))
-            # nearer to upright, or to a half turn, than to a quarter turn
-            upright = self.turn is not None and abs(np.cos(self.turn)) > np.cos(np.radians(45.0))
-            sentences.append((flipped if upright else swapped) if turn_tells else f"{swapped}, or {flipped}")
+            swapped, flipped = "two of x_mm, y_mm, z_mm are swapped", "an axis of the positions points the other way"
+            which = f"{swapped}, or {flipped}"
+            if self.turn is not None:  # in the plane
+                # with x and y swapped the last axis turned gives back the drawing a quarter turn away, with an axis
+                # turned it stands as drawn or half a turn away; within 20 deg of either the turn tells
+                swapped = "x_mm and y_mm are swapped"
+                upright = abs(np.cos(self.turn)) > np.cos(np.radians(45.0))
+                tells = abs(np.sin(2.0 * self.turn)) <= np.sin(2.0 * np.radians(20.0))
+                which = (flipped if upright else swapped) if tells else f"{swapped}, or {flipped}"
+            sentences.append(which)
         return tuple(sentences)
 
 
@@ -177,29 +397,33 @@ class Readings:
 
 
 # -- the search --------------------------------------------------------------------------------------------------------
-def read_differently(arm: Arm, measurements: Measurements) -> Readings:
+def read_differently(arm: Arm, measurements: Measurements, *, search: bool = True) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
     Tried are zeros, of one joint at any angle, joints that are counted from farther back than the link before, signs,
     pairs of swapped columns, zeros off by quarter turns, and a mirrored frame. With few rows nothing is tried. Where a
     spatial arm stands and what is measured on it are fitted.
+
+    search : False: only what the columns say
     """
-    return _read_differently(anywhere(arm), some_of_one_point(measurements))
-
-
-def as_written(arm: Arm, measurements: Measurements) -> Readings:
-    """What the columns say, and no other reading looked for."""
-    reading = Reading.as_written(arm.links)
-    arm, rows = anywhere(arm), some_of_one_point(measurements)
-    return Readings(_placed(arm, rows)(reading), None)
+    return _read_differently(anywhere(arm), some_of_one_point(measurements), search)
 
 
 @lru_cache(maxsize=2)  # a fit asks before it begins, and again when it has placed the arm
-def _read_differently(arm: Arm, rows: Measurements) -> Readings:
-    written = _placed(arm, rows)(Reading.as_written(arm.links))
-    if _few(arm, rows):
+def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
+    def placed(reading: Reading) -> Reading:
+        base, _, rms = reading.placed(rows, _place(arm))
+        turn = float(np.arctan2(base[1, 0], base[0, 0])) if arm.chain.positions_in_plane else None
+        return replace(reading, rms=rms, turn=turn)
+
+    written = placed(Reading.as_written(arm.links))
+    if not search or _few(arm, rows):
         return Readings(written, None)
-    left = _distance(arm, rows, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
+    place = _place(arm, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
+
+    def left(reading: Reading) -> float:
+        return reading.placed(rows, place).rms
+
     plain = replace(written, rms=0.0, turn=None)
     tried = {plain: replace(written, turn=None)}
     zero = partial(_moved_zero, left=left)
@@ -222,29 +446,21 @@ def _read_differently(arm: Arm, rows: Measurements) -> Readings:
         tried |= {r: replace(r, rms=left(r)) for r in _signs(plain, arm) if r not in tried}
     as_simple = (r for r in tried.values() if explained and r.changes == best.changes and not r.moved_zeros)
     alike = sorted((r for r in as_simple if r != best and r.rms <= ALIKE * best.rms), key=lambda reading: reading.rms)
-    best, *alike = map(_placed(arm, rows), (best, *alike[:OTHERS]))
-    counting = best.counting(arm.counting) if explained else None
-    return Readings(written, best, tuple(alike), explained, counting)
+    best, *alike = map(placed, (best, *alike[:OTHERS]))
+    return Readings(written, best, tuple(alike), explained, best.counting(arm.counting) if explained else None)
 
 
 def _moved_zero(best: Reading, arm: Arm, left: Callable[[Reading], float]) -> Iterator[Reading]:
     """The zero of one turning joint where it explains the positions best; a whole quarter turn where it is near one."""
-    from scipy.optimize import minimize_scalar
-
     for j in (j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC):
 
         def left_with(k: float, j: int = j) -> float:
-            return left(_with_quarters(best, j, k))
+            return left(best.with_quarters(j, k))
 
         near = min(ZEROS, key=left_with)
         bounds = (near - ZEROS[1], near + ZEROS[1])
         k = float(minimize_scalar(left_with, bounds=bounds, options={"xatol": 1e-3}).x)  # to 0.1 deg
-        yield _with_quarters(best, j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # within 2 deg it is a whole one
-
-
-def _with_quarters(reading: Reading, joint: int, k: float) -> Reading:
-    """With so many quarter turns added to a joint, from 0."""
-    return replace(reading, quarters=(*reading.quarters[:joint], k, *reading.quarters[joint + 1 :]))
+        yield best.with_quarters(j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # within 2 deg it is a whole one
 
 
 def _absolute(best: Reading, arm: Arm) -> Iterator[Reading]:
@@ -264,17 +480,16 @@ def _absolute(best: Reading, arm: Arm) -> Iterator[Reading]:
 def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
     """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of each
     whether it turns as the first does (1) or the other way (-1)."""
-    axes, turned = list[Array | None](), np.eye(3)
-    for joint in arm.chain.joints:
+    runs, before, turned = list[tuple[int, list[int]]](), None, np.eye(3)
+    for j, joint in enumerate(arm.chain.joints):
         turned = turned @ joint.origin[:3, :3]
-        axes.append(turned @ joint.axis if joint.type == REVOLUTE else None)
-    runs = list[tuple[int, list[int]]]()
-    for j, (before, axis) in enumerate(zip([None, *axes], axes, strict=False)):
+        axis = turned @ joint.axis if joint.type == REVOLUTE else None
         along = 0.0 if axis is None or before is None else float(axis @ before)
         if abs(along) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
             runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
         else:
             runs.append((j, [1]))
+        before = axis
     return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
 
@@ -314,7 +529,7 @@ def _zeros(best: Reading, arm: Arm) -> Iterator[Reading]:
     """The zero of one turning joint off by quarter turns."""
     for j, k in product(range(arm.links), (1, 2, 3)):
         if arm.joint_types[j] != PRISMATIC:
-            yield _with_quarters(best, j, k)
+            yield best.with_quarters(j, k)
 
 
 def _pairs_and_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
@@ -323,106 +538,41 @@ def _pairs_and_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
         yield from _zeros(signs, arm)
 
 
-# -- what a reading leaves ---------------------------------------------------------------------------------------------
-def anywhere(arm: Arm) -> Arm:
-    """The arm as drawn, where it stands left open, and in space what is measured on it."""
-    chain = arm.chain
-    tip = chain.settled & {TOOL} if chain.planar else frozenset[str]()
-    return replace(
-        arm, chain=KinematicChain(chain.joints, chain.end, settled=tip, instrument=chain.instrument, axes=chain.axes)
-    )
-
-
-def some_of_one_point(measurements: Measurements) -> Measurements:
-    """Rows of the point that is measured most, spread over the file."""
-    rows = np.arange(len(measurements))
-    if (markers := measurements.marker_numbers) is not None:
-        rows = rows[markers == np.bincount(markers).argmax()]
-    if measurements.session is not None:  # between sessions the base may have moved
-        sessions = measurements.session[rows]
-        names, counts = np.unique(sessions, return_counts=True)
-        rows = rows[sessions == names[counts.argmax()]]
-    return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, ENOUGH).astype(int))])
-
-
-def _few(arm: Arm, rows: Measurements) -> bool:
-    """Whether another reading would fit by chance: of a pose, and of a point where it is open."""
-    point = 0 if TOOL in anywhere(arm).chain.settled else arm.dimension
-    # below four equations for each fitted number anything may fit
-    return rows.positions.size < 4 * (arm.dimension + len(arm.chain.turning) + point)
-
-
-def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], float]:
-    """Root mean square distance [mm] of the drawing from the positions of a reading, its place fitted; of lengths
-    roughly, where it is `hopeless`."""
-    place = _place(arm, rows, hopeless)
-    return lambda reading: place(reading).rms
-
-
-def _place(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], Placement]:
-    """Where the drawing stands by a reading."""
-    chain = anywhere(arm).chain
-    frames = _frames(chain)
-    measured = rows.positions[:, : chain.coordinates]
-    tool = np.zeros(3) if TOOL in chain.settled else None
-    read = partial(Unplaced, reach=chain.reach, tool=tool, hopeless=hopeless)
-    return lambda reading: chain.instrument.place(
-        read(frames(reading.postures(rows.postures)), reading.positions(measured))
-    )
-
-
-_frames = lru_cache(maxsize=4)(frames_of_tip)
-
-
-def _placed(arm: Arm, rows: Measurements) -> Callable[[Reading], Reading]:
-    """A reading with what it leaves, and with the turn of the base in the plane."""
-    place = _place(arm, rows)
-
-    def placed(reading: Reading) -> Reading:
-        base, _, rms = place(reading)
-        turn = float(np.arctan2(base[1, 0], base[0, 0])) if arm.chain.positions_in_plane else None
-        return replace(reading, rms=rms, turn=turn)
-
-    return placed
-
-
 # -- what else the drawing tells ---------------------------------------------------------------------------------------
 def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ...]:
     """Turning joints (from 1) whose sign and zero no measured point shows: reversed and a quarter or half turn away the
     drawing leaves no more; none with orientations, few rows, or where the drawing leaves much as it is."""
     if measurements.orientations is not None:
         return ()
-    numbers, arm = measurements.marker_numbers, anywhere(arm)
-    numbers = np.zeros(len(measurements), dtype=np.int64) if numbers is None else numbers
-    points = (some_of_one_point(measurements.rows(np.flatnonzero(numbers == number))) for number in np.unique(numbers))
-    return tuple(sorted(set.intersection(*(_unseen(arm, rows) for rows in points))))
-
-
-def _unseen(arm: Arm, rows: Measurements) -> set[int]:
-    """Those that one measured point does not show."""
-    plain, left = Reading.as_written(arm.links), _distance(arm, rows)
-    written = left(plain)
-    if _few(arm, rows) or written > DRAWN * arm.reach:
-        return set()
-    most = ALIKE * max(written, float(np.sqrt(np.finfo(float).eps)) * arm.reach)  # rounded, of data without noise
-    shown = {
-        next(j for j, (sign, k) in enumerate(zip(other.signs, other.quarters, strict=True), start=1) if sign < 0 or k)
-        for other in (*_flips(plain, arm), *_zeros(plain, arm))
-        if left(other) > most
-    }
-    return {j for j, kind in enumerate(arm.joint_types, start=1) if kind != PRISMATIC} - shown
+    arm, plain = anywhere(arm), Reading.as_written(arm.links)
+    place, numbers = _place(arm), measurements.marker_numbers
+    points = [np.ones(len(measurements), dtype=bool)] if numbers is None else (numbers == k for k in np.unique(numbers))
+    unseen = {j for j, kind in enumerate(arm.joint_types, start=1) if kind != PRISMATIC}
+    for point in points:
+        rows = some_of_one_point(measurements.rows(np.flatnonzero(point)))
+        written = plain.placed(rows, place).rms
+        if _few(arm, rows) or written > DRAWN * arm.reach:
+            return ()
+        most = ALIKE * max(written, float(np.sqrt(np.finfo(float).eps)) * arm.reach)  # rounded, of data without noise
+        for other in (*_flips(plain, arm), *_zeros(plain, arm)):
+            if other.placed(rows, place).rms > most:
+                unseen -= {
+                    j for j, (sign, k) in enumerate(zip(other.signs, other.quarters, strict=True), 1) if sign < 0 or k
+                }
+    return tuple(sorted(unseen))
 
 
 def out_of_step(arm: Arm, measurements: Measurements) -> list[str]:
     """Positions that stand beside the posture of another row, in a sentence; none where no step explains them."""
-    plain = Reading.as_written(arm.links)
-    if _few(arm, rows := some_of_one_point(measurements)):
+    arm, plain = anywhere(arm), Reading.as_written(arm.links)
+    rows, place = some_of_one_point(measurements), _place(arm)
+    if _few(arm, rows):
         return []
-    written = _distance(arm, rows)(plain)
+    written = plain.placed(rows, place).rms
     first, last = measurements.rows(slice(None, -1)), measurements.rows(slice(1, None))
     for postures, positions, when in ((first, last, "late"), (last, first, "early")):
         rows = some_of_one_point(replace(postures, positions=positions.positions))
-        if CLEARLY * (left := _distance(arm, rows)(plain)) < written:
+        if CLEARLY * (left := plain.placed(rows, place).rms) < written:
             gain = f"the drawing then leaves {left:.3g} mm instead of {written:.4g}"
             return [f"it looks as if each position stands one row too {when}, beside another posture: {gain}"]
     return []

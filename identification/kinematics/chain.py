@@ -22,7 +22,7 @@ with theta_j = q_j + offset_j for a revolute joint, d_j + q_j in the place of d_
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
@@ -36,7 +36,7 @@ from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.instruments import TRACKER, Instrument
 from identification.kinematics.closed_form import PlanarClosedForm
-from identification.kinematics.frames import AXES, Frame, pose, rotation_about, rotation_to_z, rotation_vector
+from identification.kinematics.frames import Frame, X, Z, pose, rotation_about, rotation_to_z, rotation_vector
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
     LENGTH_ERROR,
@@ -45,14 +45,16 @@ from identification.kinematics.parameters import (
     Parameter,
     ParameterSet,
     chain_parameters,
+    error_names,
 )
-from identification.vectorize import vectorize
+from identification.vectorize import Evaluate, vectorize
 
 DIMENSION = 3  # of space
 IN_SPACE, IN_PLANE = "xyz", "xy"
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 ALIGNED = 1.0 - 1e-12  # cosine from which an axis is one of the frame's own
 Values = Mapping[str, ca.SX | float]  # parameter name -> value
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,23 +75,27 @@ class Joint(ByValue):
     def __post_init__(self) -> None:
         if self.type not in (REVOLUTE, PRISMATIC):
             raise InputError(f"joint {self.name}: type {self.type!r}, allowed: {REVOLUTE} or {PRISMATIC}")
-        length = float(np.linalg.norm(self.axis))
-        if not length > 0.0:
+        if not (length := float(np.linalg.norm(self.axis))) > 0.0:
             raise InputError(f"joint {self.name}: axis {np.asarray(self.axis).tolist()}, allowed: not zero")
         object.__setattr__(self, "origin", readonly(self.origin))
         object.__setattr__(self, "axis", readonly(np.asarray(self.axis, dtype=float) / length))
 
+    @property
+    def along(self) -> int | None:
+        """Number of the axis of its frame that is the joint's, None: it lies between."""
+        k = int(np.argmax(np.abs(self.axis)))
+        return k if abs(self.axis[k]) >= ALIGNED else None
+
     def moved(self, frame: Frame, q: ca.SX) -> Frame:
         """The joint's frame after it moved by q [rad, mm]."""
-        k = int(np.argmax(np.abs(self.axis)))
-        if abs(self.axis[k]) < ALIGNED:
-            # turned so that its own z axis is the joint's: one symbolic rotation instead of Rodrigues' formula
-            to_z = rotation_to_z(self.axis)
-            turned = frame.placed(pose(rotation=to_z))
-            turned = turned.turned(2, q) if self.type == REVOLUTE else turned.moved(2, q)
-            return turned.placed(pose(rotation=to_z.T))
-        signed = q if self.axis[k] > 0.0 else -q
-        return frame.turned(k, signed) if self.type == REVOLUTE else frame.moved(k, signed)
+        if (k := self.along) is not None:
+            signed = q if self.axis[k] > 0.0 else -q
+            return frame.turned(k, signed) if self.type == REVOLUTE else frame.moved(k, signed)
+        # turned so that its own z axis is the joint's: one symbolic rotation instead of Rodrigues' formula
+        to_z = rotation_to_z(self.axis)
+        turned = frame.placed(pose(rotation=to_z))
+        turned = turned.turned(2, q) if self.type == REVOLUTE else turned.moved(2, q)
+        return turned.placed(pose(rotation=to_z.T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +152,11 @@ class KinematicChain(ByValue):
         return (2,) if self.planar else (0, 1, 2)
 
     @property
+    def turn_names(self) -> tuple[str, ...]:
+        """Names of the parts of a rotation: `w` in the plane, `wx`, `wy`, `wz` in space."""
+        return ("w",) if self.planar else ("wx", "wy", "wz")
+
+    @property
     def bends(self) -> dict[str, int]:
         """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In the plane each
         link's end to its left; in space each joint's frame after it moved, by three turns and three shifts."""
@@ -153,14 +164,14 @@ class KinematicChain(ByValue):
         return {"deflections": n, "slopes": n} if self.planar else {"joint_turns": 3 * n, "joint_shifts": 3 * n}
 
     @property
-    def turn_names(self) -> tuple[str, ...]:
-        """Names of the parts of a rotation: `w` in the plane, `wx`, `wy`, `wz` in space."""
-        return ("w",) if self.planar else tuple(f"w{axis}" for axis in self.axes)
-
-    @property
     def redundant(self) -> bool:
         """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
         return not (self.planar or self.fixed)
+
+    @property
+    def held(self) -> frozenset[str]:
+        """Names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows."""
+        return self.fixed | (self.instrument.hidden(self.base) if self.planar else frozenset())
 
     @property
     def coordinates(self) -> int:
@@ -170,10 +181,19 @@ class KinematicChain(ByValue):
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
 
     @cached_property
+    def _steps(self) -> list[float]:
+        return [float(np.linalg.norm(matrix[:3, 3])) for matrix in (*(j.origin for j in self.joints), self.end)]
+
+    @cached_property
     def reach(self) -> float:
         """Largest distance [mm] between base and tip that the parts of the chain could add up to."""
         sliding = (max(abs(j.lower), abs(j.upper)) for j in self.joints if j.type == PRISMATIC)
         return float(sum(self._steps) + sum(sliding))
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(n,) nominal lengths [mm] of the straight lines from each joint's frame to the next, the last to the tip."""
+        return readonly(self._steps[1:])
 
     @cached_property
     def levers(self) -> Array:
@@ -185,20 +205,35 @@ class KinematicChain(ByValue):
         return np.maximum(beyond, self.reach / 10.0)
 
     @cached_property
-    def lengths(self) -> Array:
-        """(n,) nominal lengths [mm] of the straight lines from each joint's frame to the next, the last to the tip."""
-        return readonly(self._steps[1:])
-
-    @cached_property
-    def _steps(self) -> list[float]:
-        return [float(np.linalg.norm(matrix[:3, 3])) for matrix in (*(j.origin for j in self.joints), self.end)]
+    def link_vectors(self) -> list[Array]:
+        """(n) vectors (3,) [mm] from each joint's frame to that of the next before it moves, in its own axes."""
+        return [matrix[:3, 3] for matrix in (*(joint.origin for joint in self.joints[1:]), self.end)]
 
     @property
     def joint_types(self) -> tuple[str, ...]:
         """(n) `revolute` or `prismatic`."""
         return tuple(joint.type for joint in self.joints)
 
-    def parameters(self, best: Mapping[str, float] = MappingProxyType({})) -> ParameterSet:
+    # -- parameters ----------------------------------------------------------------------------------------------------
+    @cached_property
+    def every_parameter(self) -> ParameterSet:
+        """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
+        and six errors, in the plane lengths of links and offsets of joints, and last those of the instrument itself."""
+        if self.planar:
+            return ParameterSet([*chain_parameters(self.lengths), *self.instrument.parameters])
+        parameters = _six(BASE, self.reach, (BASE, BASE))
+        for name, place in self.tools.items():
+            # no measured point is farther from where it is drawn or found first
+            far = 3.0 * (self.reach + float(np.linalg.norm(place)))
+            of_tool = _six(f"tool[{name}]", self.angle_scale or 1.0, (TOOL, TOOL), far)
+            parameters += of_tool[: DIMENSION if self.angle_scale is None else 2 * DIMENSION]
+        for j, (joint, lever) in enumerate(zip(self.joints, self.levers.tolist(), strict=True), start=1):
+            unit, scale = ("rad", lever) if joint.type == REVOLUTE else ("mm", 1.0)
+            parameters.append(Parameter(f"{JOINT_OFFSET}:{j}", unit, scale=scale, kind=JOINT_OFFSET, joint=j))
+            parameters += _six(j, lever, (TRANSLATION_ERROR, ROTATION_ERROR))
+        return ParameterSet([*parameters, *self.instrument.parameters])
+
+    def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
         """What there is to find: `every_parameter` without the base and tools that are known, without the errors along
         or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
         which move all that lies beyond as the base does; nor what no reading of the instrument shows.
@@ -208,17 +243,16 @@ class KinematicChain(ByValue):
         if self.planar:
             errors = [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
             scales = np.where(self.lengths + errors == 0.0, self.lengths, np.abs(self.lengths + errors))
-            return ParameterSet.of((*chain_parameters(scales), *self.instrument.parameters))
-        left_out = {PRISMATIC: TRANSLATION_ERROR, REVOLUTE: ROTATION_ERROR}
-        along_axes = {
-            f"{left_out[joint.type].removesuffix('error')}{AXES[k]}:{j}"
-            for j, joint in enumerate(self.joints, start=1)
-            if abs(joint.axis[k := int(np.argmax(np.abs(joint.axis)))]) >= ALIGNED
-        }
+            return ParameterSet([*chain_parameters(scales), *self.instrument.parameters])
         stands = BASE in self.settled
-        hidden = along_axes if stands else along_axes | self.instrument.hidden(self.base)
-        hidden |= {self.turning_with_targets} if self.instrument.own_targets else frozenset()
-        return ParameterSet.of(
+        hidden = {
+            error_names(j)[joint.along + DIMENSION * (joint.type == REVOLUTE)]
+            for j, joint in enumerate(self.joints, start=1)
+            if joint.along is not None
+        }
+        hidden |= frozenset() if stands else self.instrument.hidden(self.base)
+        hidden |= {self._turning_with_targets} if self.instrument.own_targets else frozenset()
+        return ParameterSet(
             p
             for p in self.every_parameter
             if (p.kind.partition("_")[0] not in self.settled or p in self.instrument.parameters)
@@ -226,47 +260,17 @@ class KinematicChain(ByValue):
         )
 
     @cached_property
-    def turning_with_targets(self) -> str:
+    def _turning_with_targets(self) -> str:
         """Name of the error of joint 2 that turns all beyond joint 1 about the axis of that, or most nearly does:
         targets in the frame of the base turn with it, so that no reading shows it. Empty: there is none."""
         if len(self) < 2 or self.joints[0].type != REVOLUTE:
             return ""
-        turn, shift, following = self.joints[1].origin[:3, :3].T, self.joints[1].origin[:3, 3], self.joints[1]
-        axis = self.joints[0].axis
-        moved = np.abs(np.r_[turn @ axis * self.levers[0], turn @ np.cross(axis, shift)])  # [mm]
+        axis, following = self.joints[0].axis, self.joints[1]
+        turn, shift = following.origin[:3, :3].T, following.origin[:3, 3]
+        moved = np.abs(np.r_[turn @ np.cross(axis, shift), turn @ axis * self.levers[0]])  # [mm]
         if following.type == REVOLUTE:  # its offset stands for the turn about its own axis
-            moved[:3] *= 1.0 - np.abs(following.axis)
-        k = int(np.argmax(moved))
-        return f"{'rotation' if k < DIMENSION else 'translation'}_{AXES[k % DIMENSION]}:2"
-
-    @property
-    def held(self) -> frozenset[str]:
-        """Names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows."""
-        return self.fixed | (self.instrument.hidden(self.base) if self.planar else frozenset())
-
-    @cached_property
-    def every_parameter(self) -> ParameterSet:
-        """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
-        and six errors, in the plane lengths of links and offsets of joints, and last those of the instrument itself."""
-        if self.planar:
-            return ParameterSet.of((*chain_parameters(self.lengths), *self.instrument.parameters))
-        parameters = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
-        for name, place in self.tools.items():
-            # no measured point is farther from where it is drawn or found first
-            far = 3.0 * (self.reach + float(np.linalg.norm(place)))
-            of_tool = _six(f"tool[{name}].", f"tool[{name}].r", "", self.angle_scale or 1.0, (TOOL, TOOL), None, far)
-            parameters += of_tool[: DIMENSION if self.angle_scale is None else 2 * DIMENSION]
-        kinds = TRANSLATION_ERROR, ROTATION_ERROR
-        for j, (joint, lever) in enumerate(zip(self.joints, self.levers.tolist(), strict=True), start=1):
-            unit, scale = ("rad", lever) if joint.type == REVOLUTE else ("mm", 1.0)
-            parameters.append(Parameter(f"joint_offset:{j}", unit, scale=scale, kind=JOINT_OFFSET, joint=j))
-            parameters += _six("translation_", "rotation_", f":{j}", lever, kinds, j)
-        return ParameterSet.of((*parameters, *self.instrument.parameters))
-
-    def link_lengths(self, values: ca.SX) -> ca.SX:
-        """(n,) `lengths` with their errors, where values of the parameters have some."""
-        lengths = ca.SX(ca.DM(self.lengths))
-        return lengths + values[: len(self)] if self.planar else lengths
+            moved[3:] *= 1.0 - np.abs(following.axis)
+        return error_names(2)[int(np.argmax(np.roll(moved, 3))) - 3]  # of equal ones a turn
 
     def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets of a planar arm; None for others, see there."""
@@ -278,7 +282,7 @@ class KinematicChain(ByValue):
 
         values : of parameters, where the base is turned by them;  back : the reverse
         """
-        names = ("base_offset.x0", "base_offset.y0") if self.planar else ("base.x", "base.y", "base.z")
+        names = ("base_offset.x0", "base_offset.y0") if self.planar else error_names(BASE)[:3]
         if not set(names) & set(shift):
             return {}
         axes: Any = ca.DM(self.base[:3, :3])
@@ -287,25 +291,32 @@ class KinematicChain(ByValue):
         turned = ca.mtimes(axes.T if back else axes, in_space(ca.DM([shift.get(name, 0.0) for name in names])))
         return {name: turned[k] for k, name in enumerate(names)}
 
-    def frames(self, q: ca.SX, values: Values, added: Mapping[str, ca.SX] = MappingProxyType({})) -> list[Frame]:
+    # -- symbols -------------------------------------------------------------------------------------------------------
+    def link_lengths(self, values: ca.SX) -> ca.SX:
+        """(n,) `lengths` with their errors, where values of the parameters have some."""
+        lengths = ca.SX(ca.DM(self.lengths))
+        return lengths + values[: len(self)] if self.planar else lengths
+
+    def frames(self, q: ca.SX, values: Values, added: Mapping[str, ca.SX] = NOTHING) -> list[Frame]:
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
 
         q : (n,) positions of the joints [rad, mm];  values : parameter name -> value, zero where missing
         added : what effects add at each place of the chain (identification/effects/chain.py)
         """
-        frame = self._placed_base(values, added)
+        names = error_names(BASE)
+        shift = ca.vertcat(*(ca.SX(values.get(name, 0.0)) for name in names[:3]))
+        frame = Frame.world().shifted(shift + in_space(added.get("base_translation", ca.SX(0, 1)))).placed(self.base)
+        frame = frame.displaced(values, names[3:])
+        if "base_rotation" in added:
+            frame = frame.turned_about(self.turning, added["base_rotation"])
         placed = [frame]
         for j, joint in enumerate(self.joints, start=1):
-            frame = self._behind_link(frame, j - 1, joint.origin, values, added)
-            for k, axis in enumerate(AXES):  # after its six local corrections
-                if (name := f"translation_{axis}:{j}") in values:
-                    frame = frame.moved(k, values[name])
-            frame = _turned(frame, values, "rotation_", f":{j}")
-            frame = joint.moved(frame, q[j - 1] + values.get(f"joint_offset:{j}", 0.0))
+            frame = self._behind_link(frame, j - 1, joint.origin, values, added).displaced(values, error_names(j))
+            frame = joint.moved(frame, q[j - 1] + values.get(f"{JOINT_OFFSET}:{j}", 0.0))
             for k in range(DIMENSION if "joint_shifts" in added else 0):
                 frame = frame.moved(k, added["joint_shifts"][3 * (j - 1) + k])
-            for k in range(DIMENSION if "joint_turns" in added else 0):
-                frame = frame.turned(k, added["joint_turns"][3 * (j - 1) + k])
+            if "joint_turns" in added:
+                frame = frame.turned_about(range(3), added["joint_turns"][3 * (j - 1) : 3 * j])
             placed.append(frame)
         return [*placed, self._behind_link(frame, len(self), self.end, values, added)]
 
@@ -325,22 +336,18 @@ class KinematicChain(ByValue):
         shift[1] += added["deflections"][link - 1]
         return frame.shifted(shift).turned(2, added["slopes"][link - 1])
 
-    @cached_property
-    def link_vectors(self) -> list[Array]:
-        """(n) vectors (3,) [mm] from each joint's frame to that of the next before it moves, in its own axes."""
-        return [matrix[:3, 3] for matrix in (*(joint.origin for joint in self.joints[1:]), self.end)]
-
-    def _placed_base(self, values: Values, added: Mapping[str, ca.SX]) -> Frame:
-        shift = ca.vertcat(*(ca.SX(values.get(f"base.{axis}", 0.0)) for axis in AXES))
-        base = Frame.world().shifted(shift + in_space(added.get("base_translation", ca.SX(0, 1)))).placed(self.base)
-        return turned_about(_turned(base, values, "base.r", ""), self.turning, added.get("base_rotation"))
-
     def tool(self, frame: Frame, name: str, values: Values, added: ca.SX | None = None) -> ca.SX:
         """(3,) position of a measured point of the tip's frame."""
-        errors = [values.get(f"tool[{name}].{axis}", 0.0) for axis in AXES]
-        return frame.point(
-            ca.DM(self.tools[name]) + ca.vertcat(*errors) + in_space(ca.SX(0, 1) if added is None else added)
-        )
+        errors = ca.vertcat(*(values.get(error, 0.0) for error in error_names(f"tool[{name}]")[:3]))
+        return frame.point(ca.DM(self.tools[name]) + errors + (0.0 if added is None else in_space(added)))
+
+    def _orientation(self, frame: Frame, values: Values, marker: ca.SX | None) -> ca.SX:
+        """(9,) axes of the measured frame, by columns, where the tip's frame is there."""
+        turned = []
+        for name in self.tools:
+            drawn = frame.placed(pose(rotation=self.tool_axes.get(name, np.eye(3))))
+            turned.append(ca.vec(drawn.displaced(values, error_names(f"tool[{name}]")[3:]).axes))
+        return _of_marker(turned, marker)
 
     def tip(
         self,
@@ -365,12 +372,6 @@ class KinematicChain(ByValue):
         axes = ca.reshape(self._orientation(frame, named, marker), 3, 3)
         return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3).T))
 
-    def _orientation(self, frame: Frame, values: Values, marker: ca.SX | None) -> ca.SX:
-        """(9,) axes of the measured frame, by columns, where the tip's frame is there."""
-        placed = (frame.placed(pose(rotation=self.tool_axes.get(name, np.eye(3)))) for name in self.tools)
-        turned = [_turned(one, values, f"tool[{name}].r", "") for one, name in zip(placed, self.tools, strict=True)]
-        return _of_marker([ca.vec(one.axes) for one in turned], marker)
-
     def orientation(self, q: ca.SX, values: Values, marker: ca.SX | None = None) -> ca.SX:
         """(9,) axes of the measured frame, by columns, for the instrument; arguments as of `frames` and `tip`."""
         return self._orientation(self.frames(q, values)[-1], values, marker)
@@ -379,23 +380,42 @@ class KinematicChain(ByValue):
         """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base; in the plane,
         where joint 1 is the base, n + 1 points (2,)."""
         named = dict(zip(self.parameters().names, np.asarray(values, dtype=float).tolist(), strict=True))
-        at_home = replace(self, base=np.eye(4))
-        frames = at_home.frames(q, {name: value for name, value in named.items() if not name.startswith("base.")})
+        frames = self._in_base(q, named)
         points = [*(frame.origin for frame in frames[:-1]), self.tool(frames[-1], next(iter(self.tools)), named)]
         return [point[: self.dimension] for point in points[int(self.planar) :]]
 
+    def _in_base(self, q: ca.SX, values: Values) -> list[Frame]:
+        """Frames in that of the base, as if nothing were wrong with its place."""
+        at_home = replace(self, base=np.eye(4))
+        return at_home.frames(q, {name: value for name, value in values.items() if not name.startswith("base.")})
+
+    # -- numbers -------------------------------------------------------------------------------------------------------
     def points(self, postures: Array, values: Array) -> Array:
         """(..., n + 2, d) the same at postures (..., n), n + 1 of a planar arm."""
         points = _points(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0]
         return np.swapaxes(points, -1, -2)
 
+    def tip_frames(self, postures: Array, values: Mapping[str, float] = NOTHING) -> Array:
+        """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
+        origin, axes = _tip(self, tuple(values.items()))(postures)
+        frames = np.tile(np.eye(4), (len(postures), 1, 1))
+        frames[:, :3, 3], frames[:, :3, :3] = origin[..., 0], axes
+        return frames
 
+
+# of a chain and values of its parameters; compiled once, used in every search
 @lru_cache(maxsize=32)
-def _points(chain: KinematicChain, values: tuple[float, ...]) -> Callable[..., tuple[Array, ...]]:
-    """Of a chain and values of its parameters: postures -> (..., d, points); compiled once, used in every search."""
+def _points(chain: KinematicChain, values: tuple[float, ...]) -> Evaluate:
     q = ca.SX.sym("q", len(chain))
     points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.array(values))))
     return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
+
+
+@lru_cache(maxsize=8)
+def _tip(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
+    q = ca.SX.sym("q", len(chain))
+    tip = chain._in_base(q, dict(values))[-1]
+    return vectorize(ca.Function("tip", [q], [ca.densify(tip.origin), ca.densify(tip.axes)]))
 
 
 def _of_marker(of_markers: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
@@ -406,34 +426,18 @@ def _of_marker(of_markers: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
     return chosen
 
 
-def _six(
-    translation: str,
-    rotation: str,
-    suffix: str,
-    lever: float,
-    kinds: Sequence[str],
-    joint: int | None,
-    farthest: float = np.inf,
-) -> list[Parameter]:
-    moves = (f"{translation}{axis}{suffix}" for axis in AXES)
-    translations = [Parameter(name, "mm", -farthest, farthest, kind=kinds[0], joint=joint) for name in moves]
-    turns = (f"{rotation}{axis}{suffix}" for axis in AXES)
-    return translations + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in turns]
+def _six(frame: str | int, lever: float, kinds: tuple[str, str], farthest: float = np.inf) -> list[Parameter]:
+    names, joint = error_names(frame), frame if isinstance(frame, int) else None
+    translations = [Parameter(name, "mm", -farthest, farthest, kind=kinds[0], joint=joint) for name in names[:3]]
+    return translations + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in names[3:]]
 
 
 def planar_chain(lengths: ArrayLike) -> KinematicChain:
     """The planar arm of links (n,) [mm] behind revolute joints."""
     links = np.ravel(np.asarray(lengths, dtype=float))
     before = (pose((length, 0.0, 0.0)) for length in (0.0, *links[:-1]))
-    joints = (Joint(f"joint_{j}", origin, np.eye(3)[2]) for j, origin in enumerate(before, start=1))
+    joints = (Joint(f"joint_{j}", origin, Z) for j, origin in enumerate(before, start=1))
     return KinematicChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=frozenset({BASE, TOOL}), axes=IN_PLANE)
-
-
-def turned_about(frame: Frame, axes: Sequence[int], angles: ca.SX | None) -> Frame:
-    """A frame turned by angles [rad] about its own axes of these numbers, one after the other; None: as it is."""
-    for k, axis in enumerate(axes if angles is not None else ()):
-        frame = frame.turned(axis, angles[k])  # type: ignore[index]
-    return frame
 
 
 def in_space(vector: Any) -> Any:
@@ -441,15 +445,7 @@ def in_space(vector: Any) -> Any:
     return ca.vertcat(vector, ca.SX.zeros(DIMENSION - vector.numel())) if vector.numel() < DIMENSION else vector
 
 
-def _turned(frame: Frame, values: Values, prefix: str, suffix: str) -> Frame:
-    for k, axis in enumerate(AXES):
-        if (name := f"{prefix}{axis}{suffix}") in values:
-            frame = frame.turned(k, values[name])
-    return frame
-
-
 STANDARD, MODIFIED = "standard", "modified"
-X, Z = np.eye(3)[0], np.eye(3)[2]
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,10 @@ class PlanarClosedForm:
         postures : (m, n) [rad] for all data sets, or (K, m, n) for each its own;  weights : (m,) of the rows
         tolerance : singular values below this share of the largest are zero; the columns have equal lengths
         """
-        columns, nominal, root = self._columns(postures), self._nominal, np.sqrt(weights)
+        columns, root = np.exp(1j * np.cumsum(postures, axis=-1)), np.sqrt(weights)  # exp(i theta_j)
+        nominal = np.r_[self.lengths, np.zeros(int(self.offset))].astype(complex)  # l_j, and 0 for the base
+        if self.offset:
+            columns = np.concatenate([columns, np.ones((*columns.shape[:-1], 1))], axis=-1)
         back = _pseudo_inverse(root[:, None] * columns, tolerance) * root
         back, forth = (np.ascontiguousarray(np.swapaxes(a, -1, -2)) for a in (back, columns))
 
@@ -69,17 +72,6 @@ class PlanarClosedForm:
             return self._parameters(nominal + change), np.einsum("ki,ki->k", squares, squares)
 
         return solve
-
-    @property
-    def _nominal(self) -> Complex:
-        """(u,) l_j, and 0 for the base."""
-        return np.concatenate([self.lengths, np.zeros(int(self.offset))]).astype(complex)
-
-    def _columns(self, postures: Array) -> Complex:
-        """(..., m, u) exp(i theta_j), and ones for a base offset."""
-        columns = np.exp(1j * np.cumsum(postures, axis=-1))
-        ones = np.ones((*columns.shape[:-1], int(self.offset)))
-        return np.concatenate([columns, ones], axis=-1) if self.offset else columns
 
     def _parameters(self, unknowns: Complex) -> Array:
         """(..., q) parameters dl_j, dq_j and base offset of the unknowns (..., u); dq_j in (-pi, pi]."""

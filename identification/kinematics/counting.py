@@ -27,6 +27,9 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 
+TURN = 2.0 * np.pi
+KEYS: Mapping[str, str] = {REVOLUTE: "joint_range_deg", PRISMATIC: "joint_range_mm"}
+
 
 @dataclass(frozen=True)
 class Counting:
@@ -43,13 +46,12 @@ class Counting:
 
     def __post_init__(self) -> None:
         n = len(self.sign)
-        for j, sign in enumerate(self.sign, start=1):
+        for name, values in (("coupled_to", self.coupled_to), ("zero_deg", self.zero)):
+            _require(len(values) == n, f"{name}: found {len(values)} values, allowed: {n}")
+        for j, (sign, other) in enumerate(zip(self.sign, self.coupled_to, strict=True), start=1):
             _require(sign in (1, -1), f"sign: found {sign} for joint {j}, allowed: 1 or -1")
-        _require(len(self.coupled_to) == n, f"coupled_to: found {len(self.coupled_to)} values, allowed: {n}")
-        _require(len(self.zero) == n, f"zero_deg: found {len(self.zero)} values, allowed: {n}")
-        for j, other in enumerate(self.coupled_to, start=1):
-            coupling = f"coupled_to: found {other} for joint {j}"
-            _require(abs(other) <= n and abs(other) != j, f"{coupling}, allowed: another joint, 1 to {n}, or 0")
+            fits = abs(other) <= n and abs(other) != j
+            _require(fits, f"coupled_to: found {other} for joint {j}, allowed: another joint, 1 to {n}, or 0")
         for j in range(1, n + 1):
             passed, at = {j}, j
             while at := abs(self.coupled_to[at - 1]):
@@ -63,8 +65,7 @@ class Counting:
         not say it."""
         signs = np.sign(np.diag(matrix)).astype(int)
         sums, n = signs[:, None] * matrix, len(matrix)
-        others = sums - np.eye(n)
-        coupled = []
+        others, coupled = sums - np.eye(n), []
         for j in range(n):
             ways = (k * s for k in range(1, n + 1) for s in (1, -1) if np.array_equal(others[j], s * sums[k - 1]))
             coupled.append(next(ways, None if others[j].any() else 0))
@@ -73,19 +74,14 @@ class Counting:
         return cls(tuple(signs.tolist()), tuple(int(k or 0) for k in coupled), tuple(map(float, zero)))
 
     @cached_property
-    def sums(self) -> Array:
-        """(n, n) A: a = A q."""
+    def matrix(self) -> Array:
+        """(n, n) of c = matrix q + zero."""
         n = len(self.sign)
         parents = np.zeros((n, n))
         for j, other in enumerate(self.coupled_to):
             if other:
                 parents[j, abs(other) - 1] = np.sign(other)
-        return np.round(np.linalg.inv(np.eye(n) - parents))
-
-    @cached_property
-    def matrix(self) -> Array:
-        """(n, n) of c = matrix q + zero."""
-        return np.array(self.sign)[:, None] * self.sums
+        return np.array(self.sign)[:, None] * np.round(np.linalg.inv(np.eye(n) - parents))
 
     @cached_property
     def inverse(self) -> Array:
@@ -100,11 +96,10 @@ class Counting:
     @property
     def toml(self) -> str:
         """As an arm file has it, without what is as usual; zeros to 0.01 degrees."""
-        lines = ["[joints]"]
-        lines += [f"sign = {list(self.sign)}"] if min(self.sign) < 0 else []
-        lines += [f"coupled_to = {list(self.coupled_to)}"] if self.coupled else []
         zeros = [round(float(np.degrees(z)), 2) + 0.0 for z in self.zero]
-        return "\n".join([*lines, *([f"zero_deg = {zeros}"] if any(zeros) else [])])
+        lines = {"sign": min(self.sign) < 0, "coupled_to": bool(self.coupled), "zero_deg": any(zeros)}
+        values = {"sign": [*self.sign], "coupled_to": [*self.coupled_to], "zero_deg": zeros}
+        return "\n".join(["[joints]", *(f"{key} = {values[key]}" for key, unusual in lines.items() if unusual)])
 
     def columns(self, joints: Array) -> Array:
         """(..., n) what the controller shows at joint angles (..., n) [rad, mm]."""
@@ -130,6 +125,14 @@ class Counting:
         return towards.min(axis=1).sum(axis=1), towards.max(axis=1).sum(axis=1)
 
 
+def _signs(matrix: Array, directions: Array) -> Array:
+    """(m, n) signs of `matrix` times motions of these signs and any size."""
+    terms = np.where(matrix == 0.0, 0.0, matrix * directions[:, None, :])
+    forward, back = np.any(terms > 0.0, axis=2), np.any(terms < 0.0, axis=2)
+    open_ = np.any(np.isnan(terms), axis=2) | (forward & back)
+    return np.where(open_, np.nan, forward.astype(float) - back)
+
+
 class JointKinds(tuple[str, ...]):
     """(n) `revolute` or `prismatic`, and how a controller counts these joints, None: as the model does.
 
@@ -152,14 +155,12 @@ def counting_in(kinds: Any) -> Counting | None:
 
 def in_columns(joints: Array, kinds: Any) -> Array:
     """(..., n) what the controller shows at joint angles (..., n) [rad, mm]."""
-    counting = counting_in(kinds)
-    return joints if counting is None else counting.columns(joints)
+    return joints if (counting := counting_in(kinds)) is None else counting.columns(joints)
 
 
 def in_joints(columns: Array, kinds: Any) -> Array:
     """(..., n) joint angles [rad, mm] of what the controller shows (..., n)."""
-    counting = counting_in(kinds)
-    return columns if counting is None else counting.joints(columns)
+    return columns if (counting := counting_in(kinds)) is None else counting.joints(columns)
 
 
 def check_kinds(counting: Counting, kinds: Sequence[str]) -> None:
@@ -173,20 +174,9 @@ def check_kinds(counting: Counting, kinds: Sequence[str]) -> None:
         _require(kind != PRISMATIC or zero == 0.0, f"{held_zero}, allowed: 0")
 
 
-def _signs(matrix: Array, directions: Array) -> Array:
-    """(m, n) signs of `matrix` times motions of these signs and any size."""
-    terms = np.where(matrix == 0.0, 0.0, matrix * directions[:, None, :])
-    forward, back = np.any(terms > 0.0, axis=2), np.any(terms < 0.0, axis=2)
-    open_ = np.any(np.isnan(terms), axis=2) | (forward & back)
-    return np.where(open_, np.nan, forward.astype(float) - back)
-
-
 def _require(condition: bool, message: str) -> None:
     if not condition:
         raise InputError(f"joints.{message}")
-
-
-TURN = 2.0 * np.pi
 
 
 def turned_into(postures: Array, lower: Array, upper: Array, joint_types: Sequence[str], slack: float = 0.0) -> Array:
@@ -199,9 +189,6 @@ def turned_into(postures: Array, lower: Array, upper: Array, joint_types: Sequen
     beyond = (postures < lower) | (postures > upper)
     revolute = np.array([kind == REVOLUTE for kind in joint_types])
     return np.where(revolute & beyond & (turned <= upper), turned, postures)
-
-
-KEYS: Mapping[str, str] = {REVOLUTE: "joint_range_deg", PRISMATIC: "joint_range_mm"}
 
 
 def joint_range(postures: Array, joint_types: Sequence[str]) -> dict[str, list[list[float]]]:

@@ -10,26 +10,29 @@ the rotation from one to the other, as long as its angle [rad]. A fit counts it 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arrays import Array
+from identification.kinematics.parameters import AXES
 
-AXES = "xyz"
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+X, Y, Z = np.eye(3)
 
 
 def pose(translation: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
     """(4, 4) from a translation (3,) and a rotation matrix (3, 3)."""
     matrix = np.eye(4)
     matrix[:3, 3] = translation
-    if rotation is not None:
-        matrix[:3, :3] = rotation
+    matrix[:3, :3] = np.eye(3) if rotation is None else rotation
     return matrix
 
 
@@ -43,18 +46,14 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
 def rotation_to_z(axis: Array) -> Array:
     """(3, 3) rotation that turns the z axis into a unit vector (3,)."""
     cross = np.array([-axis[1], axis[0], 0.0])  # z x axis
-    sine = float(np.linalg.norm(cross))
-    return (
-        rotation_about(cross / sine, float(np.arctan2(sine, axis[2])))
-        if sine > 0.0
-        else np.diag([1.0, axis[2], axis[2]])
-    )
+    if (sine := float(np.linalg.norm(cross))) > 0.0:
+        return rotation_about(cross / sine, float(np.arctan2(sine, axis[2])))
+    return np.diag([1.0, axis[2], axis[2]])
 
 
 def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Array:
     """(3, 3) Rz(yaw) Ry(pitch) Rx(roll)."""
-    x, y, z = np.eye(3)
-    return rotation_about(z, yaw) @ rotation_about(y, pitch) @ rotation_about(x, roll)
+    return rotation_about(Z, yaw) @ rotation_about(Y, pitch) @ rotation_about(X, roll)
 
 
 def roll_pitch_yaw(rotation: Array, near: ArrayLike | None = None) -> Array:
@@ -93,6 +92,18 @@ def own_axes_angles(rotation: Array) -> Array:
     return -roll_pitch_yaw(rotation.T)
 
 
+def displacement(values: Mapping[str, float], names: Sequence[str]) -> tuple[Array, Array]:
+    """(3,) translation and (3, 3) rotation by six errors of these names (`error_names`), zero where missing."""
+    errors = [values.get(name, 0.0) for name in names]
+    return np.array(errors[:3]), from_own_axes(*errors[3:])
+
+
+def displaced_by(frame: Array, other: Array, names: Sequence[str]) -> dict[str, float]:
+    """The six errors of these names of a frame (4, 4) that make it another."""
+    relative: Array = np.linalg.inv(frame) @ other
+    return dict(zip(names, [*relative[:3, 3].tolist(), *own_axes_angles(relative[:3, :3]).tolist()], strict=True))
+
+
 def point_table(place: Array) -> dict[str, float]:
     """(3,) [mm] as files and JSON have it."""
     return {f"{axis}_mm": float(x) for axis, x in zip(AXES, place, strict=True)}
@@ -106,10 +117,52 @@ def pose_table(matrix: Array) -> dict[str, float]:
 
 def tool_tables(tools: Mapping[str, Array], axes: Mapping[str, Array]) -> dict[str, dict[str, float]]:
     """Measured points (3,) [mm] by name, with axes (3, 3) where those are measured, as files and JSON have them."""
-    return {
-        name: pose_table(pose(place, axes[name])) if name in axes else point_table(place)
-        for name, place in tools.items()
-    }
+    return {n: pose_table(pose(place, axes[n])) if n in axes else point_table(place) for n, place in tools.items()}
+
+
+def _scipy() -> type[Rotation]:
+    """SciPy's rotations: to load them takes as long as to load all that a planar arm needs."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
+
+
+def from_angles(angles: Array) -> Array:
+    """(m, 3, 3) rotation matrices of angles (m, 3) [rad] about own axes, x, then y, then z."""
+    return np.asarray(_scipy().from_euler("XYZ", angles).as_matrix())
+
+
+def to_angles(rotations: Array) -> Array:
+    """(m, 3) angles [rad] of which `from_angles` makes these rotations (m, 3, 3)."""
+    return np.array([own_axes_angles(rotation) for rotation in rotations])
+
+
+def from_quaternions(quaternions: Array) -> Array:
+    """(m, 3, 3) rotation matrices of quaternions (m, 4), the real part first, of any length."""
+    return np.asarray(_scipy().from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix())
+
+
+def turned(vectors: Array) -> Array:
+    """(m, 3, 3) rotation matrices of rotation vectors (m, 3) [rad]."""
+    return np.asarray(_scipy().from_rotvec(vectors).as_matrix())
+
+
+def mean_rotation(rotations: Array) -> Array:
+    """(3, 3) rotation with the smallest sum of squared differences of matrix entries from rotations (m, 3, 3)."""
+    left, _, right = np.linalg.svd(rotations.mean(axis=0))
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
+def rotation_vector(rotation: ca.SX) -> ca.SX:
+    """(3,) rotation vector [rad] of a rotation matrix (3, 3) in CasADi, smooth where it is none; of a matrix of zeros
+    zero."""
+    across = ca.vertcat(*(rotation[(k + 2) % 3, (k + 1) % 3] - rotation[(k + 1) % 3, (k + 2) % 3] for k in range(3)))
+    half = across / ca.fmax(1.0 + ca.trace(rotation), 1e-30)  # the axis times the tangent of half the angle
+    squared = ca.dot(half, half)
+    small = 1e-3  # below which five terms of the arc tangent's series are exact: 1e-3^5
+    root = ca.sqrt(ca.fmax(squared, small))
+    series = 1.0 - squared * (1.0 / 3.0 - squared * (1.0 / 5.0 - squared * (1.0 / 7.0 - squared / 9.0)))
+    return 2.0 * half * ca.if_else(squared < small, series, ca.atan(root) / root)
 
 
 @dataclass(frozen=True)
@@ -159,14 +212,26 @@ class Frame:
         """Shifted along an own axis."""
         return self.shifted(ca.SX.eye(3)[:, axis] * distance)
 
-    def along(self, direction: Array, distance: ca.SX | float) -> Frame:
-        """Shifted along a constant direction (3,) of this frame."""
-        return self.shifted(ca.SX(ca.DM(direction)) * distance)
-
     def turned(self, axis: int, angle: ca.SX | float) -> Frame:
         """Turned by an angle [rad] about an own axis."""
         about_z = None if self.about_z is None or axis != 2 else self.about_z + angle
         return self._followed(ca.SX(3, 1), _turn(axis, angle), about_z)
+
+    def turned_about(self, axes: Sequence[int], angles: Any) -> Frame:
+        """Turned by angles [rad] about own axes of these numbers, one after the other."""
+        frame = self
+        for k, axis in enumerate(axes):
+            frame = frame.turned(axis, angles[k])
+        return frame
+
+    def displaced(self, values: Mapping[str, Any], names: Sequence[str]) -> Frame:
+        """Moved along and turned about own axes by six errors of these names, or turned by the last three, where values
+        have them."""
+        frame = self
+        for k, name in enumerate(names, start=6 - len(names)):
+            if name in values:
+                frame = frame.moved(k, values[name]) if k < 3 else frame.turned(k - 3, values[name])
+        return frame
 
     def placed(self, matrix: Array) -> Frame:
         """A frame whose pose (4, 4) in this one is constant."""
@@ -190,54 +255,3 @@ def _turn(axis: int, angle: ca.SX | float) -> ca.SX:
         rotation[first, first], rotation[second, first] = cosine, sine
         rotation[first, second], rotation[second, second] = -sine, cosine
     return rotation
-
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
-
-
-def from_angles(angles: Array) -> Array:
-    """(m, 3, 3) rotation matrices of angles (m, 3) [rad] about own axes, x, then y, then z."""
-    return np.asarray(_scipy().from_euler("XYZ", angles).as_matrix())
-
-
-def to_angles(rotations: Array) -> Array:
-    """(m, 3) angles [rad] of which `from_angles` makes these rotations (m, 3, 3)."""
-    return np.array([own_axes_angles(rotation) for rotation in rotations])
-
-
-def from_quaternions(quaternions: Array) -> Array:
-    """(m, 3, 3) rotation matrices of quaternions (m, 4), the real part first, of any length."""
-    return np.asarray(_scipy().from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix())
-
-
-def turned(vectors: Array) -> Array:
-    """(m, 3, 3) rotation matrices of rotation vectors (m, 3) [rad]."""
-    return np.asarray(_scipy().from_rotvec(vectors).as_matrix())
-
-
-def mean_rotation(rotations: Array) -> Array:
-    """(3, 3) rotation with the smallest sum of squared differences of matrix entries from rotations (m, 3, 3)."""
-    left, _, right = np.linalg.svd(rotations.mean(axis=0))
-    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
-
-
-def rotation_vector(rotation: ca.SX) -> ca.SX:
-    """(3,) rotation vector [rad] of a rotation matrix (3, 3) in CasADi, smooth where it is none; of a matrix of zeros
-    zero."""
-    across = ca.vertcat(
-        rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]
-    )
-    half = across / ca.fmax(1.0 + ca.trace(rotation), 1e-30)  # the axis times the tangent of half the angle
-    squared = ca.dot(half, half)
-    small = 1e-3  # below which five terms of the arc tangent's series are exact: 1e-3^5
-    root = ca.sqrt(ca.fmax(squared, small))
-    series = 1.0 - squared * (1.0 / 3.0 - squared * (1.0 / 5.0 - squared * (1.0 / 7.0 - squared / 9.0)))
-    return 2.0 * half * ca.if_else(squared < small, series, ca.atan(root) / root)
-
-
-def _scipy() -> type[Rotation]:
-    """SciPy's rotations: to load them takes as long as to load all that a planar arm needs."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
@@ -16,6 +16,7 @@ from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
 
 MAX_LINKS = 12
+AXES = "xyz"
 # unit in the API -> (unit in files and tables, factor to it, suffix of the key in an arm file)
 FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
     {
@@ -37,6 +38,14 @@ JOINT_UNITS: Mapping[str, str] = MappingProxyType({REVOLUTE: "rad", PRISMATIC: "
 LENGTH_ERROR, JOINT_OFFSET, EFFECT = "length_error", "joint_offset", "effect"
 # names of the parameters of a chain, in the plane and in space
 GEOMETRY = re.compile(r"(length_error|joint_offset|(translation|rotation)_[xyz]):\d+|base\.r?[xyz]|tool\[.*\]\.r?[xyz]")
+
+
+def error_names(frame: str | int) -> tuple[str, ...]:
+    """(6) names of the translations and rotations by which a frame is off: of a joint by its number from 1, of `base`
+    or `tool[1]`."""
+    if isinstance(frame, int):
+        return tuple(f"{motion}_{axis}:{frame}" for motion in ("translation", "rotation") for axis in AXES)
+    return tuple(f"{frame}.{motion}{axis}" for motion in ("", "r") for axis in AXES)
 
 
 @dataclass(frozen=True)
@@ -93,66 +102,49 @@ class Parameter:
         return self.short + FILE_UNITS[self.unit][2]
 
 
-@dataclass(frozen=True)
-class ParameterSet:
+class ParameterSet(tuple[Parameter, ...]):
     """An immutable sequence of p parameters, in the order of every vector and matrix of them."""
-
-    items: tuple[Parameter, ...]
-
-    @classmethod
-    def of(cls, parameters: Iterable[Parameter]) -> ParameterSet:
-        """The set of these parameters in this order."""
-        return cls(tuple(parameters))
-
-    def __len__(self) -> int:
-        return len(self.items)
-
-    def __iter__(self) -> Iterator[Parameter]:
-        return iter(self.items)
-
-    def __getitem__(self, k: int) -> Parameter:
-        return self.items[k]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """(p) names."""
-        return tuple(p.name for p in self.items)
+        return tuple(p.name for p in self)
 
-    @cached_property
+    @property
     def units(self) -> tuple[str, ...]:
         """(p) units of the API."""
-        return tuple(p.unit for p in self.items)
+        return tuple(p.unit for p in self)
 
-    @cached_property
+    @property
     def kinds(self) -> tuple[str, ...]:
         """(p) kinds."""
-        return tuple(p.kind for p in self.items)
+        return tuple(p.kind for p in self)
 
     @cached_property
     def scales(self) -> Array:
         """(p,) length per unit [mm/unit]."""
-        return readonly([p.scale for p in self.items])
+        return readonly([p.scale for p in self])
 
-    @cached_property
+    @property
     def typical(self) -> Array:
         """(p,) typical standard deviations, infinite where none is known."""
-        return readonly([inf if p.typical is None else p.typical for p in self.items])
+        return readonly([inf if p.typical is None else p.typical for p in self])
 
     @cached_property
     def lower(self) -> Array:
         """(p,) lower physical bounds."""
-        return readonly([p.lower for p in self.items])
+        return readonly([p.lower for p in self])
 
     @cached_property
     def upper(self) -> Array:
         """(p,) upper physical bounds."""
-        return readonly([p.upper for p in self.items])
+        return readonly([p.upper for p in self])
 
     @cached_property
     def _places(self) -> dict[str, int]:
-        return {p.name: k for k, p in enumerate(self.items)}
+        return {p.name: k for k, p in enumerate(self)}
 
-    def index(self, name: str) -> int:
+    def index(self, name: str) -> int:  # type: ignore[override]
         """Place of a parameter; raises `InputError` for a name that is not among these."""
         if name not in self._places:
             raise InputError(f"parameter: unknown name {name!r}, {nearest(name, self.names)}")
@@ -160,30 +152,30 @@ class ParameterSet:
 
     def indices(self, kind: str) -> NDArray[np.int64]:
         """Places of all parameters of a kind, in order."""
-        return np.array([k for k, p in enumerate(self.items) if p.kind == kind], dtype=np.int64)
+        return np.array([k for k, p in enumerate(self) if p.kind == kind], dtype=np.int64)
 
     def vector(self, values: Mapping[str, float], default: float | None = None) -> Array:
         """(p,) the values in order; where the mapping has none `default`, None: `Parameter.neutral`, mostly 0.
 
         Names of other parameters do not matter.
         """
-        missing = [p.neutral if default is None else default for p in self.items]
-        return np.array([values.get(p.name, other) for p, other in zip(self.items, missing, strict=True)], dtype=float)
+        missing = [p.neutral if default is None else default for p in self]
+        return np.array([values.get(p.name, other) for p, other in zip(self, missing, strict=True)], dtype=float)
 
     def mapping(self, vector: ArrayLike) -> dict[str, float]:
         """Name -> value of a (p,) vector; raises `ValueError` for another length."""
         return dict(zip(self.names, np.asarray(vector, dtype=float).tolist(), strict=True))
 
 
-def chain_parameters(lengths: Sequence[float] | Array) -> ParameterSet:
+def chain_parameters(lengths: Iterable[float] | Array) -> ParameterSet:
     """(2 n) parameters of a planar chain: length errors dl_j [mm], then joint offsets dq_j [rad].
 
     lengths : (n,) of the links behind the joints [mm], the scales of the offsets
     """
-    links = list(enumerate(np.asarray(lengths, dtype=float).tolist(), start=1))
+    links = [(j, float(length)) for j, length in enumerate(lengths, start=1)]
     errors = [Parameter(f"{LENGTH_ERROR}:{j}", "mm", kind=LENGTH_ERROR, joint=j) for j, _ in links]
     offsets = [Parameter(f"{JOINT_OFFSET}:{j}", "rad", scale=s, kind=JOINT_OFFSET, joint=j) for j, s in links]
-    return ParameterSet.of((*errors, *offsets))
+    return ParameterSet([*errors, *offsets])
 
 
 def orientation_transform(parameters: ParameterSet) -> Array:
@@ -199,10 +191,8 @@ def orientation_transform(parameters: ParameterSet) -> Array:
 
 def by_joint(values: Mapping[str, float], kind: str) -> Array:
     """(n,) the values of a kind, `kind:1` to `kind:n`, of a mapping from names."""
-    of_joints: list[float] = []
-    while (name := f"{kind}:{len(of_joints) + 1}") in values:
-        of_joints.append(values[name])
-    return readonly(of_joints)
+    count = sum(name.startswith(f"{kind}:") for name in values)
+    return readonly([values[f"{kind}:{j}"] for j in range(1, count + 1) if f"{kind}:{j}" in values])
 
 
 def of_effects(values: Mapping[str, float]) -> dict[str, float]:

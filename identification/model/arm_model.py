@@ -90,7 +90,7 @@ class Model:
     @cached_property
     def all_parameters(self) -> ParameterSet:
         """Every parameter, estimated or known: those of the geometry, then those of the effects."""
-        return ParameterSet.of((*self.geometry_parameters, *(p for effect in self.effects for p in effect.parameters)))
+        return ParameterSet((*self.geometry_parameters, *(p for effect in self.effects for p in effect.parameters)))
 
     @cached_property
     def fixed(self) -> Mapping[str, float]:
@@ -103,7 +103,7 @@ class Model:
     @cached_property
     def parameters(self) -> ParameterSet:
         """(p) the parameters that are estimated, in the order of every parameter vector."""
-        return ParameterSet.of(p for p in self.all_parameters if p.name not in self.fixed)
+        return ParameterSet(p for p in self.all_parameters if p.name not in self.fixed)
 
     @property
     def prior(self) -> dict[str, float]:

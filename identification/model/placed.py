@@ -1,29 +1,30 @@
-"""Where a spatial arm stands and where its measured points are, if the arm file does not say: the start of a fit."""
+"""Where a spatial arm stands and where its measured points are, if the arm file does not say: the start of a fit. What
+an arm that is measured by no positions says of these, and postures at which it touches something."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
 
-import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.conditions import Conditions
+from identification.effects import library
 from identification.errors import InputError, nearest
-from identification.instruments import Unplaced
+from identification.instruments import TRACKER, Unplaced
 from identification.kinematics.chain import BASE, DIMENSION, TOOL, KinematicChain
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.frames import mean_rotation
 from identification.measurements import Measurements
 from identification.model.arm_model import Model
-from identification.vectorize import vectorize
 
 UNNAMED = "1"  # measured point, as an arm file has it that names none
 ENOUGH = 500  # rows: a start is good to far less than the errors of the geometry that it leaves out
+FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
 
 
 def placed_model(model: Model, measurements: Measurements) -> Model:
@@ -42,24 +43,23 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
         settled |= {BASE, TOOL} - {p.kind for p in model.geometry_parameters if p.name not in model.held}
     if settled >= {BASE, TOOL} and not own_targets:
         return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
-    rows = some(measurements, measurements.session_rows[0])
     values: dict[str, float] = {}
     if (calibration := arm.calibration) is not None:
         values = {name: v for name, v in calibration.values.items() if _place(name) not in {BASE, TOOL} - settled}
         calibration = replace(calibration, values=values, base=None, tools={}, tool_axes={})
     drawn = replace(standing_in(chain, values), settled=settled)
     geometry = {name: value for name, value in values.items() if _place(name) not in (BASE, TOOL)}
-    standing = standing_chain(drawn, rows, geometry)
+    standing = _standing_chain(drawn, some(measurements, measurements.session_rows[0]), geometry)
     if BASE not in settled:
         chain = replace(chain, base=standing.base)
     if TOOL not in settled:
         chain = replace(chain, tools=standing.tools, tool_axes=standing.tool_axes)
     if own_targets:
-        frames = tip_frames(standing, measurements.postures, geometry)
+        frames = standing.tip_frames(measurements.postures, geometry)
         points = frames[:, :3, 3] + frames[:, :3, :3] @ next(iter(standing.tools.values()))
         points, names = points[:, : chain.dimension], measurements.marker_names or ("1",)
         readings = measurements.positions[:, : chain.instrument.dimension]
-        instrument = chain.instrument.with_targets(points, readings, markers_of(measurements), names)
+        instrument = chain.instrument.with_targets(points, readings, _markers(measurements), names)
         chain = replace(chain, instrument=instrument)
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
 
@@ -74,34 +74,45 @@ def some(measurements: Measurements, rows: NDArray[np.int64]) -> Measurements:
     return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, ENOUGH).astype(int))])
 
 
-def markers_of(measurements: Measurements) -> NDArray[np.int64]:
+def _markers(measurements: Measurements) -> NDArray[np.int64]:
     """(m,) number of each row's measured point, 0 where the data name none."""
     numbers = measurements.marker_numbers
     return np.zeros(len(measurements), dtype=np.int64) if numbers is None else numbers
 
 
-def standing_chain(chain: KinematicChain, measurements: Measurements, values: Mapping[str, float]) -> KinematicChain:
+def _standing_chain(chain: KinematicChain, measurements: Measurements, values: Mapping[str, float]) -> KinematicChain:
     """The chain where the closed form finds its base and its measured points or frames, as far as they are not known.
 
     values : best known errors of the geometry
     """
-    markers = markers_of(measurements)
+    markers = _markers(measurements)
     if chain.instrument.own_targets:  # one measured point, from the rows of the target that is touched most
         measurements = measurements.rows(np.flatnonzero(markers == np.bincount(markers).argmax()))
         markers = np.zeros(len(measurements), dtype=np.int64)
     readings = measurements.positions[:, : chain.instrument.dimension]  # of poses the points
-    standing = placed_chain(chain, measurements.postures, readings, markers, values)
-    if measurements.orientations is None or TOOL in chain.settled:
-        return standing
-    axes = tool_axes(standing, measurements.postures, measurements.orientations, markers, values)
-    return replace(standing, tool_axes=axes)
+    frames, place = chain.tip_frames(measurements.postures, values), chain.instrument.place
+    base, tools, axes = chain.base, dict(chain.tools), dict(chain.tool_axes)
+    if BASE not in chain.settled and TOOL in chain.settled:
+        at_points = np.array(frames)  # of frames whose origins are the measured points
+        at_points[:, :3, 3] += np.einsum("mij,mj->mi", frames[:, :3, :3], np.array([*tools.values()])[markers])
+        base = place(Unplaced(at_points, readings, chain.reach, tool=np.zeros(3))).base
+    elif BASE not in chain.settled:
+        most = markers == np.bincount(markers).argmax()
+        base = place(Unplaced(frames[most], readings[most], chain.reach)).base
+    for number, name in enumerate(tools if TOOL not in chain.settled else ()):
+        if (rows := markers == number).any():
+            tools[name] = place(Unplaced(frames[rows], readings[rows], chain.reach, base)).tool
+            if measurements.orientations is not None:
+                tips = base[:3, :3] @ frames[rows, :3, :3]
+                axes[name] = mean_rotation(np.swapaxes(tips, -1, -2) @ measurements.orientations[rows])
+    return replace(chain, base=base, tools=tools, tool_axes=axes)
 
 
 def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain, list[Array]]:
     """The chain of an arm that stands where the first session finds it, with the points that only later sessions
     measure, and the pose (4, 4) of the base in each session."""
     every = {} if arm.calibration is None else arm.calibration.values
-    values = {name: value for name, value in every.items() if not name.startswith((f"{BASE}.", f"{TOOL}["))}
+    values = {name: value for name, value in every.items() if _place(name) not in (BASE, TOOL)}
     parts = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
     standing, bases = standing_in(arm.chain, every), list[Array]()
     first = seen = np.full(len(standing.tools), TOOL in standing.settled)
@@ -109,13 +120,13 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain,
         if name in parts:
             rows = some(measurements, parts[name])
             if bases:  # where these rows find the base, then the points that were not seen before
-                old = seen[markers_of(rows)]
+                old = seen[_markers(rows)]
                 held = frozenset({TOOL}) if old.any() else frozenset()
                 as_before = rows.rows(old) if old.any() else rows
-                standing = standing_chain(replace(standing, settled=held), as_before, values)
+                standing = _standing_chain(replace(standing, settled=held), as_before, values)
                 if old.any() and not old.all():
-                    standing = standing_chain(replace(standing, settled=frozenset({BASE})), rows.rows(~old), values)
-            seen = seen | np.isin(np.arange(len(seen)), markers_of(rows))
+                    standing = _standing_chain(replace(standing, settled=frozenset({BASE})), rows.rows(~old), values)
+            seen = seen | np.isin(np.arange(len(seen)), _markers(rows))
         first = first if bases else seen
         bases.append(standing.base)
     later = [name for name, is_seen in zip(standing.tools, first.tolist(), strict=True) if not is_seen]
@@ -158,66 +169,85 @@ def one_unnamed(chain: KinematicChain, measurements: Measurements) -> KinematicC
     return replace(chain, tools={UNNAMED: np.zeros(3)}, tool_axes={})
 
 
-def placed_chain(
-    chain: KinematicChain,
-    postures: Array,
-    readings: Array,
-    markers: NDArray[np.int64],
-    values: Mapping[str, float] = MappingProxyType({}),
-) -> KinematicChain:
-    """The chain with base and tools that explain (m, d) readings at (m, n) postures best.
+# -- positions where something else is read ----------------------------------------------------------------------------
+def of_positions(model: Model) -> Model:
+    """The model of the measured point's position with the same parameters, without those of the reading; of an
+    instrument that reads positions as it is."""
+    chain = model.arm.chain
+    if chain.instrument.reads_positions:
+        return model
+    arm = replace(model.arm, chain=replace(chain, instrument=TRACKER))
+    own = {parameter.name for parameter in chain.instrument.parameters}
+    held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names} | (chain.held - chain.fixed)
+    held |= {p.name for effect in model.effects if effect.needs & chain.instrument.offers for p in effect.parameters}
+    kept = {name: value for name, value in (model.held or {}).items() if name not in own}
+    return Model(arm, {**kept, **dict.fromkeys(held, 0.0)})
 
-    markers : (m,) number of each row's measured point;  values : best known errors of the geometry
+
+def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:
+    """(m, d, p) derivative of the measured point's position with respect to the parameters, in the frame of the
+    instrument; where readings do not say where the arm stands in it, of what no rigid motion of all m positions makes
+    up for: the first use of its positions is to find that.
+
+    Raises `InputError` for fewer than `FEWEST` postures then.
     """
-    names, frames, place = list(chain.tools), tip_frames(chain, postures, values), chain.instrument.place
-    base, tools = chain.base, {name: np.array(place) for name, place in chain.tools.items()}
-    if BASE not in chain.settled and TOOL in chain.settled:
-        places = np.array([tools[name] for name in names])[markers]
-        at_points = np.array(frames)  # of frames whose origins are the measured points
-        at_points[:, :3, 3] += np.einsum("mij,mj->mi", frames[:, :3, :3], places)
-        base = place(Unplaced(at_points, readings, chain.reach, tool=np.zeros(3))).base
-    elif BASE not in chain.settled:
-        most = markers == np.bincount(markers).argmax()
-        base = place(Unplaced(frames[most], readings[most], chain.reach)).base
-    for number, name in enumerate(names if TOOL not in chain.settled else ()):
-        if (of_marker := markers == number).any():
-            tools[name] = place(Unplaced(frames[of_marker], readings[of_marker], chain.reach, base)).tool
-    return replace(chain, base=base, tools=tools)
+    whole = of_positions(model)
+    if whole is model:
+        return model.linearize(postures, parameters)[1]
+    free = [model.names.index(name) for name in whole.names]
+    points, moved = whole.linearize(postures, None if parameters is None else np.asarray(parameters)[..., free])
+    jacobian = np.zeros((*moved.shape[:-1], len(model.names)))  # how a length is read moves no point
+    jacobian[..., free] = moved
+    if model.arm.chain.instrument.places:
+        return jacobian
+    if (m := len(points)) < FEWEST:
+        raise InputError(f"postures: {m} for the error of the tip from lengths, allowed: at least {FEWEST}")
+    d = points.shape[1]
+    around = np.pad(points - points.mean(axis=0), ((0, 0), (0, 3 - d)))
+    turns = np.cross(np.eye(3)[[*model.arm.chain.turning]], around[:, None, :])[..., :d]  # a row of each axis
+    rigid = np.concatenate([np.tile(np.eye(d), (m, 1, 1)), np.swapaxes(turns, 1, 2)], axis=2)
+    basis = np.linalg.qr(rigid.reshape(d * m, -1))[0]
+    flat = jacobian.reshape(d * m, -1)
+    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(jacobian.shape))
 
 
-def tool_axes(
-    chain: KinematicChain,
-    postures: Array,
-    orientations: Array,
-    markers: NDArray[np.int64],
-    values: Mapping[str, float] = MappingProxyType({}),
-) -> dict[str, Array]:
-    """Name -> (3, 3) axes of the measured frames in the tip's frame that explain orientations (m, 3, 3) best, where the
-    base stands; other arguments as of `placed_chain`."""
-    tips = chain.base[:3, :3] @ tip_frames(chain, postures, values)[:, :3, :3]
-    turned = np.swapaxes(tips, -1, -2) @ orientations
-    rows_of = {number: markers == number for number in range(len(chain.tools))}
-    axes = {name: mean_rotation(turned[rows_of[k]]) for k, name in enumerate(chain.tools) if rows_of[k].any()}
-    return {**chain.tool_axes, **axes}
+def in_own_frame(arm: Arm) -> Arm:
+    """An arm whose readings do not say where it stands as if its positions were measured in the frame of its base, of
+    another instrument as if positions were read; one that reads them as it is."""
+    chain, calibration = replace(arm.chain, instrument=TRACKER), arm.calibration
+    if (instrument := arm.chain.instrument).reads_positions:
+        return arm
+    if not instrument.places:
+        chain = replace(chain, base=np.eye(4), settled=chain.settled | {BASE})
+        if calibration is not None:
+            values = {name: value for name, value in calibration.values.items() if _place(name) != BASE}
+            calibration = replace(calibration, values=values, base=None)
+    effects = [spec for spec in arm.effects if not library()[spec.name].needs & instrument.offers]
+    return replace(arm, chain=chain, calibration=calibration).with_effects(*effects)
 
 
-def tip_frames(chain: KinematicChain, postures: Array, values: Mapping[str, float] = MappingProxyType({})) -> Array:
-    """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
-    return frames_of_tip(chain, values)(postures)
+def led_to_contact(
+    model: Model, postures: Array, goals: Array | float, units: Array, target: Array | None = None
+) -> Array:
+    """Postures (m, n) led by the shortest steps of Newton's method to where the instrument reads the goals (m, d), most
+    of them; limits apart.
 
-
-def frames_of_tip(
-    chain: KinematicChain, values: Mapping[str, float] = MappingProxyType({})
-) -> Callable[[Array], Array]:
-    """The function of postures that `tip_frames` evaluates."""
-    q = ca.SX.sym("q", len(chain))
-    tip = replace(chain, base=np.eye(4)).frames(q, values)[-1]
-    compiled = vectorize(ca.Function("tip", [q], [ca.densify(tip.origin), ca.densify(tip.axes)]))
-
-    def evaluate(postures: Array) -> Array:
-        origin, axes = compiled(postures)
-        frames = np.tile(np.eye(4), (len(postures), 1, 1))
-        frames[:, :3, 3], frames[:, :3, :3] = origin[..., 0], axes
-        return frames
-
-    return evaluate
+    units : (n,) what counts as a radian of each joint [rad, mm];  target : (m,) number of what each touches, of several
+        that have one; None: the nearest
+    """
+    q = np.array(postures)
+    # effort: Newton's method doubles the digits once it is near
+    for _ in range(30):
+        reading, slopes = model.posture_jacobian(
+            q, model.condition_table(q, Conditions(marker=target)), model.values[None]
+        )
+        slopes = slopes * units
+        across = slopes @ np.swapaxes(slopes, 1, 2)
+        sizes = np.einsum("mdd->m", across)[:, None, None]
+        # slopes below this share of the largest go nowhere
+        across = across + (1e-12 * sizes + 1e-300) * np.eye(across.shape[-1])
+        gaps = goals - reading[..., 0]
+        steps = (np.swapaxes(slopes, 1, 2) @ np.linalg.solve(across, gaps[..., None]))[..., 0]
+        # at most 0.5 rad at a time, of a prismatic joint that share of its range / (2 pi)
+        q = q + steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / 0.5, 1.0) * units
+    return q

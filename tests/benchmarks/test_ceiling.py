@@ -24,7 +24,7 @@ import pytest
 
 from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
-from doe.studies.blind import cells, hidden_effects, simulator
+from doe.studies.blind import cells, simulator
 from doe.studies.blind.simulator import TrueArm, column, measure, session, shift, turn
 from identification.effects.formulas import RARE
 from identification.estimation import estimate
@@ -37,7 +37,7 @@ CIRCLE = np.vstack([np.cos(PHASES), np.sin(PHASES)])
 STIFFNESSES = 200
 PAIRS = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab", "transmission_ripple": "ab"}
 SAGGING = ("joint_compliance", "gravity_backlash", "link_bending")  # of one sign only
-NAMES = hidden_effects.LIBRARY_JOINT + hidden_effects.LIBRARY_WHOLE
+NAMES = cells.LIBRARY_JOINT + cells.LIBRARY_WHOLE
 LOADS = {"payload_error": {"d": 1.0}, "gravity_tilt": {"angle": 1.0}}  # wrong loads, of one parameter
 ONE = ("lambda 6, m=50", "lambda 6, m=200", "lambda 6, discriminating plan", "lambda 8, m=50", "lambda 8, m=20")
 CELLS = [*(f"one, {cell}" for cell in (*ONE, "lambda 8, discriminating plan")), "two, lambda 8"]
@@ -65,12 +65,12 @@ def directions(bare: TrueArm, run: simulator.RowConditions, name: str, j: int | 
             both = [{c: float(c == one) for c in PAIRS[name]} | order for one in PAIRS[name]]
             yield np.column_stack([column(bare, run, (name, j, values)) for values in both]) @ CIRCLE
     elif name in ("base_offset", "base_drift"):
-        yield hidden_effects.probed(bare, run, name, None) @ CIRCLE
+        yield cells.probed(bare, run, name, None) @ CIRCLE
     elif name == "joint_compliance*":
         each = [column(bare, run, ("joint_compliance", i + 1, {"c": 1.0})) for i in range(bare.n)]
         yield np.column_stack(each) @ np.random.default_rng(1).uniform(0.5, 1.5, (bare.n, STIFFNESSES))
     else:
-        values = LOADS.get(name) or hidden_effects.directions(bare, name, j, np.random.default_rng(0))
+        values = LOADS.get(name) or cells.directions(bare, name, j, np.random.default_rng(0))
         one = column(bare, run, (name, j, values))[:, None]
         yield one if name in SAGGING else np.hstack([one, -one])
 
@@ -78,10 +78,9 @@ def directions(bare: TrueArm, run: simulator.RowConditions, name: str, j: int | 
 @cache
 def planned(cell: str, seed: int) -> np.ndarray | None:
     """The plan that the sets of a block share; None where postures are random."""
-    asked = cells.to_be_planned(cell, seed)
-    if asked is None:
+    if not cells.CELLS[cell].designed:
         return None
-    arm, runs = asked
+    arm, runs = cells.to_be_planned(cell, seed)
     return discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
 
 
@@ -102,7 +101,7 @@ def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, True
     basis = np.linalg.qr(simulator.base_jacobian(truth, run))[0]
     possible = []
     for name in (*NAMES, *(LOADS if spec.rare else ())):
-        whole = name in (*hidden_effects.LIBRARY_WHOLE, *LOADS)
+        whole = name in (*cells.LIBRARY_WHOLE, *LOADS)
         joints = [None] if whole else list(range(2 if name == "joint_coupling" else 1, truth.n + 1))
         for j in joints:
             parts = []
@@ -113,7 +112,7 @@ def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, True
                 parts.append(off[:, keep] / norms[keep])
             effect, prior = (name.rstrip("*"), j, {}), -np.log(len(NAMES)) - np.log(len(joints))
             if (units := np.hstack(parts)).shape[1]:
-                key, family = hidden_effects.key(effect), hidden_effects.family(effect)
+                key, family = cells.key(effect), cells.family(effect)
                 possible.append(Possible(key, family, float(prior), units))
     assert spec.lam is not None
     return miss - basis @ (basis.T @ miss), possible, spec.lam, truth
@@ -151,7 +150,7 @@ def test_names(cell: str) -> None:
             names[tuple(sorted(one.key for one in effects))] = value
             family = tuple(sorted(one.family for one in effects))
             families[family] = float(np.logaddexp(families.get(family, -np.inf), value))
-        hidden, classes = (tuple(sorted(map(f, truth.effects))) for f in (hidden_effects.key, hidden_effects.family))
+        hidden, classes = (tuple(sorted(map(f, truth.effects))) for f in (cells.key, cells.family))
         near = [name for name, value in names.items() if value > max(names.values()) - 3.0]  # odds of 20
         best, best_class = max(names, key=names.__getitem__), max(families, key=families.__getitem__)
         rows.append((best == hidden, best_class == classes, hidden in near, len(near)))

@@ -29,7 +29,7 @@ class Regression:
 
     @property
     def parameters(self) -> ParameterSet:
-        return ParameterSet.of(Parameter(f"b{k}", "1") for k in range(self.degree + 1))
+        return ParameterSet(Parameter(f"b{k}", "1") for k in range(self.degree + 1))
 
     @property
     def values(self) -> Array:

@@ -135,7 +135,7 @@ def test_what_is_called_optimal_says_by_what() -> None:
     assert "optimal up to a numerical bound" in str(boxed)
     assert "proven" not in str(boxed)
     free = solve(problem(Arm([300.0, 200.0])), 4, seed=1)
-    assert (free.optimality, free.bound.proof, free.bound.scope) == ("proven", "proven", "all postures")
+    assert (free.optimality, free.bound.rigorous, free.bound.source) == ("proven", True, "closed_form")
     assert "proven optimal" in str(free)
     best = solve(problem(FOUR), 5, seed=1, starts=1)
     assert (best.certified_optimal, best.optimality) == (False, "best known")

@@ -19,7 +19,7 @@ from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.column_generation import continuous_design, relax
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.design import score_plan
-from doe.plan.order import ordered, travel
+from doe.plan.plan import ordered, travel
 from doe.plan.spacing import too_near
 from doe.problem.problem import DesignProblem
 from doe.report.design import accuracy, design_document
@@ -275,8 +275,8 @@ def test_the_shortest_travel() -> None:
     plan = score_plan(problem, candidates()[:6]).plan
     order = ordered(plan, "travel", speeds=problem.joint_units)
     best = min(travel(plan.postures[list(path)], problem.joint_units) for path in permutations(range(6)))
-    assert order.after == pytest.approx(best)
-    assert sorted(map(tuple, order.plan.postures)) == sorted(map(tuple, plan.postures))
+    assert travel(order.postures, problem.joint_units) == pytest.approx(best)
+    assert sorted(map(tuple, order.postures)) == sorted(map(tuple, plan.postures))
 
 
 def test_kept_postures_count() -> None:

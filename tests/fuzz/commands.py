@@ -45,7 +45,7 @@ VALUES = {
     "relax.runs": "12 20",
     "discriminate.runs": "2 4",
     "solver": "exchange random fedorov ipopt analytic exchange_ipopt relaxation_rounding none",
-    "relax.solver": "column_generation clarabel scs multiplicative none",
+    "relax.solver": "column_generation clarabel none",
     "solvers": "random exchange,random none",
     "criterion": "D A E I Ds Dstar d",
     "criteria": "D A D,A none",

@@ -13,7 +13,7 @@ from identification.arm import Arm, Calibration
 from identification.estimation import estimate
 from identification.files.arm import load_arm, with_calibration
 from identification.files.measurement import measurement_text
-from identification.inspection.data_checks import data_warnings
+from identification.inspection.readings import data_warnings
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements, load_measurements
 from identification.model import Model

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate
-from identification.inspection.data_checks import data_warnings
+from identification.inspection.readings import data_warnings
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import pose, rotation_about
 from identification.measurements import Conditions, Measurements

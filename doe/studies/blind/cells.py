@@ -1,29 +1,63 @@
-"""The cells of the blind study, in the plane and in space, and how each of their data sets is drawn. No model."""
+"""The cells of the blind study, in the plane and in space: how arm, postures, noise and hidden effects of each data set
+are drawn. Plain numpy, no model."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from doe.studies.blind import hidden_effects as drawn
 from doe.studies.blind import simulator
-from doe.studies.blind.hidden_effects import LIBRARY_JOINT, LIBRARY_WHOLE, SPACE_JOINT, SPACE_WHOLE
 from doe.studies.blind.simulator import (
+    OF_GRAVITY,
+    SHAPES,
     Drawn,
     RowConditions,
     TrueArm,
+    Values,
     base_jacobian,
     column,
+    gravity_loads,
     noise,
+    off,
+    places,
+    scaled_amplitudes,
     session,
     shift,
     turn,
+    wound_up,
 )
 from identification import Arm, Array, DHRow, EffectSpec, Gravity, Measurements, chain_of, planar_chain
+
+EVERY_JOINT = "joint_compliance*"  # stands for the compliance of all joints at once
+COMMON = ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple", "gear_ratio", "joint_coupling")
+LIBRARY_JOINT = ("joint_compliance", *COMMON, "backlash", "gravity_backlash")
+LIBRARY_WHOLE = (
+    *(EVERY_JOINT, "link_bending", "thermal_growth", "base_offset", "base_drift", "base_rotation_drift"),
+    "axes_skew",
+)
+SPACE_JOINT = ("joint_compliance", "gravity_backlash", "bearing_compliance", *COMMON, "backlash")
+SPACE_WHOLE = (EVERY_JOINT, "thermal_growth", "base_drift", "base_rotation_drift")
+OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")  # when the study began; two are inside by now
+SINCE_INSIDE = {"free_ripple": "transmission_ripple", "step_drift": "base_step"}
+SPACE_OUTSIDE = ("bump", "cubic", "cable_pull", "axis_wobble")
+LOADS = ("payload_error", "gravity_tilt")
+RARE = ("joint_step", "link_step", "axis_tilt", "joint_hysteresis", "thermal_transient", "base_step", *LOADS)
+# not in the library, and in the plane no one effect of it explains half of them
+PHYSICS_WHOLE = ("gripper_play", "refraction", "two_warm_ups", "payload_swap", "warm_offset")
+PHYSICS = ("memory_hysteresis", "two_joint_cable", "gear_wear", "cross_talk", "stick_slip", *PHYSICS_WHOLE)
+OF_ARM = (*LIBRARY_WHOLE, "thermal_transient", "base_step", *LOADS, *PHYSICS_WHOLE, "step_drift")
+NOT_INSIDE = {*OUTSIDE, *SPACE_OUTSIDE, *PHYSICS} - set(SINCE_INSIDE)
+COUNTS = {"small": (14, 22), "several": (6, 9)}  # of many effects at once, the least and the most
+SEEN = 0.02  # of an effect's length that must be left beside the geometry
+EXPLAINED = 0.5  # of the square of an effect outside the library, at most, by any one of it; in 20 draws or never
+WALK = "walk"  # the noise that may be reported as a drift in time
+FRESH = 200  # rows of the hold-out
+SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed, which takes time
 
 
 @dataclass(frozen=True)
@@ -39,21 +73,21 @@ class DataSet:
         intervals; empty where the arm's maker is wrong about it or the library has no such effect
     exact : (200, d) hold-out without noise [mm], where many effects are hidden or one outside the library
     reachable : RMS distance [mm] from `exact` that a model with what is hidden would have, fitted to these data
-    further : (postures, payload or None, directions or None, number) -> the data with further measurements at their end
+    further : (postures (K, n), directions or None) -> the data with further measurements at their end
     """
 
     arm: Arm
     measurements: Measurements
     holdout: Measurements | None
     effects: tuple[str, ...]
-    outside: str | None = None
-    place: str | None = None
-    specs: tuple[EffectSpec, ...] = ()
-    wrong_rows: tuple[int, ...] = ()
-    values: Mapping[str, float] = field(default_factory=dict)
-    further: Callable[[Array, Array | None, Array | None, int], Measurements] | None = None
-    exact: Array | None = None
-    reachable: float | None = None
+    outside: str | None
+    place: str | None
+    specs: tuple[EffectSpec, ...]
+    wrong_rows: tuple[int, ...]
+    values: Mapping[str, float]
+    exact: Array | None
+    reachable: float | None
+    further: Callable[[Array, Array | None], Measurements]
 
 
 @dataclass(frozen=True)
@@ -95,18 +129,10 @@ class CellSpec:
     reflectors: int = 1
     designed: bool = False
 
-    @property
-    def hides(self) -> bool:
-        """Whether there is a hidden effect."""
-        return self.lam is not None or bool(self.sizes)
 
-
-WALK = "walk"  # the noise that may be reported as a drift in time
-FRESH = 200  # rows of the hold-out
-SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed, which takes time
 TABLE = tomllib.loads(Path(__file__).with_name("cells.toml").read_text())
-PLANE = {name: CellSpec(**spec) for name, spec in TABLE["plane"].items()}
-CELLS = PLANE | {f"space, {name}": CellSpec(**spec, space=True) for name, spec in TABLE["space"].items()}
+CELLS = {name: CellSpec(**spec) for name, spec in TABLE["plane"].items()}
+CELLS |= {f"space, {name}": CellSpec(**spec, space=True) for name, spec in TABLE["space"].items()}
 
 
 # -- arms --------------------------------------------------------------------------------------------------------------
@@ -121,12 +147,8 @@ def random_truth(rng: np.random.Generator, n: int | None = None, limits: str = "
     masses, payload = lengths / 100.0 * rng.uniform(1.0, 5.0, n), float(rng.uniform(1.0, 12.0))
     sigma = float(rng.choice([0.02, 0.05, 0.1, 0.2]))
     if limits == "paper":
-        lengths, masses, payload, sigma = (
-            np.array([260.0, 180.0, 120.0, 100.0]),
-            np.array([12.0, 8.0, 5.0, 3.0]),
-            10.0,
-            0.1,
-        )
+        lengths, masses = np.array([260.0, 180.0, 120.0, 100.0]), np.array([12.0, 8.0, 5.0, 3.0])
+        payload, sigma = 10.0, 0.1
     errors = rng.normal(0.0, 1.0, n), rng.normal(0.0, 0.008, n)
     reach = {"lower": middle - span / 2, "upper": middle + span / 2}
     return TrueArm.planar(lengths, *errors, masses=masses, payload=payload, sigma=sigma, **reach)
@@ -184,7 +206,7 @@ def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     down = -simulator.G * np.eye(truth.dimension)[-1]
     gravity = Gravity(down, masses, np.full(truth.n, truth.center), payload)
     effects = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled)
-    if truth.in_plane:
+    if truth.dimension == 2:
         return Arm(planar_chain(truth.lengths), truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=effects)
     limits = zip(truth.lower.tolist(), truth.upper.tolist(), strict=True)
     rows = [DHRow(a, alpha, d, limits=pair) for (a, alpha, d), pair in zip(truth.table.tolist(), limits, strict=True)]
@@ -193,13 +215,10 @@ def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     return Arm(chain, sigma=truth.sigma, gravity=gravity, effects=effects)
 
 
-def to_be_planned(cell: str, seed: int) -> tuple[Arm, int] | None:
-    """Arm and number of postures of a cell whose plan is designed; None where the postures are random."""
-    spec = CELLS[cell]
-    if not spec.designed:
-        return None
+def to_be_planned(cell: str, seed: int) -> tuple[Arm, int]:
+    """Arm and number of postures of a cell whose plan is designed."""
     truth = shared_truth(cell, seed)
-    return arm_of(spec, truth, np.random.default_rng(0)), max(spec.m, truth.n + 4)
+    return arm_of(CELLS[cell], truth, np.random.default_rng(0)), max(CELLS[cell].m, truth.n + 4)
 
 
 def shared_truth(cell: str, seed: int) -> TrueArm:
@@ -211,54 +230,8 @@ def shared_truth(cell: str, seed: int) -> TrueArm:
 # -- data sets ---------------------------------------------------------------------------------------------------------
 def generator_of(cell: str, seed: int) -> np.random.Generator:
     """Of data set number `seed` of a cell."""
-    number = list(CELLS).index(cell)
-    return np.random.default_rng(
-        [20261125, number - len(PLANE), seed] if CELLS[cell].space else [20261121, number, seed]
-    )
-
-
-def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
-    """The effects of a data set."""
-    if spec.sizes and spec.many:
-        return drawn.many_effects(truth, run, spec.many, spec.sizes, rng)
-    if spec.sizes:
-        return [drawn.physics_effect(truth, run, spec.physics, drawn.log_uniform(spec.sizes, rng), rng)]
-    if spec.lam is None:
-        return []
-    if spec.wrong == "place":
-        return drawn.loaded(truth, run, spec.lam, rng)
-    names: tuple[str, ...] = SPACE_JOINT + SPACE_WHOLE if spec.space else LIBRARY_JOINT + LIBRARY_WHOLE
-    span, settings = base_jacobian(truth, run), {"k": spec.order} if spec.order else {}
-    if spec.outside:
-        names, span = drawn.SPACE_OUTSIDE if spec.space else drawn.OUTSIDE, drawn.library_columns(truth, run)
-    elif spec.rare or spec.order:
-        names = (spec.rare or "transmission_ripple",)
-    elif spec.gravity:
-        names = (*(name for name in simulator.OF_GRAVITY if name in SPACE_JOINT), drawn.EVERY_JOINT)
-    effects: list[Drawn] = []
-    while len(effects) < spec.effects:
-        new = drawn.random_effect(names, truth, run, spec.lam, rng, span, **settings)
-        if (spec.families or new[0] != "joint_compliance" or new[1]) and drawn.family(new) not in map(
-            drawn.family, effects
-        ):
-            effects.append(new)
-    return effects
-
-
-def values_of(truth: TrueArm) -> dict[str, float]:
-    """Parameter name -> true value, named as the library names its parameters [API units]; in space without those of
-    the geometry, which others say differently."""
-    values: dict[str, float] = {}
-    if truth.in_plane:
-        errors = zip(truth.links[:, 0] - truth.lengths, truth.offsets, strict=True)
-        for j, (length, offset) in enumerate(errors, start=1):
-            values |= {f"length_error:{j}": float(length), f"joint_offset:{j}": float(offset)}
-    for effect in truth.effects:
-        for name, value in ((name, value) for name, value in effect[2].items() if name not in simulator.SHAPES):
-            ends = [""] if np.ndim(value) == 0 else "xyz" if name in "vw" else range(1, len(value) + 1)
-            parts = zip(ends, np.atleast_1d(value), strict=False)
-            values |= {f"{drawn.key(effect)}.{name}{end}": float(part) for end, part in parts}
-    return values
+    number, space = list(CELLS).index(cell), CELLS[cell].space
+    return np.random.default_rng([20261125, number - len(TABLE["plane"]), seed] if space else [20261121, number, seed])
 
 
 def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
@@ -269,70 +242,354 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
     spec, rng = CELLS[cell], generator_of(cell, seed)
     truth = shared_truth(cell, seed) if spec.designed else truth_of(spec, rng)
 
-    def measured_at(postures: Array, times: int) -> RowConditions:
-        """Each posture is measured at every reflector, and as often as it is read, before the arm goes on."""
-        rows = np.repeat(postures, times * spec.reflectors, axis=0)
-        return session(truth, rows, rng, spec.reflectors)
+    def measured_at(postures: Array | None, count: int, times: int) -> RowConditions:
+        """Each posture (None: random ones) is measured at every reflector, and as often as it is read, before the arm
+        goes on."""
+        if postures is None:
+            postures = rng.uniform(truth.lower, truth.upper, (count // times // spec.reflectors, truth.n))
+        return session(truth, np.repeat(postures, times * spec.reflectors, axis=0), rng, spec.reflectors)
 
-    def random(count: int, times: int) -> RowConditions:
-        return measured_at(rng.uniform(truth.lower, truth.upper, (count // times // spec.reflectors, truth.n)), times)
-
-    if spec.designed:
-        assert planned is not None
-        run = measured_at(planned, 1)
-    else:
-        run = random(int(rng.choice(spec.rows)) if spec.rows else max(spec.m, truth.n + 4), spec.reads)
-    if (
-        spec.rare in drawn.LOADS or spec.physics == "payload_swap"
-    ):  # they only show through compliance that the arm's model has
+    m = int(rng.choice(spec.rows)) if spec.rows else max(spec.m, truth.n + 4)
+    run = measured_at(planned, m, spec.reads)
+    if spec.rare in LOADS or spec.physics == "payload_swap":  # they only show through compliance that the model has
         truth = replace(truth, modelled=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
     if spec.space:  # in this order since the study began
-        fresh, arm = random(FRESH, 1), arm_of(spec, truth, rng)
+        fresh, arm = measured_at(None, FRESH, 1), arm_of(spec, truth, rng)
         truth = replace(truth, effects=hidden(spec, truth, run, rng))
     else:
         truth = replace(truth, effects=hidden(spec, truth, run, rng))
-        fresh, arm = random(FRESH, 1), arm_of(spec, truth, rng)
-    outside = [e for e in truth.effects if e[0] in drawn.NOT_INSIDE]
-    inside = [e for e in truth.effects if e[0] not in drawn.NOT_INSIDE]
+        fresh, arm = measured_at(None, FRESH, 1), arm_of(spec, truth, rng)
+    outside = next((e for e in truth.effects if e[0] in NOT_INSIDE), None)
+    inside = [e for e in truth.effects if e[0] not in NOT_INSIDE]
     error = noise(truth, run, rng, spec.noise)
     data = simulator.recorded(truth, run, error)
     held_out = noise(truth, fresh, rng, "posture" if spec.reads > 1 else "white")
     if spec.reads > 1:
-        data = replace(data, repeats=np.arange(len(data)) // spec.reads)
-    far = np.linalg.norm(error, axis=1) > 10.0 * truth.sigma if spec.noise == "outliers" else np.zeros(len(error))
+        data = replace(data, repeats=np.arange(m) // spec.reads)
+    far = np.linalg.norm(error, axis=1) > 10.0 * truth.sigma if spec.noise == "outliers" else np.zeros(m)
 
-    def further(q: Array, payload: Array | None, directions: Array | None, number: int) -> Measurements:
-        later = np.random.default_rng([20261123, list(CELLS).index(cell), seed, number])
-        return simulator.measure_more(truth, run, data, q, payload, directions, later)
+    def further(q: Array, directions: Array | None) -> Measurements:
+        """The same session goes on, its first rows as they were."""
+        later, count = np.random.default_rng([20261123, list(CELLS).index(cell), seed, len(q)]), len(q)
+        s = session(truth, np.vstack([data.postures, q]), later).s[m:] if directions is None else directions
+        t, warm = 0.5 + np.arange(1, count + 1) / (m - 1), later.normal(0.0, 1.0, count)
+        more = RowConditions(q, t, warm, s, np.full(count, truth.payload), np.zeros(count, dtype=int))
+        whole = RowConditions(*map(np.concatenate, zip(vars(run).values(), vars(more).values(), strict=True)))
+        error = np.vstack([data.positions - simulator.position(truth, run), noise(truth, more, later)])
+        return replace(simulator.recorded(truth, whole, error), payload=whole.payload)
 
-    judged = bool(spec.many or outside or spec.reads > 1)
+    specs = tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in inside)
+    exact = reachable = None
+    if spec.many or outside or spec.reads > 1:  # by least squares of all that is hidden, to first order
+        exact, columns = simulator.position(truth, fresh), fitted_columns(truth, run)
+        scale = np.linalg.norm(columns, axis=0)
+        wrong = np.linalg.lstsq(columns / scale, error.ravel(), rcond=1e-10)[0]
+        moved = fitted_columns(truth, fresh) / scale @ wrong
+        reachable = float(np.sqrt(truth.dimension * np.mean(moved**2)))
     return DataSet(
         arm,
         data,
-        simulator.recorded(truth, fresh, held_out) if spec.hides or spec.reads > 1 else None,
-        tuple(drawn.key(e) for e in inside),
-        outside[0][0] if outside else WALK if spec.noise == WALK else None,
-        drawn.place_of(outside[0]) if outside else "time" if spec.noise == WALK else None,
-        tuple(EffectSpec(e[0], e[1], drawn.settings_of(e)) for e in inside),
+        simulator.recorded(truth, fresh, held_out) if truth.effects or spec.reads > 1 else None,
+        tuple(key(e) for e in inside),
+        outside[0] if outside else WALK if spec.noise == WALK else None,
+        place_of(outside) if outside else "time" if spec.noise == WALK else None,
+        specs,
         tuple((np.flatnonzero(far) + 1).tolist()),
         {} if spec.wrong or spec.rare or spec.outside or outside else values_of(truth),
+        exact,
+        reachable,
         further,
-        simulator.position(truth, fresh) if judged else None,
-        reachable(fitted_columns(truth, run), fitted_columns(truth, fresh), error) if judged else None,
     )
-
-
-def reachable(columns: Array, wanted: Array, error: Array) -> float:
-    """RMS distance [mm] at fresh postures that these errors (m, d) of the readings leave after a fit by least squares,
-    to first order.
-
-    columns, wanted : (m d, p) and (k d, p) of all that is fitted, at the postures measured and at fresh ones
-    """
-    scale = np.linalg.norm(columns, axis=0)
-    moved = (wanted / scale) @ np.linalg.lstsq(columns / scale, error.ravel(), rcond=1e-10)[0]
-    return float(np.sqrt(error.shape[1] * np.mean(moved**2)))
 
 
 def fitted_columns(truth: TrueArm, run: RowConditions) -> Array:
     """(m d, p) of the geometry and of an amplitude of each hidden effect."""
     return np.column_stack([base_jacobian(truth, run), *(column(truth, run, effect) for effect in truth.effects)])
+
+
+def values_of(truth: TrueArm) -> dict[str, float]:
+    """Parameter name -> true value, named as the library names its parameters [API units]; in space without those of
+    the geometry, which others say differently."""
+    values: dict[str, float] = {}
+    if truth.dimension == 2:
+        errors = zip(truth.links[:, 0] - truth.lengths, truth.offsets, strict=True)
+        for j, (length, offset) in enumerate(errors, start=1):
+            values |= {f"length_error:{j}": float(length), f"joint_offset:{j}": float(offset)}
+    for effect in truth.effects:
+        for name, value in ((name, value) for name, value in effect[2].items() if name not in SHAPES):
+            ends = [""] if np.ndim(value) == 0 else "xyz" if name in "vw" else range(1, len(value) + 1)
+            parts = zip(ends, np.atleast_1d(value), strict=False)
+            values |= {f"{key(effect)}.{name}{end}": float(part) for end, part in parts}
+    return values
+
+
+def key(effect: Drawn) -> str:
+    """NAME or NAME:JOINT."""
+    return effect[0] if effect[1] is None else f"{effect[0]}:{effect[1]}"
+
+
+def family(effect: Drawn) -> str:
+    """What effects are said to be alike."""
+    return "gravity" if effect[0] in OF_GRAVITY else effect[0]
+
+
+def settings_of(effect: Drawn) -> dict[str, float]:
+    """The settings of an effect of the library, as an arm file has them."""
+    settings = {name: float(v) for name, v in effect[2].items() if name in ("k", "at", "tau", "width_deg")}
+    return settings | ({"side": 1.0} if effect[0] == "base_step" else {})
+
+
+def place_of(effect: Drawn) -> str | None:
+    """Where an effect outside the library may be said to be, alternatives between ` or `; None: nowhere is right."""
+    name, joint, v = effect
+    if joint is None:
+        whole = {"refraction": "workspace", "gripper_play": None, "warm_offset": "temperature or time"}
+        return whole.get(name, "time")
+    second = {"two_joint_cable": joint + 1, "cross_talk": v.get("other")}.get(name)
+    return f"joint:{joint}" + (f" or joint:{second}" if second else "")
+
+
+# -- hidden effects ----------------------------------------------------------------------------------------------------
+def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
+    """The effects of a data set."""
+    if spec.sizes and spec.many:
+        return many_effects(truth, run, spec.many, spec.sizes, rng)
+    if spec.sizes:
+        return [physics_effect(truth, run, spec.physics, float(np.exp(rng.uniform(*np.log(spec.sizes)))), rng)]
+    if spec.lam is None:
+        return []
+    if spec.wrong == "place":
+        return loaded(truth, run, spec.lam, rng)
+    names: tuple[str, ...] = SPACE_JOINT + SPACE_WHOLE if spec.space else LIBRARY_JOINT + LIBRARY_WHOLE
+    span, settings = base_jacobian(truth, run), {"k": spec.order} if spec.order else {}
+    if spec.outside:
+        names, span = SPACE_OUTSIDE if spec.space else OUTSIDE, library_columns(truth, run)
+    elif spec.rare or spec.order:
+        names = (spec.rare or "transmission_ripple",)
+    elif spec.gravity:
+        names = (*(name for name in OF_GRAVITY if name in SPACE_JOINT), EVERY_JOINT)
+    effects: list[Drawn] = []
+    while len(effects) < spec.effects:
+        new = random_effect(names, truth, run, spec.lam, rng, span, **settings)
+        allowed = spec.families or new[0] != "joint_compliance" or new[1]
+        if allowed and family(new) not in map(family, effects):
+            effects.append(new)
+    return effects
+
+
+def directions(truth: TrueArm, name: str, joint: int | None, rng: np.random.Generator) -> Values:
+    """A random direction in an effect's parameter space; scaled afterwards."""
+    n, reach = truth.n, float(truth.lengths.sum())
+    span = 0.0 if joint is None else float(truth.upper[joint - 1] - truth.lower[joint - 1])
+    shapes: dict[str, Values]  # all of them are drawn, of which one is used
+    if truth.dimension == 3 and name in ("base_drift", "base_rotation_drift", "warm_offset"):
+        direction = rng.normal(0.0, 1.0, 3)
+        return {"w" if name == "base_rotation_drift" else "v": direction / np.linalg.norm(direction)}
+    if name in ("bearing_compliance", "axis_wobble"):
+        return {"c": 1.0}
+    if name in PHYSICS:
+        sign, phase = rng.choice([-1.0, 1.0]), rng.uniform(0.0, 2.0 * np.pi)
+        a, b = np.cos(phase), np.sin(phase)
+        middle, width = rng.uniform(-1.0, 1.0), rng.uniform(0.5, 1.5)
+        start, end = np.sort(rng.choice(np.linspace(-0.4, 0.4, 9), 2, replace=False))
+        others, fast, slow = [k for k in range(1, n + 1) if k != joint], [0.03, 0.3], [0.08, 0.8]
+        shapes = {
+            "memory_hysteresis": {"h": sign, "at": middle, "width": width},
+            "two_joint_cable": {"c": sign, "at": middle},
+            "gear_wear": {"h": sign, "at": 2.0 * middle, "width": 0.3 * width},
+            "cross_talk": {"a": a, "b": b, "other": int(rng.choice(others))},
+            "stick_slip": {"b": sign, "width": 1.0 + width},
+            "gripper_play": {"h": 1.0, "beta": phase},
+            "refraction": {"c": sign, "at": rng.uniform(0.0, 0.5) * reach * np.array([a, b])},  # from there
+            "two_warm_ups": {"a": sign, "b": -sign * rng.uniform(0.7, 1.4), "tau": rng.uniform(fast, slow)},
+            "payload_swap": {"d": sign, "at": (float(start), float(end))},
+            "warm_offset": {"v": np.array([a, b])},
+        }
+    elif name in RARE:
+        sign, phase, at = rng.choice([-1.0, 1.0]), rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.35, 0.35)
+        shapes = {
+            "thermal_transient": {"a": sign, "tau": float(np.exp(rng.uniform(np.log(0.05), np.log(0.5))))},
+            "joint_step": {"b": sign, "at": at},
+            "link_step": {"d": sign, "at": at},
+            "base_step": {"x": np.cos(phase), "y": np.sin(phase), "at": at},
+            "payload_error": {"d": sign},
+            "gravity_tilt": {"angle": sign},
+            "axis_tilt": {"square": 1.0, "beta": phase},
+            "joint_hysteresis": {"b": sign, "width_deg": float(np.degrees(span * rng.uniform(0.1, 0.4)))},
+        }
+    else:
+        phase = rng.uniform(0, 2 * np.pi)
+        a, b = np.cos(phase), np.sin(phase)
+        if name == "transmission_ripple":
+            return {"a": a, "b": b, "k": int(rng.integers(3, 65))}
+        if name == "free_ripple":
+            return {"a": a, "b": b, "k": rng.uniform(65, 120) if rng.random() < 0.5 else int(rng.integers(3, 60)) + 0.5}
+        if name == "step_drift":
+            return {"x": a, "y": b, "at": rng.uniform(-0.3, 0.3)}
+        around = ("encoder_eccentricity", "encoder_second_harmonic", "axes_skew", "axis_runout")
+        shapes = {one: {"a": a, "b": b} for one in around}
+        shapes |= {"base_offset": {"x0": a, "y0": b}, "base_drift": {"v": np.array([a, b])}}
+        if name not in shapes:
+            sign = rng.choice([-1.0, 1.0])
+            shapes = {
+                "joint_compliance": {"c": 1.0},
+                EVERY_JOINT: {"c": rng.uniform(0.5, 1.5, n)},
+                "gear_ratio": {"e": sign},
+                "joint_coupling": {"c": sign},
+                "backlash": {"b": sign},
+                "gravity_backlash": {"b": 1.0},
+                "link_bending": {"flexibility": 1.0},
+                "thermal_growth": {"a": sign},
+                "base_rotation_drift": {"w": sign},
+                "bump": {"h": sign, "at": rng.uniform(-2.0, 2.0), "width": rng.uniform(0.3, 0.6)},
+                "cubic": {"c": sign},
+                "cable_pull": {"c": sign},
+            }
+    return shapes[name]
+
+
+def sized(truth: TrueArm, run: RowConditions, effect: Drawn, lam: float, span: Array | None = None) -> Drawn | None:
+    """The effect so large that off the geometry, or the columns (m d, C) of a span, it is lambda sigma long; None where
+    it is unseen. By the name that the library has for it."""
+    name, joint, values = SINCE_INSIDE.get(effect[0], effect[0]).rstrip("*"), *effect[1:]
+    whole = column(truth, run, (name, joint, values))
+    seen = float(np.linalg.norm(off(base_jacobian(truth, run) if span is None else span, whole)))
+    if seen <= SEEN * np.linalg.norm(whole):
+        return None
+    return name, joint, scaled_amplitudes(values, lam * truth.sigma / seen)
+
+
+def random_effect(
+    names: Sequence[str],
+    truth: TrueArm,
+    run: RowConditions,
+    lam: float,
+    rng: np.random.Generator,
+    span: Array | None = None,
+    **settings: float,
+) -> Drawn:
+    """One effect, its type at random, then its joint, of size lambda as in `sized`."""
+    span = base_jacobian(truth, run) if span is None else span
+    while True:
+        name = str(rng.choice(names))
+        first, last = 2 if name in ("joint_coupling", "axis_tilt") else 1, truth.n - (name == "two_joint_cable")
+        joint = None if name in OF_ARM else int(rng.integers(first, last + 1))
+        direction = directions(truth, name, joint, rng) | settings
+        if (effect := sized(truth, run, (name, joint, direction), lam, span)) is not None:
+            return effect
+
+
+def many_effects(
+    truth: TrueArm, run: RowConditions, kind: str, sizes: Sequence[float], rng: np.random.Generator
+) -> list[Drawn]:
+    """What a real robot has at once, each effect of its own size lambda between two.
+
+    kind : `robot`: compliance of all joints, every encoder eccentric, backlash in one joint and a ripple in one, in the
+        plane an offset of the base; `harmonics`: first and second harmonic of every encoder; one of `COUNTS`: so many
+        effects of the library at random, of gravity one, `small`: one or more in every joint
+    """
+    listed: list[tuple[str, int | None]] = [("encoder_eccentricity", j + 1) for j in range(truth.n)]
+    most, plane = None, truth.dimension == 2
+    if kind in COUNTS:
+        of_joint, of_arm = (LIBRARY_JOINT, LIBRARY_WHOLE) if plane else (SPACE_JOINT, SPACE_WHOLE)
+        listed = [(name, j) for name in of_joint for j in range(1 + (name == "joint_coupling"), truth.n + 1)]
+        listed += [(name, None) for name in of_arm]
+        listed = [listed[k] for k in rng.permutation(len(listed))]
+        of_gravity = [place for place in listed if place[0].rstrip("*") in OF_GRAVITY]
+        listed = [place for place in listed if place not in of_gravity[1:]]
+        if kind == "small":
+            first = {j: (name, j) for name, j in reversed(listed) if j is not None}
+            listed = [*first.values(), *(place for place in listed if place not in first.values())]
+        most = int(rng.integers(COUNTS[kind][0], COUNTS[kind][1] + 1))
+    elif kind == "harmonics":
+        listed += [("encoder_second_harmonic", j + 1) for j in range(truth.n)]
+    else:
+        listed += [(EVERY_JOINT, None)] + ([("base_offset", None)] if plane else [])
+        listed += [(name, int(rng.integers(1, truth.n + 1))) for name in ("backlash", "transmission_ripple")]
+    span, limits = base_jacobian(truth, run), np.log(sizes)
+
+    def drawn(name: str, joint: int | None) -> Drawn | None:
+        lam = rng.uniform(*limits) if plane else None  # in this order since the study began
+        direction = directions(truth, name, joint, rng)
+        size = float(np.exp(rng.uniform(*limits) if lam is None else lam))
+        return sized(truth, run, (name, joint, direction), size, span)
+
+    every = (drawn(name, joint) for name, joint in listed)
+    return list(islice((effect for effect in every if effect is not None), most))
+
+
+def loaded(truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Generator) -> list[Drawn]:
+    """Compliance in all joints, such that the payload's place adds lambda sigma off the compliance that would fit best
+    without it; and that place."""
+    assert truth.load is not None
+    c = rng.uniform(0.5, 1.5, truth.n)
+    effects = [("joint_compliance", j, {"c": float(one)}) for j, one in enumerate(c, start=1)]
+    elsewhere, plain = (
+        np.stack([column(arm, run, effect) for effect in effects], axis=1) for arm in (truth, replace(truth, load=None))
+    )
+    unseen = np.column_stack([base_jacobian(truth, run), plain])
+    size = lam * truth.sigma / np.linalg.norm(off(unseen, np.sum(elsewhere - plain, axis=1)))
+    place = dict(zip("xyz", (truth.load - truth.tools[0]).tolist(), strict=True))
+    return [("joint_compliance", None, {"c": size * c}), ("payload_place", None, place)]
+
+
+def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, **settings: float) -> Array:
+    """(m d, c) columns of each amplitude of an effect."""
+    values = directions(truth, name, joint, np.random.default_rng(0)) | settings
+    columns, zero = [], scaled_amplitudes(values, 0.0)
+    for amplitude in (key for key in values if key not in SHAPES):
+        each = np.eye(np.size(values[amplitude])) if np.ndim(values[amplitude]) else [1.0]
+        columns += [column(truth, run, (name, joint, zero | {amplitude: one})) for one in each]
+    return np.stack(columns, axis=1)
+
+
+def library_columns(truth: TrueArm, run: RowConditions) -> Array:
+    """(m d, C) of the geometry and of every effect of the library but the ripples."""
+    space = truth.dimension == 3
+    names = [*SPACE_JOINT, "axis_runout", *SPACE_WHOLE] if space else [*LIBRARY_JOINT, *LIBRARY_WHOLE]
+    blocks = [base_jacobian(truth, run)]
+    for name in (name for name in names if name not in ("transmission_ripple", EVERY_JOINT)):
+        joints = [None] if name in OF_ARM else range(1 + (name == "joint_coupling"), truth.n + 1)
+        blocks += [probed(truth, run, name, j) for j in joints]
+    return np.hstack(blocks)
+
+
+def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rng: np.random.Generator) -> Drawn:
+    """One of `PHYSICS`, of size lambda: in space off all of the library at once; in the plane off the geometry, the
+    first of some draws of which no effect of the library explains more than `EXPLAINED`, or else that of which it
+    explains least."""
+    if truth.dimension == 3:
+        return random_effect((name,), truth, run, lam, rng, library_columns(truth, run))
+    drawn: list[tuple[float, Drawn]] = []
+    base, blocks = base_jacobian(truth, run), library_blocks(truth, run)
+    ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
+    blocks = [np.linalg.qr(block)[0] for block in np.split(off(base, np.hstack(blocks)), ends, axis=1)]
+    while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < 20):
+        effect = random_effect((name,), truth, run, lam, rng, base)
+        left = off(base, column(truth, run, effect))
+        drawn.append((max(float(np.sum((left @ block) ** 2)) for block in blocks) / float(left @ left), effect))
+    return min(drawn, key=lambda one: one[0])[1]
+
+
+def library_blocks(truth: TrueArm, run: RowConditions) -> list[Array]:
+    """(2m, c) columns of each effect of the library by itself, of those with settings at several of them, of a planar
+    arm."""
+    *frames, tip = places(replace(truth, effects=[], modelled=[]), run)
+    torques = np.einsum("mji,ji->mj", gravity_loads(truth, run)[0], truth.home[:-1, :3, 2])
+    steps = np.stack([1.0 * (run.t > at) for at in np.linspace(-0.4, 0.4, 17)])
+    blocks: list[list[Array]] = [[step[:, None] * axis for axis in np.eye(3)[:2]] for step in steps]
+    soft: list[Array] = []  # every joint at once
+    for j, (q, frame) in enumerate(zip(run.q.T, frames[1:], strict=True)):
+        arm = tip[:, :3, 3] - (frame[:, :3, :3] @ truth.points[j] + frame[:, :3, 3])
+        lever = np.cross(frame[:, :3, :3] @ truth.axes[j], arm)  # how the joint's angle moves the tip
+        widths = (truth.upper[j] - truth.lower[j]) * np.array([0.05, 0.1, 0.2, 0.4])
+        shapes = [[np.cos(k * q), np.sin(k * q)] for k in range(1, 65)]
+        shapes += [[q], [run.s[:, j]], [np.sign(torques[:, j])], [torques[:, j]], *steps[:, None]]
+        shapes += [*([run.q[:, j - 1]] for _ in range(j > 0)), *([wound_up(q, width)] for width in widths)]
+        soft.append(lever * torques[:, j, None])
+        blocks += [[lever * shape[:, None] for shape in block] for block in shapes]
+        blocks += [[(frame[:, :3, :3] @ truth.links[j]) * step[:, None]] for step in steps]
+    stacked = [np.stack([move[:, :2].ravel() for move in block], axis=1) for block in [soft, *blocks]]
+    stacked += [probed(truth, run, name, None) for name in LIBRARY_WHOLE if name != EVERY_JOINT]
+    stacked += [probed(truth, run, "thermal_transient", None, tau=tau) for tau in (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
+    return stacked + ([probed(truth, run, name, None) for name in LOADS] if truth.modelled else [])

@@ -12,7 +12,7 @@ Millimetres, radians, kilograms; m rows of a session at once, n joints.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +26,7 @@ OUTLIERS = 3  # rows of a set that are wrong
 Values = dict[str, Any]
 Drawn = tuple[str, int | None, Values]  # an effect: its name, its joint from 1 and its values
 OF_GRAVITY = ("joint_compliance", "gravity_backlash", "bearing_compliance", "link_bending")
+SHAPES = ("k", "at", "tau", "width", "width_deg", "beta", "other")  # values of effects that are no amplitudes
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class TrueArm:
     axes, points : (n, 3) directions and points of the real axes at home;  offsets : (n,) of the encoders
     base : (4, 4) pose of the arm in the instrument's frame;  tools : (K, 3) measured points in the drawing's last frame
     masses, payload : of links and tool;  center : where along a link its mass is
+    dimension : 2 where x and y of the tip are measured, and no more
     gravity : (3,) as it really is in the arm's base;  load : (3,) where the payload really hangs in the drawing's last
         frame, None: at the first measured point
     effects : hidden;  modelled : those that the arm's model has
@@ -79,12 +81,8 @@ class TrueArm:
 
     @property
     def n(self) -> int:
+        """Number of joints."""
         return len(self.table)
-
-    @property
-    def in_plane(self) -> bool:
-        """Whether x and y of the tip are measured, and no more."""
-        return self.dimension < 3
 
     @cached_property
     def home(self) -> Array:
@@ -102,7 +100,7 @@ class TrueArm:
     @cached_property
     def links(self) -> Array:
         """(n, 3) what grows with the temperature: the links, in the plane the real ones, in space as they are drawn."""
-        if self.in_plane:
+        if self.dimension == 2:
             return np.diff(np.vstack([self.points, self.at_home(self.tools[0])]), axis=0)
         return np.diff(self.home[:, :3, 3], axis=0)
 
@@ -152,9 +150,8 @@ def turn(vector: Array) -> Array:
 
 def screw(rotation: Array, point: Array) -> Array:
     """(..., 4, 4) rotations (..., 3, 3) about axes through a point (3,)."""
-    motion = np.zeros((*rotation.shape[:-2], 4, 4))
-    motion[..., :3, :3], motion[..., 3, 3] = rotation, 1.0
-    motion[..., :3, 3] = point - rotation @ point
+    motion = shift(point - rotation @ point)
+    motion[..., :3, :3] = rotation
     return motion
 
 
@@ -166,12 +163,18 @@ def shift(vector: Array) -> Array:
     return motion
 
 
-# -- gravity -----------------------------------------------------------------------------------------------------------
-def hanging(truth: TrueArm, run: RowConditions) -> tuple[Array, Array, Array, Array]:
-    """Masses (m, n + 1) of links and payload, their places (m, n + 1, 3), motions (m, n, 4, 4) from home of what lies
-    beyond each joint, gravity (3,): all of the drawing, with the loads and the gravity that are hidden."""
-    place, motions = np.broadcast_to(np.eye(4), (len(run.q), 4, 4)), []
-    for frame, angle in zip(truth.home, run.q.T, strict=False):
+def at_point(motion: Array, point: Array) -> Array:
+    """(..., 3) where motions (..., 4, 4) take a point (3,)."""
+    return motion[..., :3, :3] @ point + motion[..., :3, 3]
+
+
+# -- effects -----------------------------------------------------------------------------------------------------------
+def gravity_loads(truth: TrueArm, run: RowConditions) -> tuple[Array, Array, Array]:
+    """(m, n, 3) moment of gravity [N m] about the origin of each joint's frame, turned back home; of planar arms (m, n)
+    deflection [mm] and slope [rad] of each link's end per unit 1/(EI). All of the drawing, with the loads and the
+    gravity that are hidden."""
+    m, place, motions = len(run.q), np.broadcast_to(np.eye(4), (len(run.q), 4, 4)), []
+    for frame, angle in zip(truth.home, run.q.T, strict=False):  # motions from home of what lies beyond each joint
         place = place @ screw(turn(angle[:, None] * frame[:3, 2]), frame[:3, 3])
         motions.append(place)
     gravity, payload = truth.gravity, run.payload
@@ -186,40 +189,24 @@ def hanging(truth: TrueArm, run: RowConditions) -> tuple[Array, Array, Array, Ar
     load = truth.at_home(truth.tools[0] if truth.load is None else truth.load)
     at_home = np.vstack([start + truth.center * (end - start), load])
     carried = [at_point(motion, point) for motion, point in zip([*motions, motions[-1]], at_home, strict=True)]
-    masses = np.column_stack([np.tile(truth.masses, (len(run.q), 1)), payload])
-    return masses, np.stack(carried, axis=1), np.stack(motions, axis=1), gravity
+    masses, places = np.column_stack([np.tile(truth.masses, (m, 1)), payload]), np.stack(carried, axis=1)
+
+    def moment_of(first: int, motion: Array, point: Array) -> Array:
+        """(m, 3) of all masses from this one on, about a point that moves from home."""
+        arms = places[:, first:] - at_point(motion, point)[:, None]
+        return np.cross(np.einsum("mk,mkd->md", masses[:, first:], arms), gravity) / 1000.0
+
+    turned, deflection, slope = np.zeros((m, truth.n, 3)), np.zeros(run.q.shape), np.zeros(run.q.shape)
+    for j, (motion, length) in enumerate(zip(motions, truth.lengths / 1000.0, strict=True)):
+        turned[:, j] = np.einsum("mji,mj->mi", motion[:, :3, :3], moment_of(j, motion, start[j]))
+        if truth.dimension == 2:
+            force = masses[:, j + 1 :].sum(axis=1) * (motion[:, :3, 1] @ gravity)
+            moment = moment_of(j + 1, motion, end[j])[:, 2]
+            deflection[:, j] = 1000.0 * (force * length**3 / 3.0 + moment * length**2 / 2.0)
+            slope[:, j] = force * length**2 / 2.0 + moment * length
+    return turned, deflection, slope
 
 
-def at_point(motion: Array, point: Array) -> Array:
-    """(..., 3) where motions (..., 4, 4) take a point (3,)."""
-    return motion[..., :3, :3] @ point + motion[..., :3, 3]
-
-
-def moments(truth: TrueArm, run: RowConditions) -> Array:
-    """(m, n, 3) moment of gravity [N m] about the origin of each joint's frame, of the drawing, turned back home."""
-    masses, places, motions, gravity = hanging(truth, run)
-    turned = np.zeros((len(run.q), truth.n, 3))
-    for j in range(truth.n):
-        arms = places[:, j:] - at_point(motions[:, j], truth.home[j, :3, 3])[:, None]
-        moment = np.cross(np.einsum("mk,mkd->md", masses[:, j:], arms), gravity) / 1000.0
-        turned[:, j] = np.einsum("mji,mj->mi", motions[:, j, :3, :3], moment)
-    return turned
-
-
-def bending(truth: TrueArm, run: RowConditions) -> tuple[Array, Array]:
-    """(m, n) deflection [mm] and slope [rad] of each link's end per unit 1/(EI), of planar arms."""
-    masses, places, motions, gravity = hanging(truth, run)
-    deflection, slope = np.zeros(run.q.shape), np.zeros(run.q.shape)
-    for j, length in enumerate(truth.lengths / 1000.0):
-        arms = places[:, j + 1 :] - at_point(motions[:, j], truth.home[j + 1, :3, 3])[:, None]
-        force = masses[:, j + 1 :].sum(axis=1) * (motions[:, j, :3, 1] @ gravity)
-        moment = np.cross(np.einsum("mk,mkd->md", masses[:, j + 1 :], arms), gravity)[:, 2] / 1000.0
-        deflection[:, j] = 1000.0 * (force * length**3 / 3.0 + moment * length**2 / 2.0)
-        slope[:, j] = force * length**2 / 2.0 + moment * length
-    return deflection, slope
-
-
-# -- effects -----------------------------------------------------------------------------------------------------------
 def angle_error(run: RowConditions, name: str, joint: int, v: Values, torque: Array) -> Array:
     """(m,) what an effect of a joint adds to its angle, 0 for those that add none.
 
@@ -255,17 +242,17 @@ def angle_error(run: RowConditions, name: str, joint: int, v: Values, torque: Ar
     return shapes[name]() if name in shapes else np.zeros(len(q))
 
 
-def growth(run: RowConditions, name: str, v: Values, length: float) -> Array:
+def growth(run: RowConditions, name: str, v: Values, length: float) -> Array | float:
     """(m,) growth of a link, as a share of its length [mm]."""
     since = run.t + 0.5
-    shapes: dict[str, Callable[[], Any]] = {
+    shapes: dict[str, Callable[[], Array]] = {
         "thermal_growth": lambda: v["a"] * run.warm,
         "thermal_transient": lambda: v["a"] * (1.0 - np.exp(-since / v["tau"])),
         "link_step": lambda: v["d"] * (run.t > v["at"]) / length,
         # outside the library: fast, and slowly back
-        "two_warm_ups": lambda: sum(v[a] * (1.0 - np.exp(-since / tau)) for a, tau in zip("ab", v["tau"], strict=True)),
+        "two_warm_ups": lambda: np.exp(-since[:, None] / v["tau"]) @ [-v["a"], -v["b"]] + v["a"] + v["b"],
     }
-    return np.asarray(shapes[name]()) if name in shapes else np.zeros(len(since))
+    return shapes[name]() if name in shapes else np.zeros(len(since))
 
 
 def relays(angles: Array, at: float, width: float) -> Array:
@@ -310,11 +297,21 @@ def position(truth: TrueArm, run: RowConditions) -> Array:
 def places(truth: TrueArm, run: RowConditions) -> list[Array]:
     """n + 2 transformations (m, 4, 4): of the base, of what lies beyond each joint, and the measured point's place."""
     (m, n), home, effects = run.q.shape, truth.home, truth.modelled + truth.effects
-    load = moments(truth, run) if {name for name, *_ in effects} & set(OF_GRAVITY) else np.zeros((m, n, 3))
-    torques = np.einsum("mji,ji->mj", load, home[:-1, :3, 2])
-    bent = any(name == "link_bending" for name, *_ in effects)
-    deflection, slope = bending(truth, run) if bent else np.zeros((2, m, n))
-    frames = [_base(truth, run)]
+    moments, deflection, slope = np.zeros((m, n, 3)), np.zeros((m, n)), np.zeros((m, n))
+    if {name for name, *_ in effects} & set(OF_GRAVITY):
+        moments, deflection, slope = gravity_loads(truth, run)
+    torques = np.einsum("mji,ji->mj", moments, home[:-1, :3, 2])
+    drift, rotation = np.zeros((m, 3)), np.zeros((m, 3))  # of the base
+    for name, _, v in truth.effects:
+        if name == "base_offset":
+            drift = drift + np.array([v["x0"], v["y0"], 0.0])
+        elif name == "base_step":
+            drift = drift + (run.t > v["at"])[:, None] * [v["x"], v["y"], 0.0]
+        elif name in ("base_drift", "warm_offset"):
+            drift[:, : truth.dimension] += (run.t if name == "base_drift" else run.warm)[:, None] * v["v"]
+        elif name == "base_rotation_drift":  # in the plane about z
+            rotation = rotation + run.t[:, None] * (v["w"] * UPRIGHT if truth.dimension == 2 else np.array(v["w"]))
+    frames = [np.asarray(shift(drift) @ truth.base @ screw(turn(rotation), np.zeros(3)))]
     for j, (line, point, link) in enumerate(zip(truth.axes, truth.points, truth.links, strict=True)):
         (x, y, axis), origin, q = home[j, :3, :3].T, home[j, :3, 3], run.q[:, j]
         angle, lean, bend = q + truth.offsets[j], np.zeros(3), np.zeros(m)
@@ -329,7 +326,7 @@ def places(truth: TrueArm, run: RowConditions) -> list[Array]:
             if name == "link_bending":
                 longer, bend = longer + v["flexibility"] * np.outer(deflection[:, j], y), v["flexibility"] * slope[:, j]
             elif name == "bearing_compliance" and joint == j + 1:
-                tilt = tilt + v["c"] * (load[:, j] - torques[:, j, None] * axis)
+                tilt = tilt + v["c"] * (moments[:, j] - torques[:, j, None] * axis)
             elif name == "axis_wobble" and joint == j + 1:  # outside the library: twice a turn
                 tilt = tilt + v["c"] * np.column_stack([np.cos(2 * q), np.sin(2 * q)]) @ [x, y]
             elif name == "axis_runout" and joint == j + 1:
@@ -348,26 +345,7 @@ def places(truth: TrueArm, run: RowConditions) -> list[Array]:
     return [*frames, frames[-1] @ shift(tools)]
 
 
-def _base(truth: TrueArm, run: RowConditions) -> Array:
-    """(m, 4, 4) where the arm's base is in each row."""
-    drift, rotation = np.zeros((len(run.q), 3)), np.zeros((len(run.q), 3))
-    for name, _, v in truth.effects:
-        if name == "base_offset":
-            drift = drift + np.array([v["x0"], v["y0"], 0.0])
-        elif name == "base_step":
-            drift = drift + (run.t > v["at"])[:, None] * [v["x"], v["y"], 0.0]
-        elif name in ("base_drift", "warm_offset"):
-            followed = run.t if name == "base_drift" else run.warm
-            drift[:, : truth.dimension] += followed[:, None] * v["v"]
-        elif name == "base_rotation_drift":  # in the plane about z
-            rotation = rotation + run.t[:, None] * (v["w"] * UPRIGHT if truth.in_plane else np.array(v["w"]))
-    return np.asarray(shift(drift) @ truth.base @ screw(turn(rotation), np.zeros(3)))
-
-
 # -- derivatives -------------------------------------------------------------------------------------------------------
-SHAPES = ("k", "at", "tau", "width", "width_deg", "beta", "other")  # values of effects that are no amplitudes
-
-
 def scaled_amplitudes(values: Values, factor: float) -> Values:
     """The amplitudes times a factor; k, at, width and the like are shapes and stay."""
     return {name: (v if name in SHAPES else v * factor) for name, v in values.items()}
@@ -386,7 +364,7 @@ def base_jacobian(truth: TrueArm, run: RowConditions) -> Array:
     In the plane lengths and angles of the links, in which the position is linear: p = 2n. In space a small displacement
     of the base and of all beyond each joint, and the places of the K measured points: p = 6 (n + 1) + 3K.
     """
-    if truth.in_plane:
+    if truth.dimension == 2:
         _, *frames, _ = places(replace(truth, effects=[], modelled=[]), run)
         return np.concatenate([frame[:, :2, :2] for frame in frames], axis=2).reshape(2 * len(run.q), -1)
     *frames, last = places(truth, run)
@@ -453,26 +431,3 @@ def recorded(truth: TrueArm, run: RowConditions, error: Array) -> Measurements:
 def measure(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: str = "white") -> Measurements:
     """What the instrument says, with noise of this kind."""
     return recorded(truth, run, noise(truth, run, rng, kind))
-
-
-def measure_more(
-    truth: TrueArm,
-    run: RowConditions,
-    data: Measurements,
-    postures: Array,
-    payload: Array | None,
-    directions: Array | None,
-    rng: np.random.Generator,
-) -> Measurements:
-    """The same session goes on: the data with (K) further postures at their end."""
-    m, count = len(data), len(postures)
-    q = np.vstack([data.postures, postures])
-    s = session(truth, q, rng).s[m:] if directions is None else directions
-    payload = np.full(count, truth.payload) if payload is None else payload
-    t, warm = 0.5 + np.arange(1, count + 1) / (m - 1), rng.normal(0.0, 1.0, count)
-    later = RowConditions(postures, t, warm, s, payload, np.zeros(count, dtype=int))
-    whole = RowConditions(*(np.concatenate([getattr(one, f.name) for one in (run, later)]) for f in fields(run)))
-    positions = np.vstack([data.positions, measure(truth, later, rng).positions])
-    return replace(
-        recorded(truth, whole, np.zeros((m + count, truth.dimension))), positions=positions, payload=whole.payload
-    )

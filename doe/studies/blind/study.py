@@ -1,47 +1,106 @@
-"""Running the blind study.
+"""The blind study: how often is the diagnosis right about effects that were hidden from it?
 
 A simulator that shares no code with the models (plain numpy) draws arm, plan, noise and hidden effects and
 hands over what a user has: arm and measurements. What it hid is written to a separate table by separate tasks; the
-diagnoses are made and stored without it, and the two tables are joined only for scoring.
+diagnoses are made and stored without it, and the two tables are joined only for scoring: rates with their Monte Carlo
+errors, the confusion matrix, reliability, and the bars.
 
 Tasks are batches of data sets: keyed, resumable and on any workers, as in every study.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from math import sqrt
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.t_optimal import discriminate
-from doe.jobs.rows import KEY, Key, Row, canonical, parquet
-from doe.jobs.running import Job, Workers
+from doe.jobs import KEY, Key, Row, Workers, canonical, frame_of, parquet, run_tasks, tables
 from doe.problem.problem import DesignProblem
-from doe.studies.blind.cells import CELLS, DataSet, data_set, to_be_planned
-from doe.studies.blind.rivals import (
-    error,
-    fitted_arm,
-    gap,
-    has_processes,
-    library_gap,
-    process_gap,
-    share_inside_tip,
-    true_arm,
+from doe.studies.blind.cells import CELLS, TABLE, DataSet, data_set, to_be_planned
+from identification import (
+    Arm,
+    Array,
+    Calibration,
+    EffectSpec,
+    InputError,
+    Model,
+    Progress,
+    diagnose,
+    freedom_of,
+    library,
+    nearest,
+    practical,
+    quantile_95,
+    rms_distance,
+    silent,
 )
-from doe.studies.blind.score import BARS, BlindStudy, contradictions, scored_table
-from identification import Diagnosis, InputError, Measurements, Model, Progress, diagnose, nearest, quantile_95, silent
 from identification.files.io import write_together
+from identification.gap.fit import Rows, fit
 
 BATCH = 10  # sets per task
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
-COMPARED = ("one, lambda 8, m=50", "one, lambda 8, discriminating plan")  # cells whose gap is compared with rivals'
 FURTHER_RUNS = (2, 8, 16)  # more postures for an ambiguous set
 PLANS, TRUTH, DIAGNOSES = "plans.parquet", "truth.parquet", "diagnoses.parquet"
+NOTHING, OUTSIDE = "nothing", "outside the library"
+ALL, ALL_OUTSIDE = "all sets", "all outside the library"  # stand for a cell where a figure is of all of them together
+SURE = 0.9  # probability with which no name should be said where the library has none
+KEEPS = "confirmed with 3 x the reachable error"
+MEDIANS = ("error / geometry",)  # measures with single large values: the median of the sets
+OF_ALL = ("intervals, base", "intervals, effects", "contradiction")  # measures of all cells together
+OUTCOMES = ("met", "within its error", "missed")
+EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)  # bins of what is said with which probability
+MIDDLE = (0.7, 0.95)  # where a good classifier is easily too sure
+FOLLOWING = {  # where an effect of the library is that has no joint
+    "time": ("base_drift", "base_rotation_drift", "base_step", "thermal_transient", "joint_step", "link_step"),
+    "temperature": ("thermal_growth",),
+    "workspace": ("axes_skew", "measurement_scale"),
+}
 Planned = list[list[float]] | None  # postures [deg] of a batch's plan, None: random ones
+Judged = dict[str, Any]
+Said = Mapping[str, Any]  # a row of both tables: what was hidden in a data set, and what was said of it
+
+
+@dataclass(frozen=True)
+class BlindStudy:
+    """What the blind study found.
+
+    tables : what is written as NAME.parquet: `cells` (cell, measure, value, standard_error, count); `bars` (the same
+        rows with what is asked and how it came out); `confusion` (hidden, named: classes of effects, joints left out,
+        count); `reliability` (from, to, said, right, count: bins of the probability with which something was said)
+    sets : one row per data set, hidden and named side by side;  failures : batches that could not be done
+    """
+
+    tables: dict[str, pl.DataFrame]
+    sets: pl.DataFrame
+    failures: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether every set could be diagnosed."""
+        return self.failures == 0
+
+    def value(self, cell: str, measure: str) -> float:
+        """One figure. Raises `KeyError` if the cell has no such measure."""
+        return {(row[0], row[1]): float(row[2]) for row in self.tables["cells"].iter_rows()}[cell, measure]
+
+    def __str__(self) -> str:
+        bars = self.tables["bars"]
+        counts = Counter(bars["outcome"]) if len(bars) else Counter[str]()
+        outcomes = ", ".join(f"{counts[word]} {word}" for word in OUTCOMES if counts[word])
+        failed = f"; {self.failures} batches failed" if self.failures else ""
+        return f"{len(self.sets)} blind data sets; bars: {outcomes or 'none'}{failed}"
+
+    __repr__ = __str__
 
 
 def blind_study(
@@ -64,29 +123,26 @@ def blind_study(
 
     Raises `InputError` for an unknown cell.
     """
-    for cell in cells or ():
+    keys: list[Key] = []
+    for cell in cells or reported_cells(space=False):
         if cell not in CELLS:
             raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, CELLS)}")
-    names = cells or reported_cells(space=False)
-    if set(names) & set(COMPARED) and not has_processes():
-        lacking = "scikit-learn is not installed: no Gaussian process in the comparison"
-        warnings.warn(f"{lacking}, pip install 'armcal[studies]'", UserWarning, stacklevel=2)
-    totals = [(cell, count or _usual_count(cell)) for cell in names]
-    keys = [
-        {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
-        for cell, total in totals
-        for first in range(0, total, BATCH)
-    ]
-    options: dict[str, Any] = {"resume": resume, "force": force, "progress": progress}  # the seed is in the keys
-    with Job.open(folder, (PLANS, TRUTH, DIAGNOSES), workers, **options) as job:
-        made = job.run(plan, [key for key in keys if CELLS[key["cell"]].designed], PLANS)
+        usual = 1000 if any(bar.startswith("alarm ") for bar in TABLE["bars"].get(cell, ())) else 400
+        if cell == AMBIGUOUS or CELLS[cell].designed:
+            usual = 1200  # of which a third are ambiguous; or ten of which share an arm and its plan
+        total = count or (100 if CELLS[cell].space else usual)  # in space a diagnosis takes ten times as long
+        keys += [
+            {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
+            for first in range(0, total, BATCH)
+        ]
+    run = partial(run_tasks, workers=workers, progress=progress)  # the seed is in the keys
+    with tables(folder, PLANS, TRUTH, DIAGNOSES, resume=resume, force=force) as (of_plans, of_truth, of_diagnoses):
+        made = run(plan, [key for key in keys if CELLS[key["cell"]].designed], of_plans)
         plans = {row[KEY]: row.get("postures_deg") for row in made.iter_rows(named=True)}
-
-        def planned(key: Key) -> Planned:
-            return plans.get(canonical(key))
-
-        truth = job.run(hide, keys, TRUTH, payload=planned)
-        diagnoses = job.run(examine, keys, DIAGNOSES, payload=planned)
+        truth, diagnoses = (
+            run(function, keys, table, payload=lambda key: plans.get(canonical(key)))
+            for function, table in ((hide, of_truth), (examine, of_diagnoses))
+        )
         score = scored_table(truth, diagnoses)
         if folder is not None:
             files = {folder / f"{name}.parquet": parquet(table) for name, table in score.tables.items()}
@@ -99,33 +155,18 @@ def reported_cells(space: bool) -> list[str]:
     return [name for name, spec in CELLS.items() if spec.reported and spec.space == space]
 
 
-def _usual_count(cell: str) -> int:
-    """Data sets of a cell."""
-    if CELLS[cell].space:
-        return 100  # a diagnosis takes ten times as long
-    if cell == AMBIGUOUS or CELLS[cell].designed:
-        return 1200  # of which a third are ambiguous; or ten of which share an arm and its plan
-    return 1000 if any(bar.cell == cell and bar.measure == "alarm" for bar in BARS) else 400
-
-
-def _number(key: Key) -> int:
-    """The simulator's number of a batch's first set; the user's seed moves all of them."""
-    return int(key["seed"]) * 1_000_000 + int(key["first"])
-
-
-def _data_sets(key: Key, planned: Planned) -> Iterator[tuple[int, DataSet]]:
-    """Number and data of every set of a batch."""
-    postures = None if planned is None else np.radians(planned)
-    for k in range(key["sets"]):
-        yield key["first"] + k, data_set(key["cell"], _number(key) + k, postures)
-
-
 # -- tasks -------------------------------------------------------------------------------------------------------------
+def _data_sets(key: Key, planned: Planned) -> Iterator[tuple[int, DataSet]]:
+    """Number and data of every set of a batch; the user's seed moves all of the simulator's numbers."""
+    postures = None if planned is None else np.radians(planned)
+    for k in range(key["first"], key["first"] + key["sets"]):
+        yield k, data_set(key["cell"], int(key["seed"]) * 1_000_000 + k, postures)
+
+
 def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     """The postures that `armcal design --discriminating` gives for the arm of a batch."""
-    asked = to_be_planned(key["cell"], _number(key))
-    assert asked is not None  # only such cells are tasks
-    best = discrimination_design(DesignProblem.of(Model(asked[0])), *asked).design.plan
+    arm, runs = to_be_planned(key["cell"], int(key["seed"]) * 1_000_000 + key["first"])
+    best = discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan
     return [{"postures_deg": np.degrees(best.postures).tolist()}]
 
 
@@ -135,7 +176,7 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = None
     rows = []
     for number, data in _data_sets(key, planned):
         inside = data.outside is None
-        arm = true_arm(data) if inside and data.holdout is not None else data.arm
+        arm = fitted_arm(data, data.specs) if inside and data.holdout is not None else data.arm
         rows.append(
             {
                 "set": number,
@@ -145,8 +186,8 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = None
                 "outside": data.outside,
                 "place": data.place,
                 "gap_true_mm": gap(arm, data, data.holdout.positions) if inside and data.holdout is not None else None,
-                "error_true_mm": error(arm, data) if inside else None,
-                "error_geometry_mm": None if data.exact is None else error(fitted_arm(data), data),
+                "error_true_mm": gap(arm, data, data.exact) if inside else None,
+                "error_geometry_mm": None if data.exact is None else gap(fitted_arm(data), data, data.exact),
                 "error_reachable_mm": data.reachable,
                 "parameters": list(data.values),
                 "values": list(data.values.values()),
@@ -156,68 +197,263 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = None
 
 
 def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = None) -> list[Row]:
-    """What the diagnosis says of each set of a batch."""
+    """What the diagnosis says of each set of a batch, by its public results, and how well the model that it writes
+    does; an ambiguous set again after 2, 8 and 16 more postures."""
     rows = []
     for number, data in _data_sets(key, planned):
         diagnosis = diagnose(data.arm, data.measurements, data.holdout, seed=number)
-        row = {"set": number, **said_of(data, diagnosis)}
-        if key["cell"] in COMPARED:
-            row |= {"gap_library_mm": library_gap(data), "gap_process_mm": process_gap(data)}
-        if key["cell"] == AMBIGUOUS and diagnosis.verdict == "ambiguous":
-            row |= _measured_further(data, diagnosis, number)
+        arm, verdict = diagnosis.extended_arm(), diagnosis.verdict
+        chances, named = diagnosis.probabilities, diagnosis.named
+        calibration = named.calibration
+        assert calibration.covariance is not None  # a diagnosis has one
+        half = quantile_95(named.freedom) * np.sqrt(np.diag(calibration.covariance))
+        values = [calibration.values[name] for name in calibration.parameter_names]
+        limits = {n: (v - h, v + h) for n, v, h in zip(calibration.parameter_names, values, half, strict=True)}
+        units = {p.name: p.to_file for p in Model(diagnosis.extended_arm(named)).parameters}
+        limits |= {p.name: (p.low_95 / units[p.name], p.high_95 / units[p.name]) for p in named.parameters}
+        low, high = zip(*limits.values(), strict=True)
+        said = diagnosis.probability[verdict] if verdict in ("none", "unknown") else chances.of(named.keys)
+        row: Row = {
+            "set": number,
+            "verdict": verdict,
+            "named": sorted(named.keys),
+            "candidates": [" + ".join(sorted(candidate.keys)) for candidate in diagnosis.candidates],
+            "probability": said,
+            "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
+            "where": diagnosis.where,
+            "outlier_rows": list(diagnosis.outlier_rows),
+            "scatter": [finding.name for finding in diagnosis.scatter],
+            "interval_of": list(limits),  # of base and effects [API units]
+            "low_95": list(low),
+            "high_95": list(high),
+            "gap_before_mm": diagnosis.gap.held_out_before,
+            "gap_named_mm": diagnosis.gap.held_out_after,
+            "gap_promised_mm": diagnosis.gap.predicted,
+            "error_named_mm": gap(arm, data, data.exact),
+            "inside_tip": share_inside_tip(arm, data),
+            "confirmed": diagnosis.confirmed,
+            "contradictions": contradictions(diagnosis.to_json()),
+        }
+        for runs in FURTHER_RUNS if key["cell"] == AMBIGUOUS and verdict == "ambiguous" else ():
+            best = discriminate(data.arm, diagnosis, data.measurements, runs, seed=number)
+            again = diagnose(data.arm, data.further(best.plan.postures, best.directions), seed=number)
+            row |= {f"next_{runs}_verdict": again.verdict, f"next_{runs}_named": sorted(again.named.keys)}
+            row[f"next_{runs}_chance"] = best.chance
         rows.append(row)
     return rows
 
 
-def said_of(data: DataSet, diagnosis: Diagnosis) -> Row:
-    """What a diagnosis of a data set says, by its public results, and how well the model that it writes does."""
-    arm, verdict, chances = diagnosis.extended_arm(), diagnosis.verdict, diagnosis.probabilities
-    of_nothing = verdict in ("none", "unknown")
-    named, calibration = diagnosis.named, diagnosis.named.calibration
-    assert calibration.covariance is not None  # a diagnosis has one
-    half = quantile_95(named.freedom) * np.sqrt(np.diag(calibration.covariance))
-    values = [calibration.values[name] for name in calibration.parameter_names]
-    limits = {n: (v - h, v + h) for n, v, h in zip(calibration.parameter_names, values, half, strict=True)}
-    units = {p.name: p.to_file for p in Model(diagnosis.extended_arm(named)).parameters}
-    limits |= {p.name: (p.low_95 / units[p.name], p.high_95 / units[p.name]) for p in named.parameters}
-    low, high = zip(*limits.values(), strict=True)
-    return {
-        "verdict": verdict,
-        "named": sorted(diagnosis.named.keys),
-        "candidates": [" + ".join(sorted(candidate.keys)) for candidate in diagnosis.candidates],
-        "probability": diagnosis.probability[verdict] if of_nothing else chances.of(diagnosis.named.keys),
-        "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
-        "where": diagnosis.where,
-        "outlier_rows": list(diagnosis.outlier_rows),
-        "scatter": [finding.name for finding in diagnosis.scatter],
-        "interval_of": list(limits),  # of base and effects [API units]
-        "low_95": list(low),
-        "high_95": list(high),
-        "gap_before_mm": diagnosis.gap.held_out_before,
-        "gap_named_mm": diagnosis.gap.held_out_after,
-        "gap_promised_mm": diagnosis.gap.predicted,
-        "error_named_mm": error(arm, data),
-        "inside_tip": share_inside_tip(arm, data),
-        "confirmed": diagnosis.confirmed,
-        "contradictions": contradictions(diagnosis.to_json()),
+def fitted_arm(data: DataSet, specs: Sequence[EffectSpec] = ()) -> Arm:
+    """The arm with these effects added, none: its geometry only, fitted to the rows that are not outliers."""
+    arm = practical(data.arm, data.measurements)
+    model = Model(arm.with_effects(*arm.effects, *specs))
+    kept = ~np.isin(np.arange(len(data.measurements)) + 1, data.wrong_rows)
+    return replace(model.arm, calibration=Calibration(fit(model, Rows.of(data.measurements).pick(kept)).by_name))
+
+
+def gap(arm: Arm, data: DataSet, positions: Array | None) -> float | None:
+    """RMS distance [mm] of a calibrated arm from positions at the hold-out's postures; None where there are none."""
+    if positions is None or data.holdout is None:
+        return None
+    return rms_distance(positions - Model(arm).position(data.holdout.postures, conditions=data.holdout.conditions))
+
+
+def share_inside_tip(arm: Arm, data: DataSet) -> float | None:
+    """Share of the hold-out's coordinates without noise that are inside the 95 % intervals which the covariance of the
+    arm's calibration gives there; None where they are not known."""
+    calibration = arm.calibration
+    if data.exact is None or data.holdout is None or calibration is None or calibration.covariance is None:
+        return None
+    model = Model(arm)
+    place = [model.names.index(name) for name in calibration.parameter_names]
+    computed, jacobian = model.linearize(data.holdout.postures, model.values, data.holdout.conditions)
+    columns = jacobian[..., place] * quantile_95(freedom_of(calibration))
+    half = np.sqrt(np.einsum("mdp,pq,mdq->md", columns, calibration.covariance, columns, optimize=True))
+    return float(np.mean(np.abs(data.exact - computed) <= half))
+
+
+def contradictions(diagnosis: Said) -> list[str]:
+    """Where verdict, effects and probabilities of a diagnosis (`Diagnosis.to_json`) contradict each other."""
+    chance = dict(diagnosis["probabilities"])
+    none, unknown, verdict = chance.pop("none"), chance.pop("unknown"), diagnosis["verdict"]
+    others = {" + ".join(one["effects"]): one["probability"] for one in diagnosis["other_sets"]}
+    named, names = " + ".join(diagnosis["effects"]), verdict in ("named", "ambiguous")
+    stated, rest = chance.get(named, 0.0), chance.pop("other sets", 0.0)
+    of_library = sum(chance.values()) + rest
+    rivals = [*(p for name, p in chance.items() if name != named), *others.values()]
+    wrong = {
+        "probabilities without sum 1": abs(none + unknown + of_library - 1.0) > 1e-6,
+        "listed beyond the rest": sum(others.values()) > rest + 1e-6,
+        "none less likely than something": verdict == "none" and none < max(of_library, unknown) - 1e-9,
+        "none with effects": verdict == "none" and bool(named),
+        "named nothing": names and not named,
+        "names less likely than none": names and of_library < max(none, unknown) - 1e-9,
+        "named at less than a half": verdict == "named" and stated < 0.5,
+        "named less likely than others": names and stated < max(rivals, default=0.0),
+        "ambiguous alone": verdict == "ambiguous" and len(chance) < 2 and stated >= 0.5,
+        "unknown less likely than names or none": verdict == "unknown" and unknown < max(none, of_library) - 1e-9,
     }
+    return [doubt for doubt, holds in wrong.items() if holds]
 
 
-def _measured_further(data: DataSet, diagnosis: Diagnosis, number: int) -> Row:
-    """The ambiguous set again after 2, 8 and 16 more postures: chosen ones, with two payloads, and random ones."""
-    assert data.further is not None
-    assert data.arm.gravity is not None
-    row: Row = {}
-    for runs in FURTHER_RUNS:
-        longer: dict[str, tuple[Measurements, float | None]] = {}
-        for way, payloads in (("next", None), ("loaded", (0.0, data.arm.gravity.payload))):
-            best = discriminate(data.arm, diagnosis, data.measurements, runs, seed=number, payloads=payloads)
-            longer[way] = data.further(best.plan.postures, best.payload, best.directions, runs), best.chance
-        generator = np.random.default_rng([20261124, number, runs])
-        postures = generator.uniform(data.arm.lower, data.arm.upper, (runs, data.arm.links))
-        longer["random"] = data.further(postures, None, None, runs), None
-        for way, (measurements, chance) in longer.items():
-            again = diagnose(data.arm, measurements, seed=number)
-            answer = {"verdict": again.verdict, "named": sorted(again.named.keys), "chance": chance}
-            row |= {f"{way}_{runs}_{name}": value for name, value in answer.items()}
-    return row
+# -- the score of one data set -----------------------------------------------------------------------------------------
+def scored_set(row: Said) -> Judged:
+    """One data set: what was hidden, what was named, and in which respects that is right (None: not asked)."""
+    verdict, unknown, outside = row["verdict"], row["verdict"] == "unknown", row.get("outside") is not None
+    hidden, named = sorted(row["hidden"] or ()), sorted(row["named"] or ())
+    beyond = f"{OUTSIDE}, {row['place'] or row['outside']}" if outside else NOTHING
+    truth, answer = " + ".join(hidden), " + ".join(named)
+    judged: Judged = {
+        "cell": row["cell"],
+        "set": row["set"],
+        "hidden": truth or beyond,
+        "named": " + ".join(named + ([f"unknown, {row['where']}"] if unknown else [])) or NOTHING,
+        "hidden_class": _classes(hidden, OUTSIDE if outside else None),
+        "named_class": _classes(named, "unknown" if unknown else None),
+        "alarm": verdict != "none",
+    }
+    exact = not unknown and named == hidden
+    if hidden:
+        judged["exact"] = exact
+        judged["class"] = judged["hidden_class"] == judged["named_class"]
+        judged["in the set"] = not unknown and truth in (row["candidates"] or ())
+        judged["size of the set"] = len(row["candidates"] or ()) or None
+    if outside:
+        judged["no effect"] = verdict == "none"
+        judged[f"named at {SURE:g}"] = verdict in ("named", "ambiguous") and (row.get("probability") or 0.0) >= SURE
+    if outside and row["place"] is not None:  # an effect of the library is at its joint, or at what it follows
+        right, said = set(row["place"].split(" or ")), [{row["where"]}] if unknown and row["where"] else []
+        for name, _, joint in (key.partition(":") for key in named):
+            followed = {place for place, names in FOLLOWING.items() if name in names}
+            said.append(followed | ({f"joint:{joint}"} if joint else set()))
+        judged["located"] = unknown and row["where"] in right
+        judged["wrong place"] = any(not at & right for at in said)
+    if row["wrong_rows"]:
+        judged["outliers listed"] = set(row["wrong_rows"]) <= set(row["outlier_rows"] or ())
+    if row.get("probability") is not None:  # of nothing, the named set, or something outside the library
+        true = "unknown" if outside else truth or "none"
+        judged["said"] = row["probability"]
+        judged["right"] = true == (verdict if verdict in ("none", "unknown") else answer)
+        if hidden:
+            judged["in the 90 % set"] = true in row["credible_set"]
+            judged["size of the 90 % set"] = len(row["credible_set"])
+
+    values = dict(zip(row.get("parameters") or (), row.get("values") or (), strict=True))
+    limits = zip(row.get("interval_of") or (), row.get("low_95") or (), row.get("high_95") or (), strict=True)
+    held = {name: low <= values[name] <= high for name, low, high in limits if name in values}
+    of_base = [holds for name, holds in held.items() if name.startswith(("length_error:", "joint_offset:"))]
+    of_effects = [holds for name, holds in held.items() if not name.startswith(("length_error:", "joint_offset:"))]
+    shares = {"intervals, base": of_base, "intervals, effects": of_effects if hidden and exact else []}
+    if "contradictions" in row:
+        judged["contradiction"] = bool(row["contradictions"])
+    error, gap_named = row.get("error_named_mm"), row["gap_named_mm"]
+    if error is not None:  # the hold-out is known without noise
+        references = {f"error / {name}": row.get(f"error_{name}_mm") for name in ("true", "geometry", "reachable")}
+        judged |= {name: error / reference for name, reference in references.items() if reference}
+        judged["inside tip intervals"] = row.get("inside_tip")
+        if row.get("gap_promised_mm") and gap_named:
+            judged["promised / reached"] = row["gap_promised_mm"] / gap_named
+        if row.get("confirmed") and row.get("error_reachable_mm"):
+            judged[KEEPS] = error > 3.0 * row["error_reachable_mm"]
+        if not outside:
+            judged |= {"false names": float(len(set(named) - set(hidden))), "false unknown": unknown}
+            shares |= {"effects named": [name in named for name in hidden], "intervals, all": list(held.values())}
+    judged |= {name: float(np.mean(right)) for name, right in shares.items() if right}
+    if gap_named and row.get("gap_true_mm"):
+        judged["gap / true"] = gap_named / row["gap_true_mm"]
+    if row.get("next_2_verdict") is not None:  # the same set with further postures, where it was ambiguous
+        judged["next_0 right"] = exact
+        for way in (f"next_{runs}" for runs in FURTHER_RUNS):
+            again = sorted(row[f"{way}_named"] or ())
+            judged[f"{way} right"] = row[f"{way}_verdict"] in ("named", "ambiguous") and again == hidden
+            judged[f"{way} class"] = _classes(again, None) == judged["hidden_class"]
+            judged[f"{way} predicted"] = row.get(f"{way}_chance")
+    return judged
+
+
+def _classes(keys: Sequence[str], besides: str | None) -> str:
+    """Classes of effects, joints left out; `nothing` for none."""
+    known = library()
+    names = sorted(known[name].family if name in known else name for name in (key.partition(":")[0] for key in keys))
+    return " + ".join([*names, *([besides] if besides else [])]) or NOTHING
+
+
+# -- all of them -------------------------------------------------------------------------------------------------------
+def scored_table(truth: pl.DataFrame, diagnoses: pl.DataFrame) -> BlindStudy:
+    """Join the table of truths and that of diagnoses."""
+    failures = sum(int((frame["status"] != "done").sum()) for frame in (truth, diagnoses))
+    hidden = {(row["cell"], row["set"]): row for row in truth.iter_rows(named=True) if row["status"] == "done"}
+    done = [row for row in diagnoses.iter_rows(named=True) if row["status"] == "done"]
+    sets = [scored_set({**row, **hidden[at]}) for row in done if (at := (row["cell"], row["set"])) in hidden]
+    of_cells: dict[str, list[Judged]] = {}
+    for judged in sets:
+        of_cells.setdefault(judged["cell"], []).append(judged)
+    beyond = [s for s in sets if s["hidden_class"] == OUTSIDE and "error / geometry" in s]
+    if len({s["cell"] for s in beyond}) > 1:
+        of_cells[ALL_OUTSIDE] = beyond
+    cells = [row for cell, judged in of_cells.items() for row in _measures(judged, cell)]
+    cells += [*calibration(sets), *(row for row in _measures(sets, ALL) if row["measure"] in OF_ALL)]
+    figures = {(row["cell"], row["measure"]): row for row in cells}
+    bars = []
+    for cell, measure, sign, asked in (
+        (cell, *bar.rsplit(maxsplit=2)) for cell, bars in TABLE["bars"].items() for bar in bars
+    ):
+        if (row := figures.get((cell, measure))) is not None:
+            outcome = outcome_of(row["value"], row["standard_error"], sign, float(asked))
+            bars.append({**row, "asked": f"{sign} {float(asked):g}", "outcome": outcome})
+    pairs = Counter((s["hidden_class"], s["named_class"]) for s in sets)
+    confusion = [{"hidden": a, "named": b, "count": n} for (a, b), n in pairs.most_common()]
+    every = {"cells": cells, "bars": bars, "confusion": confusion, "reliability": reliability(sets)}
+    return BlindStudy({name: frame_of(rows) for name, rows in every.items()}, frame_of(sets), failures)
+
+
+def outcome_of(value: float, error: float, sign: str, asked: float) -> str:
+    """Of what is asked (`<=` or `>=`): met, missed, or `within its error`: by less than two standard errors."""
+    short = value - asked if sign == "<=" else asked - value
+    return OUTCOMES[0] if short <= 0.0 else OUTCOMES[1] if short <= 2.0 * error else OUTCOMES[2]
+
+
+def _measures(sets: Sequence[Judged], cell: str) -> Iterator[Judged]:
+    """Mean and standard error of everything that was judged in a cell; of `MEDIANS` the median."""
+    texts = ("cell", "set", "hidden", "named", "hidden_class", "named_class")
+    for measure in dict.fromkeys(name for row in sets for name in row if name not in texts):
+        values = [row[measure] for row in sets if row.get(measure) is not None]
+        if not values:
+            continue
+        mean, n = float(np.mean(values)), len(values)
+        if isinstance(values[0], bool):
+            error = _of_share(mean, n)
+        elif measure in MEDIANS:  # half the width of the interval that holds the median in 0.68 of cases
+            mean = float(np.median(values))
+            ranks = np.clip(0.5 * n + 0.5 * sqrt(n) * np.array([-1.0, 1.0]) - 0.5, 0, n - 1)
+            error = 0.5 * float(np.ptp(np.interp(ranks, np.arange(n), np.sort(values)))) if n > 1 else float("inf")
+        else:
+            error = float(np.std(values, ddof=1)) / sqrt(n) if n > 1 else float("inf")
+        yield {"cell": cell, "measure": measure, "value": mean, "standard_error": error, "count": n}
+
+
+def _of_share(share: float, count: int) -> float:
+    """Standard error of a share; never claims to be certain: at least that of half a set."""
+    return sqrt(max(share * (1.0 - share), 0.25 / count) / count)
+
+
+def reliability(sets: Sequence[Judged], edges: Sequence[float] = EDGES) -> list[Judged]:
+    """Bins of what was said: from, to, mean of what was said, share that was right, data sets."""
+    pairs = [(s["said"], s["right"]) for s in sets if s.get("said") is not None]
+    rows = []
+    for low, high in pairwise(edges):
+        within = [(p, right) for p, right in pairs if low <= p < high or (high == 1.0 and p >= 1.0)]
+        if within:
+            mean, right = np.mean(within, axis=0).tolist()
+            rows.append({"from": low, "to": high, "said": mean, "right": right, "count": len(within)})
+    return rows
+
+
+def calibration(sets: Sequence[Judged]) -> Iterator[Judged]:
+    """Expected calibration error, and how much too sure the middle of the scale is, with their standard errors."""
+    for measure, edges in (("calibration error", EDGES), ("said less right, 0.7 to 0.95", MIDDLE)):
+        rows = reliability(sets, edges)
+        if total := sum(row["count"] for row in rows):
+            value = sum(row["count"] / total * abs(row["said"] - row["right"]) for row in rows)
+            error = sqrt(sum((row["count"] / total * _of_share(row["right"], row["count"])) ** 2 for row in rows))
+            yield {"cell": ALL, "measure": measure, "value": value, "standard_error": error, "count": total}

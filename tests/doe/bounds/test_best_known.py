@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem, solve
-from doe.bounds.best_known import best_design, best_known_bound, bound_that_holds
+from doe.bounds.best_known import LOOSE, _at, best_design, best_known_bound, bound_that_holds, bounds_of_runs
 from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
 from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det
@@ -16,7 +16,7 @@ from doe.criteria import A
 from identification.arm import Arm, EffectSpec
 from identification.model import Model
 from identification.workspace import WorkspaceBox
-from tests.doe.arms import ECCENTRICITY, FOUR
+from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET
 from tests.doe.arms import problem as of
 
 LIST = np.random.default_rng(3).uniform(FOUR.lower, FOUR.upper, (200, 4))
@@ -84,3 +84,44 @@ def test_a_bound_whose_search_is_cut_holds_and_says_so(case: DesignProblem) -> N
     assert cut.cut
     assert not whole.cut
     assert cut.value >= whole.value - 1e-8
+
+
+# -- many numbers of runs ----------------------------------------------------------------------------------------------
+KEPT = np.random.default_rng(5).uniform(FOUR.lower, FOUR.upper, (3, 4))
+KNOWN = of(FOUR, OFFSET, kept=KEPT, choices=LIST, deviations={"length_error:1": 0.05, "joint_offset:2": 1e-4})
+
+
+@pytest.mark.parametrize("case", [KNOWN, replace(KNOWN, criterion=A())], ids=["D", "A"])
+def test_the_certificate_of_one_number_of_runs_holds_for_others(case: DesignProblem) -> None:
+    made, generator = [best_design(case, 5)], np.random.default_rng(0)
+    for m in (2, 5, 20):
+        own, (value, upper, _) = best_known_bound(case, m), _at(made, case, m)
+        assert own is not None
+        assert value <= own.value + 1e-9 * abs(own.value)
+        assert upper >= own.value - 1e-6 * abs(own.value) if m != 5 else upper == pytest.approx(own.value, rel=1e-9)
+        for _ in range(20):  # by hand: (sum B^T B + K) / (m + k)
+            plan = LIST[generator.integers(len(LIST), size=m)]
+            rows = case.scaled_jacobians(np.concatenate([plan, KEPT])).reshape(-1, 10)
+            assert case.criterion.value((rows.T @ rows + np.diag(case.precisions)) / (m + 3)) <= upper
+
+
+def test_bounds_in_between_are_near_to_those_of_their_own() -> None:
+    found, cut = bounds_of_runs(KNOWN, range(2, 30)), bounds_of_runs(KNOWN, [5, 20], stop=lambda: True)
+    for m in (2, 5, 13, 20, 29):
+        bound, own = found[m], best_known_bound(KNOWN, m)
+        assert bound is not None
+        assert own is not None
+        assert own.value - 1e-7 <= bound.value <= own.value + 4.0 * LOOSE * KNOWN.parameters
+        if m in cut:  # a search that is cut leaves bounds that hold
+            assert cut[m] is not None
+            assert cut[m].cut
+            assert cut[m].as_dict()["cut"] is True
+            assert "cut" in str(cut[m])
+            assert cut[m].value >= own.value - 1e-7
+
+
+def test_without_anything_known_there_is_one_bound() -> None:
+    found = bounds_of_runs(of(FOUR), [4, 9])
+    assert found[4] is found[9]
+    assert found[4] is not None
+    assert found[4].source == "closed_form"

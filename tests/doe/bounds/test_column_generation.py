@@ -11,13 +11,15 @@ from hypothesis import strategies as st
 from numpy.polynomial import Polynomial, legendre
 
 from doe.bounds import column_generation as module
-from doe.bounds.column_generation import column_generation, continuous_design
+from doe.bounds import weights as programs
+from doe.bounds.column_generation import LARGEST, column_generation, continuous_design, generate_columns, relax
 from doe.criteria import A, Criterion, D, Ds, E, I
-from doe.problem.postures import PostureList, grid, listed_candidates
+from doe.problem.postures import grid, listed_candidates
+from doe.problem.problem import PriorInformation
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.errors import JobError
-from identification.status import Status
+from identification.errors import InputError, JobError
+from identification.running import Status
 from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem, random_box
 from tests.doe.regression import regression
@@ -153,7 +155,7 @@ def test_equivalence_theorem_on_every_candidate(seed: int, links: int) -> None:
     case = problem(random_box(generator, links))
     candidates = listed_candidates(case, generator.uniform(case.lower, case.upper, (400, links)))
     design = column_generation(case, candidates)
-    jacobians = case.scaled_jacobians(candidates.postures)
+    jacobians = case.scaled_jacobians(candidates)
     inverse = np.linalg.inv(case.information(design.plan.postures, design.plan.shares))
     d = np.array([np.trace(b @ inverse @ b.T) for b in jacobians])
     assert d.max() <= 2 * links + 1e-7
@@ -169,7 +171,7 @@ def test_brute_force_over_all_exact_plans() -> None:
     kept, choices = generator.uniform(FOUR.lower, FOUR.upper, (10, 4))[:4], None
     choices = generator.uniform(FOUR.lower, FOUR.upper, (6, 4))
     case = problem(FOUR, kept=kept)
-    design = column_generation(case, PostureList(choices), runs=3)
+    design = column_generation(case, choices, runs=3)
     assert design.bound is not None
     values = [case.objective(choices[list(rows)]) for rows in combinations_with_replacement(range(6), 3)]
     assert max(values) <= design.bound.value + 1e-9
@@ -181,7 +183,7 @@ def test_sampling_first_gives_the_same_answer() -> None:
     case = problem(FOUR, ECCENTRICITY)
     axes = [np.linspace(a, b, 45) for a, b in zip(FOUR.lower[1:], FOUR.upper[1:], strict=True)]
     q = np.stack([np.zeros(45**3), *(a.ravel() for a in np.meshgrid(*axes))], axis=1)
-    large = column_generation(case, PostureList(q))
+    large = column_generation(case, q)
     assert len(q) > 4 * module.SAMPLE
     inverse = np.linalg.inv(case.information(large.plan.postures, large.plan.shares))
     rows = case.scaled_jacobians(q) @ np.linalg.cholesky(inverse)
@@ -202,10 +204,9 @@ def test_other_criteria_have_no_better_neighbor(name: str) -> None:
     assert design.value == pytest.approx(float(criterion.value(best)), rel=1e-12)
     assert design.bound is not None
     assert design.value <= design.bound.value + 1e-9
-    everything = candidates.take(np.arange(len(candidates)))
     for _ in range(300):
-        rows = generator.integers(len(everything), size=generator.integers(1, 12))
-        other = case.information(everything[rows], generator.dirichlet(np.ones(len(rows))))
+        rows = generator.integers(len(candidates), size=generator.integers(1, 12))
+        other = case.information(candidates[rows], generator.dirichlet(np.ones(len(rows))))
         value = float(criterion.value(0.99 * best + 0.01 * other))
         assert value <= design.bound.value + 1e-9
         assert float(criterion.value(other)) <= design.bound.value + 1e-9
@@ -213,7 +214,7 @@ def test_other_criteria_have_no_better_neighbor(name: str) -> None:
 
 def test_not_identifiable() -> None:
     with pytest.raises(JobError, match="identified"):
-        column_generation(problem(FOUR), PostureList(np.zeros((3, 4))))
+        column_generation(problem(FOUR), np.zeros((3, 4)))
     with pytest.raises(JobError, match="identified"):  # without a drift in time, a drift cannot be told from nothing
         continuous_design(problem(FOUR, EffectSpec("base_rotation")))
 
@@ -223,3 +224,161 @@ def test_d_is_the_default_and_units_do_not_matter() -> None:
     metres = Arm(FOUR.lengths / 1000.0, FOUR.lower, FOUR.upper)
     assert problem(FOUR).criterion == D()
     assert continuous_design(problem(metres)).log_det == pytest.approx(closed_form(FOUR.lower, FOUR.upper), abs=1e-9)
+
+
+@pytest.mark.parametrize("criterion", [D(), A()])
+@pytest.mark.parametrize("deviations", [{}, {"encoder_eccentricity:2.a": 5e-4, "encoder_eccentricity:2.b": 5e-4}])
+def test_a_rough_answer_is_within_its_gap_of_the_optimum(criterion: Criterion, deviations: dict[str, float]) -> None:
+    """Its value is below the optimum and its bound above, both within the gap that it stops at."""
+    case = problem(FOUR, ECCENTRICITY, deviations=deviations, criterion=criterion)
+    candidates = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (3000, 4))
+    found, exact = (column_generation(case, candidates, runs=20, tolerance=gap) for gap in (0.01, 1e-9))
+    assert found.bound is not None
+    assert exact.bound is not None
+    assert found.value <= exact.value + 1e-9
+    assert exact.value <= exact.bound.value <= found.bound.value + 1e-9
+    assert 0.97 < found.efficiency_lower_bound <= 1.0
+
+
+def test_no_bound_where_no_time_is_left_to_visit_every_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LAST", 0.0)
+    monkeypatch.setattr(module, "perf_counter", map(float, np.geomspace(1.0, 1e6, 7)).__next__)  # ever longer
+    candidates = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (300, 4))
+    found = column_generation(problem(FOUR), candidates, stop=lambda: True)
+    assert (found.status, found.bound, found.gap) == (Status.time_limit, None, np.inf)
+
+
+# -- the loop, with a pricing that is written out: all postures of a short list ----------------------------------------
+POSTURES = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (200, 4))
+
+
+@pytest.mark.parametrize("criterion", [D(), A()], ids=["D", "A"])
+def test_ends_at_the_optimum_of_a_list(criterion: Criterion) -> None:
+    """Equivalence theorem: tr(G B^T B) <= tr(G M) for every posture, with equality where there is weight."""
+    case, prior = problem(FOUR, criterion=criterion), PriorInformation()
+    jacobians = case.scaled_jacobians(POSTURES)
+
+    def price(gradient: Array, level: float, _: Array) -> tuple[Array, float]:
+        g = np.array([np.trace(gradient @ b.T @ b) for b in jacobians])
+        return POSTURES[[int(g.argmax())]], float(g.max())
+
+    found, gap = generate_columns(case, prior, POSTURES[:40], [(price, 1e-9, 0)])
+    carried = zip(found.plan.shares, case.scaled_jacobians(found.plan.postures), strict=True)
+    information = sum(w * b.T @ b for w, b in carried)
+    gradient = criterion.gradient(information)
+    level = float(np.sum(gradient * information))
+    g = np.array([np.trace(gradient @ b.T @ b) for b in jacobians])
+    assert abs(gap) <= 1e-9 * level
+    assert g.max() == pytest.approx(level, rel=1e-8)
+    assert found.level == pytest.approx(level, rel=1e-10)
+    p = case.parameters
+    assert len(found.plan) <= p * (p + 1) // 2 + 1  # Caratheodory
+
+
+@pytest.mark.parametrize("criterion", [D(), A(), E()], ids=["D", "A", "E"])
+def test_without_time_equal_weights_prove_a_bound(criterion: Criterion) -> None:
+    """No weights on the list are better than what the gradient at equal ones allows: none of 200 random mixtures."""
+    case, prior = problem(FOUR, criterion=criterion), PriorInformation()
+    jacobians = case.scaled_jacobians(POSTURES)
+    found, _ = generate_columns(case, prior, POSTURES[:40], [(lambda *_: (POSTURES[:0], 0.0), 1e-9, 0)], lambda: True)
+    assert sum(found.plan.shares) == pytest.approx(1.0)
+    np.testing.assert_allclose(found.information, np.einsum("kda,kdb->ab", *[jacobians[:40]] * 2) / 40.0, atol=1e-12)
+    largest = max(float(np.trace(found.gradient @ b.T @ b)) for b in jacobians)
+    bound = criterion.upper_bound(found.information, largest)
+    mixtures = np.random.default_rng(1).dirichlet(np.full(200, 0.05), 200)
+    assert criterion.value(np.einsum("wk,kda,kdb->wab", mixtures, jacobians, jacobians)).max() <= bound
+
+
+# -- relax: independent solvers, and what is believed of them ----------------------------------------------------------
+TEST_JACOBIANS = problem(FOUR).scaled_jacobians(np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (8, 4)))
+SOLVERS = ("clarabel", "column_generation")
+CRITERIA: dict[str, Criterion] = {"D": D(), "A": A(), "I": I(TEST_JACOBIANS), "E": E()}
+# what an interior point of cvxpy's default accuracy (1e-8 on the program) leaves of the gap
+GAPS = {"clarabel": 1e-3, "column_generation": 1e-6}
+
+
+@pytest.mark.parametrize("criterion", CRITERIA.values(), ids=CRITERIA)
+def test_independent_solvers_agree(criterion: Criterion) -> None:
+    case = problem(FOUR, criterion=criterion)
+    found = {solver: relax(case, 5, solver) for solver in SOLVERS}
+    exact = found["column_generation"]
+    assert exact.bound is not None
+    for solver, design in found.items():
+        assert design.candidates == 125
+        assert design.status is Status.converged
+        assert design.gap <= GAPS[solver] * max(1.0, abs(exact.value))
+        assert design.value == pytest.approx(exact.value, rel=1e-4, abs=1e-5)
+        assert design.value <= exact.bound.value + 1e-9
+        assert design.bound is not None
+        assert design.bound.value >= exact.value - 1e-9
+        assert design.bound.source == "grid"
+        assert design.efficiency_lower_bound >= 1.0 - 1e-3
+        assert design.plan.shares.sum() == pytest.approx(1.0, abs=1e-12)
+        assert design.plan.shares.min() > 0.0
+
+
+def test_grid_with_the_limits_reaches_the_closed_form() -> None:
+    """Limits and middle of every joint are enough: q_2 has a range above pi, q_3 = -100..60 and q_4 below or equal."""
+    expected = 4.0 * np.log(np.sin(np.radians(80.0)))
+    for solver in SOLVERS:
+        assert relax(problem(FOUR), 5, solver).log_det == pytest.approx(expected, abs=1e-4)
+    assert relax(problem(FOUR), 5).log_det == pytest.approx(expected, abs=1e-9)
+
+
+def test_around_measured_postures() -> None:
+    generator = np.random.default_rng(1)
+    case = problem(FOUR, OFFSET, kept=generator.uniform(FOUR.lower, FOUR.upper, (6, 4)))
+    other, mine = (relax(case, 3, solver, runs=4) for solver in SOLVERS)
+    assert other.value == pytest.approx(mine.value, abs=1e-5)
+    with pytest.raises(InputError, match="runs"):
+        relax(case, 3, "clarabel")
+
+
+@pytest.mark.parametrize("word", ["optimal_inaccurate", "user_limit", "unknown_to_us"])
+def test_a_status_other_than_solved_is_reported_and_is_no_bound(monkeypatch: pytest.MonkeyPatch, word: str) -> None:
+    """Even with perfect weights; the gap and the efficiency are facts about the weights and stay."""
+    exact, real = relax(problem(FOUR), 3), programs.solve_program
+    monkeypatch.setattr(module, "solve_program", lambda *request: (real(*request)[0], word, None))
+    found = relax(problem(FOUR), 3, "clarabel")
+    assert found.bound is None
+    assert found.status is not Status.converged
+    assert found.solver_status == word
+    assert found.to_json()["bound"] is None
+    assert found.log_det == pytest.approx(exact.log_det, abs=1e-3)
+    assert 0.99 < found.efficiency_lower_bound <= 1.0
+
+
+def test_no_weights_is_a_job_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "solve_program", lambda *_: (None, "solver_error", None))
+    with pytest.raises(JobError, match=r"solver_error on 27 candidates.*column_generation"):
+        relax(problem(FOUR), 3, "clarabel")
+
+
+def test_weights_of_a_liar_are_judged_for_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Uniform weights called optimal: the gap and the bound come from the weights, so that nothing false is said."""
+    uniform = (np.full(125, 3.0), "optimal", None)
+    monkeypatch.setattr(module, "solve_program", lambda *_: uniform)
+    found = relax(problem(FOUR), 5, "clarabel")
+    expected = 4.0 * np.log(np.sin(np.radians(80.0)))
+    assert found.gap > 0.1
+    assert found.bound is not None
+    assert found.bound.value > expected
+    assert found.efficiency_lower_bound <= np.exp((found.log_det - expected) / 8.0)
+
+
+def test_too_large_names_the_method_that_works() -> None:
+    with pytest.raises(InputError, match=f"{LARGEST['clarabel']}.*column_generation"):
+        relax(problem(FOUR), 60, "clarabel")
+
+
+def test_bad_input() -> None:
+    with pytest.raises(InputError, match="did you mean 'clarabel'"):
+        relax(problem(FOUR), 3, "clarabell")
+    with pytest.raises(InputError, match="Ds has no program"):
+        relax(problem(FOUR, criterion=Ds((0,))), 3, "clarabel")
+    with pytest.raises(InputError, match="at least 2"):
+        relax(problem(FOUR), 1)
+    with pytest.raises(InputError, match="candidates"):
+        relax(problem(FOUR), np.full((3, 4), 4.0))
+    with pytest.raises(JobError, match="identify"):
+        relax(problem(FOUR), np.zeros((3, 4)), "clarabel")

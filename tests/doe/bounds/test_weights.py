@@ -1,4 +1,4 @@
-"""Weights made proper, and Caratheodory's reduction to few postures."""
+"""Weights on few postures: textbook optima, other solvers, the equivalence theorem; Caratheodory's reduction."""
 
 from __future__ import annotations
 
@@ -6,11 +6,138 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize
 
-from doe.bounds.weights import clearly_independent, proper_weights, sparsest
-from identification.errors import InputError
+from doe.bounds.column_generation import optimal_weights
+from doe.bounds.weights import interior_point_weights, minus_hessian, proper_weights, solve_program, sparsest
+from doe.criteria import A, Criterion, D, Ds, E, I
+from doe.problem.problem import PriorInformation
+from identification.arrays import Array
+from identification.errors import InputError, JobError
+
+POINTS = np.linspace(-1.0, 1.0, 21)
+QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)
+EACH = np.swapaxes(QUADRATIC, 1, 2) @ QUADRATIC
 
 
+@pytest.mark.parametrize(
+    ("criterion", "ends", "middle", "tolerance"),
+    [
+        # F. Pukelsheim, Optimal Design of Experiments (2006), section 9.12 and exhibit 9.9: support -1, 0, 1
+        (D(), 1 / 3, 1 / 3, 1e-10),
+        (A(), 1 / 4, 1 / 2, 1e-10),
+        (E(), 1 / 5, 3 / 5, 1e-3),  # a semidefinite program to 1e-8 of the value, which is flat at the optimum
+        (Ds((2,)), 1 / 4, 1 / 2, 1e-10),  # the highest coefficient alone: Chebyshev points
+    ],
+    ids=["D", "A", "E", "Ds"],
+)
+def test_quadratic_regression(criterion: Criterion, ends: float, middle: float, tolerance: float) -> None:
+    weights = optimal_weights(QUADRATIC, criterion, PriorInformation())[0]
+    expected = np.zeros(21)
+    expected[[0, 10, 20]] = ends, middle, ends
+    assert weights == pytest.approx(expected, abs=tolerance)
+    if criterion.name == "Ds":
+        return
+    weights, status, _ = solve_program(EACH, criterion)
+    assert status == "optimal"
+    assert weights is not None
+    value, optimum = (float(criterion.value(np.tensordot(w, EACH, 1))) for w in (weights, expected))
+    assert value == pytest.approx(optimum, rel=1e-4, abs=1e-5)  # Clarabel stops at 1e-8 of a scaled program
+
+
+def random_jacobians(generator: np.random.Generator, k: int, d: int, p: int) -> Array:
+    return generator.standard_normal((k, d, p))
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10_000), p=st.integers(2, 6), d=st.integers(1, 3))
+def test_equivalence_theorem(seed: int, p: int, d: int) -> None:
+    """max d = p over the postures, and d = p wherever there is weight (Kiefer and Wolfowitz, several coordinates)."""
+    jacobians = random_jacobians(np.random.default_rng(seed), 4 * p, d, p)
+    weights = interior_point_weights(jacobians, D(), PriorInformation())[0]
+    information = np.einsum("k,kda,kdb->ab", weights, jacobians, jacobians)
+    d_values = np.einsum("kda,ab,kdb->k", jacobians, np.linalg.inv(information), jacobians)
+    assert weights.sum() == pytest.approx(1.0, abs=1e-14)
+    assert weights.min() >= 0.0
+    assert d_values.max() <= p + 1e-9
+    assert d_values[weights > 1e-6] == pytest.approx(p, abs=1e-6)
+
+
+@pytest.mark.parametrize("criterion", [D(), A(), Ds((0, 2))], ids=["D", "A", "Ds"])
+def test_no_better_weights_by_scipy(criterion: Criterion) -> None:
+    """SLSQP on the softmax of the weights, from the answer and from elsewhere, finds nothing better."""
+    generator = np.random.default_rng(3)
+    jacobians = random_jacobians(generator, 12, 2, 5)
+
+    def minus_value(x: Array) -> float:
+        w = np.exp(x - x.max())
+        return -float(criterion.value(np.einsum("k,kda,kdb->ab", w / w.sum(), jacobians, jacobians)))
+
+    mine = interior_point_weights(jacobians, criterion, PriorInformation())[0]
+    reached = minus_value(np.log(np.maximum(mine, 1e-12)))
+    for start in (np.log(np.maximum(mine, 1e-6)), np.zeros(12), generator.standard_normal(12)):
+        assert minimize(minus_value, start, method="SLSQP").fun >= reached - 1e-9
+
+
+def test_a_part_of_the_runs_is_fixed() -> None:
+    """With a fixed offset the multiplicative algorithm (Silvey, Titterington, Torsney) is the oracle."""
+    generator = np.random.default_rng(4)
+    jacobians, kept = random_jacobians(generator, 15, 2, 4), random_jacobians(generator, 3, 2, 4)
+    known = np.einsum("kda,kdb->ab", kept, kept)
+    prior = PriorInformation(known, 2.0).per_new_run(3)  # two of five runs are known
+    atoms = 0.6 * np.einsum("kda,kdb->kab", jacobians, jacobians) + 0.2 * known
+    w = np.full(15, 1 / 15)
+    for _ in range(20_000):
+        w *= np.einsum("ab,kab->k", np.linalg.inv(np.einsum("k,kab->ab", w, atoms)), atoms) / 4
+    mine, gradient = interior_point_weights(jacobians, D(), prior)
+    best = np.linalg.slogdet(np.einsum("k,kab->ab", w, atoms))[1]
+    assert np.linalg.slogdet(prior.mixture(jacobians, mine))[1] >= best - 1e-12
+    assert mine == pytest.approx(w, abs=1e-3)  # the multiplicative algorithm is slow near zero weights
+    g = prior.sensitivities(jacobians, gradient)
+    assert g.max() - mine @ g <= 1e-10
+
+
+@pytest.mark.parametrize("runs", [0.0, 2.0])
+def test_curvature_without_the_matrices_of_postures(runs: float) -> None:
+    """D^2 Phi(M)[F_i, F_j] of the criteria's own formula, with and without something known."""
+    generator = np.random.default_rng(5)
+    jacobians = random_jacobians(generator, 6, 2, 4)
+    known = np.einsum("kda,kdb->ab", jacobians[:3], jacobians[:3]) * (runs > 0.0)
+    prior = PriorInformation(known, runs)
+    weights = np.full(6, 1.0 / 6.0)
+    information = prior.mixture(jacobians, weights)
+    for criterion in (D(), A(), Ds((0,)), I(random_jacobians(generator, 5, 2, 4))):
+        expected = criterion.curvature(information, prior.posture_information(jacobians))
+        assert -minus_hessian(jacobians, weights, criterion, prior) == pytest.approx(expected, rel=1e-10)
+
+
+# -- the convex program ------------------------------------------------------------------------------------------------
+def test_dual_of_the_smallest_eigenvalue_is_a_bound() -> None:
+    """G >= 0 with unit trace, and max tr(G F_i) is not below the optimum 1/5 (Pukelsheim)."""
+    _, gradient = optimal_weights(QUADRATIC, E(), PriorInformation())
+    assert np.linalg.eigvalsh(gradient)[0] >= -1e-12
+    assert np.trace(gradient) == pytest.approx(1.0, abs=1e-12)
+    largest = max(float(row @ gradient @ row) for row in QUADRATIC[:, 0])
+    assert 0.2 - 1e-12 <= largest <= 0.2 + 1e-5
+
+
+def test_postures_that_do_not_identify() -> None:
+    with pytest.raises(JobError, match="identify"):
+        solve_program(EACH[:2], D())
+
+
+def test_few_postures_of_many_parameters() -> None:
+    """Postures that each determine two parameters of their own, F_i = s_i^2 I there: E-optimal weights are 1 / s_i^2 by
+    the equal eigenvalues w_i s_i^2 = 1 / sum_i s_i^-2 of the mean."""
+    sizes = np.array([1.0, 2.0, 0.5, 3.0])
+    jacobians = np.kron(np.diag(sizes), np.eye(2)).reshape(4, 2, 8)
+    weights, _ = optimal_weights(jacobians, E(), PriorInformation())
+    np.testing.assert_allclose(weights, sizes**-2.0 / np.sum(sizes**-2.0), atol=1e-5)
+    information = np.einsum("k,kda,kdb->ab", weights, jacobians, jacobians)
+    assert np.linalg.eigvalsh(information)[0] == pytest.approx(1.0 / np.sum(sizes**-2.0), rel=1e-5)
+
+
+# -- proper and sparse weights -----------------------------------------------------------------------------------------
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), p=st.integers(1, 5))
 def test_sparsest_keeps_the_information(seed: int, p: int) -> None:
@@ -25,18 +152,6 @@ def test_sparsest_keeps_the_information(seed: int, p: int) -> None:
     assert not few[::7].any()
     before, after = (np.einsum("k,kda,kdb->ab", w, jacobians, jacobians) for w in (weights, few))
     assert after == pytest.approx(before, rel=1e-10, abs=1e-10)
-
-
-def test_independent_information_is_left_alone() -> None:
-    """Six matrices of twenty parameters are independent; not with a multiple, a zero, or more than entries."""
-    generator = np.random.default_rng(0)
-    jacobians = generator.standard_normal((6, 2, 20))
-    weights = generator.dirichlet(np.ones(6))
-    assert clearly_independent(jacobians)
-    assert sparsest(jacobians, weights) == pytest.approx(weights, abs=1e-15)
-    assert not clearly_independent(np.concatenate([jacobians, 2.0 * jacobians[:1]]))
-    assert not clearly_independent(generator.standard_normal((7, 2, 3)))
-    assert not clearly_independent(np.concatenate([jacobians, np.zeros((1, 2, 20))]))
 
 
 def test_proper_weights() -> None:

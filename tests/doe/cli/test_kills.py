@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from doe.cli.demo import next_free
-from doe.jobs.rows import RowTable
+from doe.jobs import RowTable
 from tests.doe.cli.conftest import Folder
 from tests.doe.faults import COMMANDS, ROOT, STUDY, Command, Reference, content, prepare, start, verdict
 
@@ -66,8 +66,8 @@ def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> Non
 def test_two_studies_on_one_folder(folder: Folder) -> None:
     folder.write("study.toml", STUDY)
     (folder.path / "study.results").mkdir()
-    with RowTable.open(folder.path / "study.results" / "blocks.parquet") as table:
-        table.add({"task": 1}, [{"value": 1}])
+    with RowTable(folder.path / "study.results" / "blocks.parquet") as table:
+        table.add("1", [{"value": 1}])
         for more in ([], ["--resume"], ["--force"]):
             done = folder.armcal("study", "study.toml", "--workers", "1", *more)
             assert (done.code, done.err.count("\n")) == (2, 1)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from doe.criteria import NAMES, A, Criterion, D, Ds, DStar, E, I, PowerMean, criterion
-from doe.criteria.criterion import SmoothCriterion, smooth, surrogate, values_after_adding
 from identification.errors import InputError
 
 P = 6
@@ -18,7 +17,7 @@ ALL: dict[str, Criterion] = {
     "D": D(), "A": A(), "E": E(), "I": I(POSES), "Ds": Ds((0, 3)), "Dstar": DStar(((0, 1, 2), (3, 4, 5))),
     "mean 3": PowerMean(3.0), "mean 8": PowerMean(8.0), "mean 32": PowerMean(32.0),
 }  # fmt: skip
-SMOOTH = {name: smooth(c) for name, c in ALL.items() if name != "E"}
+SMOOTH = {name: c.smooth for name, c in ALL.items() if name != "E"}
 each = pytest.mark.parametrize("phi", ALL.values(), ids=ALL)
 each_smooth = pytest.mark.parametrize("phi", SMOOTH.values(), ids=SMOOTH)
 
@@ -76,7 +75,7 @@ def test_gradient(phi: Criterion, seed: int) -> None:
 
 @each_smooth
 @pytest.mark.parametrize("seed", range(3))
-def test_curvature(phi: SmoothCriterion, seed: int) -> None:
+def test_curvature(phi: Criterion, seed: int) -> None:
     generator = np.random.default_rng(seed)
     information = random_information(generator)
     directions = np.array([random_direction(generator) for _ in range(4)])
@@ -160,7 +159,7 @@ def test_gain_of_adding_a_block(phi: Criterion) -> None:
     generator = np.random.default_rng(8)
     information = np.array([random_information(generator) for _ in range(3)])
     jacobians = generator.normal(size=(3, 7, 2, P))
-    gains = values_after_adding(phi, information, jacobians)
+    gains = phi.values_after_adding(information, jacobians)
     direct = phi.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians)
     apart = np.asarray(direct) - gains  # may depend on the start only
     np.testing.assert_allclose(apart, np.repeat(apart[:, :1], 7, axis=1), rtol=1e-6, atol=1e-6)
@@ -175,9 +174,9 @@ def test_power_means_lie_between_a_and_e() -> None:
 
 def test_stand_ins_of_criteria_without_derivatives() -> None:
     """Gradient methods climb Phi_32 instead of E, exchange compares by Phi_8; a smooth criterion stands for itself."""
-    assert smooth(E()) == PowerMean(32.0)
-    assert surrogate(E()) == PowerMean(8.0)
-    assert smooth(D()) == surrogate(D()) == D()
+    assert E().smooth == PowerMean(32.0)
+    assert E().surrogate == PowerMean(8.0)
+    assert D().smooth == D().surrogate == D()
 
 
 def test_names() -> None:

@@ -13,15 +13,12 @@ from doe.design import Design
 from doe.discrimination import design
 from doe.discrimination.design import (
     DiscriminationDesign,
-    ExtendedProblem,
     Swaps,
     discrimination_design,
     has_repeats,
-    improving_swaps,
     initial_plans,
 )
 from doe.discrimination.misidentification import EffectLibrary
-from doe.problem.constraints import InsideBox
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report import design as report
@@ -32,7 +29,8 @@ from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
+from identification.workspace import WorkspaceBox
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 
@@ -115,11 +113,11 @@ def test_links_that_bend_and_joints_that_twist_are_told_apart_better_than_by_ran
 def test_a_wrong_name_becomes_less_probable_with_every_swap(seed: int) -> None:
     arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 100]), sigma=0.1)
     problem = DesignProblem.of(Model(arm), kept=np.radians([[0.0, 30.0, 40.0], [10.0, -60.0, 20.0]]))
-    wide, generator = ExtendedProblem.of(problem, EffectLibrary.of(arm)), np.random.default_rng(seed)
+    state, generator = Swaps(problem, EffectLibrary.of(arm)), np.random.default_rng(seed)
     plan = generator.uniform(arm.lower, arm.upper, (12, 3))
     least = problem.objective(plan) - 0.05
-    steps = list(improving_swaps(wide, plan, least, generator, Budget(1)))
-    wrong = [wide.wrong(postures) for postures in (plan, *steps)]
+    first, *steps = state.improved(plan, least, generator, Budget(1))
+    wrong = [state.wrong(postures) for postures in (first, *steps)]
     assert len(steps) > 5
     assert np.all(np.diff(wrong) < 0.0)
     assert min(problem.objective(postures) for postures in steps) >= least
@@ -128,8 +126,8 @@ def test_a_wrong_name_becomes_less_probable_with_every_swap(seed: int) -> None:
 
 def test_constraints_hold_after_the_swaps() -> None:
     arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 100]), sigma=0.1)
-    box = InsideBox(Model(arm), (-700.0, -150.0), (700.0, 700.0))
-    problem = DesignProblem.of(Model(arm), constraints=(box,))
+    arm = replace(arm, constraints=(WorkspaceBox((-700.0, 700.0), (-150.0, 700.0)),))
+    problem = DesignProblem.of(Model(arm))
     found = discrimination_design(problem, arm, 20, starts=1)
     heights = np.sin(np.cumsum(found.design.plan.postures, axis=1)) @ LENGTHS[:3]
     assert heights.min() >= -150.0 - 1e-9
@@ -189,9 +187,9 @@ def test_random_postures_are_plans_of_as_many_runs() -> None:
     """Few of them tell effects apart worse than many, and than their mean information would."""
     arm = Arm(LENGTHS, np.radians([-180] * 4), np.radians([180] * 4), sigma=0.1)
     problem = DesignProblem.of(Model(arm))
-    wide, generator = ExtendedProblem.of(problem, EffectLibrary.of(arm)), np.random.default_rng(4)
+    wide, generator = Swaps(problem, EffectLibrary.of(arm)), np.random.default_rng(4)
     few, many = wide.at_random(12), wide.at_random(60)
-    assert few > 2.0 * many > 2.0 * float(wide.misidentification.wrong(wide.misidentification.reference))
+    assert few > 2.0 * many > 2.0 * float(wide.bound.wrong(wide.bound.reference))
     plans = [wide.wrong(random_postures(problem, 12, generator)) for _ in range(200)]
     assert np.quantile(plans, 0.2) < few < np.quantile(plans, 0.8)  # a median of 25, 3 standard deviations
 
@@ -241,7 +239,8 @@ def test_a_list_that_has_nothing_more_to_offer() -> None:
     arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 60]), sigma=0.1)
     choices = np.random.default_rng(3).uniform(arm.lower, arm.upper, (12, 3))
     problem = DesignProblem.of(Model(arm), choices=choices)
-    state = Swaps(ExtendedProblem.of(problem, EffectLibrary.of(arm)), np.array(choices), least=-np.inf)
+    state = Swaps(problem, EffectLibrary.of(arm))
+    state.begin(choices, least=-np.inf)
     state.draw(np.random.default_rng(0))
     assert not state.open.any()  # all of them are in the plan
     assert not state.swap()
@@ -306,7 +305,7 @@ def test_under_limits_a_second_beginning_away_from_the_corners() -> None:
     """Random runs, as many as the loss allows; where joints turn all the way there is one beginning only."""
     arm = Arm(LENGTHS, np.radians([-90.0] * 4), np.radians([90.0] * 4), sigma=0.1)
     problem = DesignProblem.of(Model(arm))
-    wide, best = ExtendedProblem.of(problem, EffectLibrary.of(arm)), solve(problem, 20, seconds=5.0)
+    wide, best = Swaps(problem, EffectLibrary.of(arm)), solve(problem, 20, seconds=5.0)
     allowed = -8.0 * np.log(0.9)
     starts = [plan for plan, _ in initial_plans(wide, best, allowed, np.random.default_rng(0), Budget(1))]
     assert len(starts) == 2
@@ -316,7 +315,7 @@ def test_under_limits_a_second_beginning_away_from_the_corners() -> None:
     free = Arm(LENGTHS, sigma=0.1)
     plan = solve(DesignProblem.of(Model(free)), 20)
     several = initial_plans(
-        ExtendedProblem.of(DesignProblem.of(Model(free)), EffectLibrary.of(free)),
+        Swaps(DesignProblem.of(Model(free)), EffectLibrary.of(free)),
         plan,
         allowed,
         np.random.default_rng(0),

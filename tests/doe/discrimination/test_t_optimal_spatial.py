@@ -42,5 +42,5 @@ def test_rivals_are_told_apart_where_they_differ() -> None:
     assert all(size > 0.0 for size in chosen.pairs.values())
     assert list(chosen.columns) == ["run", "q1_deg", "q2_deg", "q3_deg"]
     assert np.shape(chosen.to_json()["postures_deg"]) == (4, 3)
-    sliding = replace(chosen, joint_types=("revolute", "prismatic", "revolute"))
+    sliding = replace(chosen, plan=replace(chosen.plan, joint_types=("revolute", "prismatic", "revolute")))
     assert list(sliding.columns) == ["run", "q1_deg", "q2_mm", "q3_deg"]

@@ -1,14 +1,20 @@
-"""The same rows from one process and from several; killed workers lose nothing."""
+"""The same rows from one process, from several and from a cluster; killed workers lose nothing; calls end as asked."""
 
 from __future__ import annotations
 
+import errno
+import logging
+import multiprocessing
 import os
 import signal
+import socket
 import subprocess
 import sys
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import nullcontext
-from multiprocessing import get_context
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,152 +23,323 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.jobs.rows import RowTable, parquet, read_rows
-from doe.jobs.running import Function, Job, Workers, processes, run_tasks, serial
+from doe.jobs import (
+    LOST,
+    SERIAL,
+    RowTable,
+    Workers,
+    call,
+    chosen_workers,
+    cluster,
+    journal_of,
+    parquet,
+    processes,
+    run_tasks,
+    scheduler_is_there,
+    tables,
+)
 from identification.errors import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
 import work
 
+from tests.doe.faults import running
+
 KEYS = [{"task": task, "setting": "a"} for task in range(12)]
+MANY = [{"task": task} for task in range(60)]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 
-def rows(function: Function, workers: Workers, keys: list[dict[str, Any]] = KEYS, **options: Any) -> pl.DataFrame:
-    with RowTable.open(None) as table:
-        return run_tasks(function, keys, table, workers, **options).drop("seconds")
+def rows(function: Any, workers: Workers = SERIAL, keys: list[dict[str, Any]] = KEYS, **options: Any) -> pl.DataFrame:
+    return run_tasks(function, keys, RowTable(), workers, **options).drop("seconds")
 
 
-def test_rows_come_in_the_order_of_the_keys_and_from_their_own_seeds() -> None:
-    frame = rows(work.draw, serial(), seed=5)
+@pytest.mark.parametrize("threads", [False, True])
+def test_rows_come_in_the_order_of_the_keys_and_from_their_own_seeds(threads: bool) -> None:
+    """In this process, or by an executor of the caller's."""
+    with ThreadPoolExecutor(3) as executor:
+        frame = rows(work.draw, Workers(lambda: nullcontext(executor), 8) if threads else SERIAL, seed=5)
+        executor.submit(int)  # still open
     assert frame["task"].to_list() == [k for k in range(12) for _ in range(2)]
     assert frame["value"].to_list() == work.drawn(KEYS, seed=5)
     assert len(set(frame["value"])) == 24
     assert set(frame["status"]) == {"done"}
 
 
-def test_own_executor_gives_the_same_rows() -> None:
-    with ThreadPoolExecutor(3) as executor:
-        assert rows(work.draw, Workers(lambda: nullcontext(executor), 8)).equals(rows(work.draw, serial()))
-        executor.submit(int)  # still open
-
-
-def test_a_task_that_raises_is_a_row() -> None:
-    frame = rows(work.raise_at_three, serial())
+@pytest.mark.parametrize(
+    ("how", "workers", "said"),
+    [("raises", SERIAL, "ValueError: three is not allowed"), ("dies", processes(2), "died each time.*signal 9")],
+)
+def test_a_task_that_fails_is_a_row(how: str, workers: Workers, said: str) -> None:
+    frame = rows(work.stop_at_three, workers, payload=lambda _: how)
     failed = frame.filter(pl.col("status") == "failed")
-    assert failed.select("task", "setting", "error", "value").rows() == [
-        (3, "a", "ValueError: three is not allowed", None)
-    ]
-    assert len(frame) == 23
+    assert failed.select("task", "setting", "value").rows() == [(3, "a", None)]
+    assert failed["error"].str.contains(said).all()
+    assert frame.filter(pl.col("status") == "done")["value"].to_list() == work.drawn([*KEYS[:3], *KEYS[4:]])
 
 
 def test_resume_does_only_what_is_missing(tmp_path: Path) -> None:
     path = tmp_path / "rows.parquet"
-    with pytest.raises(KeyboardInterrupt), RowTable.open(path) as table:
-        run_tasks(work.interrupt_at_three, KEYS, table)
-    assert sorted(set(read_rows(path)["task"])) == [0, 1, 2]
+    with pytest.raises(KeyboardInterrupt), RowTable(path) as table:
+        run_tasks(work.stop_at_three, KEYS, table, payload=lambda _: "interrupt")
+    assert pl.read_parquet(path)["task"].unique(maintain_order=True).to_list() == [0, 1, 2]
     seen = []
-    with RowTable.open(path, resume=True) as table:
+    with RowTable(path, resume=True) as table:
         frame = run_tasks(work.draw, KEYS, table, progress=lambda done, total, _: seen.append((done, total)))
     assert seen == [(done, 12) for done in range(3, 13)]
-    assert frame["value"].to_list() == work.drawn(KEYS)
-    assert read_rows(path)["value"].to_list() == work.drawn(KEYS)
+    assert frame["value"].to_list() == pl.read_parquet(path)["value"].to_list() == work.drawn(KEYS)
 
 
-def test_lost_workers_that_cannot_come_back_are_an_error(tmp_path: Path) -> None:
-    keys = [{"task": task, "mark": str(tmp_path / "mark") if task == 3 else ""} for task in range(8)]
-    workers = Workers(lambda: ProcessPoolExecutor(1, get_context("spawn")), 1)
-    with RowTable.open(None) as table, pytest.raises(JobError, match="--resume"):
-        run_tasks(work.die_once, keys, table, workers)
-
-
-def test_killed_process_loses_nothing(tmp_path: Path) -> None:
+def test_killed_processes_lose_nothing(tmp_path: Path) -> None:
     keys = [{"task": task, "mark": str(tmp_path / "mark") if task == 5 else ""} for task in range(12)]
     frame = rows(work.die_once, processes(2), keys)
     assert (tmp_path / "mark").exists()
-    assert frame["value"].to_list() == work.drawn(keys)
-    assert frame.equals(rows(work.draw, serial(), keys))
-
-
-def test_a_task_that_kills_its_worker_each_time_is_a_row() -> None:
-    frame = rows(work.die_always, processes(2), KEYS[:8])
-    failed = frame.filter(pl.col("status") == "failed")
-    assert failed["task"].to_list() == [3]
-    assert "died each time" in failed["error"][0]
-    done = [key for key in KEYS[:8] if key["task"] != 3]
-    assert frame.filter(pl.col("status") == "done")["value"].to_list() == work.drawn(done)
+    assert frame.equals(rows(work.draw, SERIAL, keys))
+    keys[3]["mark"] = str(tmp_path / "another")
+    executor = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))  # does not come back
+    with pytest.raises(JobError, match="--resume"):
+        rows(work.die_once, Workers(lambda: nullcontext(executor)), keys)
+    executor.shutdown()
 
 
 def test_killed_study_leaves_no_process_behind_and_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "rows.parquet"
     code = (
-        "import os, signal, work\nfrom doe.jobs.running import Job, run_tasks\nfrom doe.jobs.running import processes\n"
-        "from doe.jobs.rows import RowTable\n"
+        "import os, signal, work\nfrom doe.jobs import RowTable, processes, run_tasks\n"
         "def kill(done, total, message):\n    if done == 6: os.kill(os.getpid(), signal.SIGKILL)\n"
-        f"with RowTable.open({str(path)!r}) as table:\n"
+        f"with RowTable({str(path)!r}) as table:\n"
         "    run_tasks(work.slow_draw, [{'task': k} for k in range(30)], table, processes(2), progress=kill)\n"
     )
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     # the workers hold standard output: it closes when the last of them is gone
     done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, timeout=60.0, check=False
+        [sys.executable, "-c", code], env=ENVIRONMENT, stdout=subprocess.PIPE, timeout=60.0, check=False
     )
     assert done.returncode == -signal.SIGKILL
-    assert len(read_rows(path)) == 12
-    keys = [{"task": task} for task in range(30)]
-    with RowTable.open(path, resume=True) as table:
-        frame = run_tasks(work.draw, keys, table)
-    assert frame["value"].to_list() == work.drawn(keys)
+    assert len(work.kept(path, "value")) == 12
+    with RowTable(path, resume=True) as table:
+        assert run_tasks(work.draw, MANY[:30], table)["value"].to_list() == work.drawn(MANY[:30])
 
 
-def test_a_job_keeps_its_tables_in_one_folder_and_resumes_each(tmp_path: Path) -> None:
+def test_tables_of_one_folder_are_closed_to_others_and_of_one_seed(tmp_path: Path) -> None:
     folder, names = tmp_path / "job", ("a.parquet", "b.parquet")
-    with Job.open(folder, names, seed=5) as job:
-        first = job.run(work.draw, KEYS[:2], "a.parquet")
-        with pytest.raises(InputError, match="another run"), Job.open(folder, names[1:], resume=True):
+    run, asked = partial(run_tasks, work.draw, seed=5), list[Any]()
+    with tables(folder, *names) as (one, _):
+        first = run(KEYS[:2], one)
+        with pytest.raises(InputError, match="another run"), tables(folder, names[1], resume=True):
             pass  # closed before its turn comes
-    asked: list[Any] = []
-
-    def payload(key: Any) -> None:
-        asked.append(key)
-
-    with Job.open(folder, names, seed=5, resume=True) as job:
-        more = job.run(work.draw_with_payload, KEYS[:3], "a.parquet", payload)
+    with tables(folder, *names, resume=True) as (one, _):
+        more = run(KEYS[:3], one, payload=asked.append)
     assert more.head(len(first)).equals(first.select(more.columns))
     assert asked == [KEYS[2]]
     assert more["value"].to_list() == work.drawn(KEYS[:3], seed=5)
-    with pytest.raises(InputError, match="exists"), Job.open(folder, names):
+    with pytest.raises(InputError, match="exists"), tables(folder, *names):
         pass
+    with pytest.raises(InputError, match="--seed 5, found 6"), tables(folder, *names, resume=True) as (one, _):
+        run_tasks(work.draw, KEYS, one, seed=6)
     assert [path.name for path in folder.iterdir()] == ["a.parquet"]
 
 
-def test_rows_of_another_seed_are_not_mixed_in(tmp_path: Path) -> None:
-    with Job.open(tmp_path, ("a.parquet",), seed=5) as job:
-        job.run(work.draw, KEYS[:2], "a.parquet")
-    with (
-        Job.open(tmp_path, ("a.parquet",), seed=6, resume=True) as job,
-        pytest.raises(InputError, match="--seed 5, found 6, allowed: --seed 5"),
-    ):
-        job.run(work.draw, KEYS, "a.parquet")
-    assert read_rows(tmp_path / "a.parquet")["seed"].to_list() == [5] * 4
-
-
 @given(done=st.sets(st.integers(0, 11)), again=st.sets(st.integers(0, 11)), killed=st.booleans())
-@settings(max_examples=25)
+@settings(max_examples=20)
 def test_wherever_it_stopped_the_bytes_are_those_of_one_run(
     done: set[int], again: set[int], killed: bool, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """Finished in any order by two earlier runs, of which the last left a table, or a journal with a torn end."""
     folder = tmp_path_factory.mktemp("rows")
     for number, part in enumerate((done, again)):
-        with RowTable.open(folder / "parts", resume=True) as table:
-            run_tasks(work.mixed, [KEYS[k] for k in sorted(part, reverse=True)], table)
-            if killed and number:
-                table._finish = lambda: None  # type: ignore[method-assign]
-                assert table._journal is not None
-                table._journal.write(b'["torn", [')
+        table = RowTable(folder / "parts", resume=True)
+        run_tasks(work.mixed, [KEYS[k] for k in sorted(part, reverse=True)], table)
+        if killed and number:
+            table._journal.write(b'["torn", [')
+            table._journal.close()
+        else:
+            table.__exit__()
     content = []
     for name in ("parts", "whole"):
-        with RowTable.open(folder / name, resume=True) as table:
+        with RowTable(folder / name, resume=True) as table:
             run_tasks(work.mixed, KEYS, table)
         content.append(parquet(pl.read_parquet(folder / name).drop("seconds")))
     assert content[0] == content[1]
+
+
+# -- a cluster ---------------------------------------------------------------------------------------------------------
+@contextmanager
+def started(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    words = [sys.executable, "-m", "distributed.cli." + arguments[0], *arguments[1:], "--no-dashboard"]
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(words, env=ENVIRONMENT, **silent)  # type: ignore[call-overload]
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def dask(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, Callable[[], Any]]]:
+    """A scheduler, its address, and what starts one more worker there."""
+    pytest.importorskip("distributed")
+    with socket.socket() as stream:
+        stream.bind(("127.0.0.1", 0))
+        port = stream.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    options = ("--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
+    with ExitStack() as stack:
+        scheduler = stack.enter_context(started("dask_scheduler", "--host", address))
+        for _ in range(300):
+            with socket.socket() as stream:
+                if stream.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            time.sleep(0.1)
+        yield scheduler, address, lambda: stack.enter_context(started("dask_worker", address, *options))
+
+
+def ready(address: str, count: int) -> Workers:
+    """The cluster, once its workers have come."""
+    for _ in range(60):
+        workers = cluster(address, patience=30.0)
+        if workers.count == count:
+            return workers
+        time.sleep(0.5)
+    return pytest.fail("the workers did not start")
+
+
+def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
+    dask: tuple[Any, str, Callable[[], Any]], tmp_path: Path
+) -> None:
+    """The same bits without the worker; without the scheduler one line, and what is finished is kept."""
+    scheduler, address, start = dask
+    path, printed, victims = tmp_path / "rows.parquet", list[logging.LogRecord](), list[int]()
+    with pytest.raises(InputError, match=rf"no scheduler with workers answers.*dask worker {address}"):
+        cluster(address, patience=0.5)
+    start(), start()
+    workers = ready(address, 2)
+
+    def kill_one(done: float, total: float | None, message: str) -> None:
+        if done >= 20 and not victims:
+            last = journal_of(path).read_text().splitlines()[-1]
+            victims.append(int(last.rpartition('"process": ')[2].partition("}")[0]))
+            os.kill(victims[0], signal.SIGKILL)
+
+    with RowTable(path) as table:
+        frame = run_tasks(work.slow_draw, MANY, table, workers, progress=kill_one)
+    assert len(victims) == 1
+    assert len(set(frame["process"])) == 2
+    assert victims[0] not in set(frame["process"][-20:])
+    assert pl.read_parquet(path).equals(frame)  # in the order of the keys, whoever finished first
+    assert frame.drop("seconds", "process").equals(rows(work.draw, SERIAL, MANY))
+
+    def kill(done: float, total: float | None, message: str) -> None:
+        if done >= 5:
+            scheduler.kill()
+
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = printed.append  # type: ignore[method-assign]
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado.application")]
+    for logger in loggers:
+        logger.addHandler(handler)
+    with pytest.raises(JobError, match="--resume"), RowTable(path, force=True) as table:
+        run_tasks(work.slow_draw, MANY, table, ready(address, 1), progress=kill)
+    for logger in loggers:
+        logger.removeHandler(handler)
+    assert printed == []
+    kept = pl.read_parquet(path)
+    assert 5 <= len(kept) / 2 < 60
+    assert kept["value"].to_list() == work.drawn(MANY[: len(kept) // 2])
+
+
+class Scheduler(Executor):
+    """Stands for the executor of a dask client whose scheduler dies when a number of tasks are done: dask drops what
+    fails while it fetches a result, so the others never end."""
+
+    def __init__(self, tasks: int) -> None:
+        self.tasks, self.status, self._client = tasks, "running", self
+
+    def submit(self, function: Any, /, *arguments: Any, **named: Any) -> Future[Any]:
+        future = Future[Any]()
+        if self.tasks:
+            future.set_result(function(*arguments, **named))
+        self.status = "running" if self.tasks else "connecting"
+        self.tasks -= bool(self.tasks)
+        return future
+
+
+@pytest.mark.parametrize("done", [0, 1, 9])
+def test_futures_that_a_lost_scheduler_never_ends(tmp_path: Path, done: int) -> None:
+    path, scheduler = tmp_path / "rows.parquet", Scheduler(done)
+    with pytest.raises(JobError, match=LOST), RowTable(path) as table:
+        run_tasks(work.draw, MANY, table, Workers(lambda: nullcontext(scheduler), 3, scheduler_is_there))
+    assert len(pl.read_parquet(path)) / 2 == done if done else not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("tcp://127.0.0.1:1", "no scheduler with workers answers"),
+        *(
+            (address, r"found '.*', allowed: an address as tcp://host:8786")
+            for address in ("nonsense", "tcp://host", "")
+        ),
+    ],
+)
+def test_bad_address_is_one_line_at_once(address: str, said: str) -> None:
+    pytest.importorskip("distributed")
+    with pytest.raises(InputError, match=f"--cluster.*{said}"):
+        cluster(address, patience=1.0)
+
+
+def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A system whose shared memory is read-only (EROFS)."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    assert (chosen_workers(1).count, chosen_workers(3).count) == (1, 3)
+    monkeypatch.setattr("joblib.externals.loky.backend.synchronize.SemLock.__init__", refuse)
+    with pytest.raises(JobError, match=r"Read-only file system.*--workers 1"):
+        rows(work.draw, chosen_workers(2))
+
+
+# -- one call in a process of its own ----------------------------------------------------------------------------------
+def test_call_returns_value_seconds_and_memory() -> None:
+    small, large = call(work.fill_memory, 1, seconds=60.0), call(work.fill_memory, 300, seconds=60.0)
+    assert (small.status, small.value, small.error) == ("done", 2**17, None)
+    assert large.peak_memory_mb is not None
+    assert small.peak_memory_mb is not None
+    assert 290.0 < large.peak_memory_mb - small.peak_memory_mb < 330.0  # the array, 300 MB, and nothing of ours
+
+
+def test_bad_ends_of_calls_are_told_apart() -> None:
+    """Python's own signals and timers would wait for the interpreter, which compiled code does not give back."""
+    assert call(work.hang_in_compiled_code, seconds=0.5)[:3] == (None, "timeout", "killed after 0.5 s")
+    assert call(work.fail, seconds=10.0)[:3] == (None, "failed", "ArithmeticError: no answer")
+    assert call(work.crash, seconds=10.0)[:3] == (None, "crashed", "signal 11")
+
+
+def test_call_from_a_daemon() -> None:
+    """As from a dask worker, which may not have children by `multiprocessing`."""
+    queue = multiprocessing.get_context("spawn").Queue()
+    process = multiprocessing.get_context("spawn").Process(target=work.call_from_here, args=(queue,), daemon=True)
+    process.start()
+    assert queue.get(timeout=60.0) == "done"
+    process.join()
+
+
+def test_a_call_ends_with_the_process_that_asked(tmp_path: Path) -> None:
+    """Killed, that process cannot end it."""
+    code = "import sys, work; work.ask_and_die(sys.argv[1])"
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "pid")], env=ENVIRONMENT, check=False)
+    assert done.returncode == -signal.SIGKILL
+    asked = int((tmp_path / "pid").read_text())
+    for _ in range(600):
+        if not running(asked):
+            return
+        time.sleep(0.05)
+    pytest.fail("the call goes on")
+
+
+def test_nothing_is_imported_from_the_folder_it_starts_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "doe").mkdir()
+    (tmp_path / "doe" / "__init__.py").write_text("raise SystemExit('hijacked')")
+    monkeypatch.chdir(tmp_path)
+    assert call(work.hang, 0.0, seconds=60.0).value == "awake"

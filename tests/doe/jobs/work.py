@@ -12,26 +12,23 @@ from typing import Any
 
 import numpy as np
 
-from doe.jobs.running import call, seed_of
+from doe.jobs import Key, RowTable, call, seed_of
+
+Rows = list[dict[str, Any]]
 
 
-def draw(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+def draw(key: dict[str, Any], seed: np.random.SeedSequence, _: Any = None) -> Rows:
     """Two random rows of a key."""
     return [{"part": part, "value": float(np.random.default_rng(seed).standard_normal() + part)} for part in range(2)]
 
 
-def draw_with_payload(key: dict[str, Any], seed: np.random.SeedSequence, _: Any) -> list[dict[str, Any]]:
-    """As `draw`, for a caller who sends something along."""
-    return draw(key, seed)
-
-
-def slow_draw(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+def slow_draw(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
     """As `draw`, with the worker's process number, slowly enough to be killed in the middle."""
     time.sleep(0.05)
     return [{**row, "process": os.getpid()} for row in draw(key, seed)]
 
 
-def die_once(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+def die_once(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
     """As `draw`, but the first process that reaches the key's marked task is killed."""
     if key.get("mark") and not Path(key["mark"]).exists():
         Path(key["mark"]).touch()
@@ -39,14 +36,7 @@ def die_once(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str
     return draw(key, seed)
 
 
-def die_always(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
-    """As `draw`, but task 3 kills its process every time."""
-    if key["task"] == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return draw(key, seed)
-
-
-def mixed(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+def mixed(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
     """Rows of several forms: none, whole and broken numbers, lists, texts, and a task that raises."""
     rows = ([{"value": key["task"]}], [{"value": 0.5, "more": [1.0, 2.5]}, {"value": 1 / 3}], [])
     if key["task"] % 4 == 3:
@@ -54,17 +44,14 @@ def mixed(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, A
     return rows[key["task"] % 4]
 
 
-def raise_at_three(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
-    """As `draw`, but task 3 raises."""
-    if key["task"] == 3:
+def stop_at_three(key: dict[str, Any], seed: np.random.SeedSequence, how: str) -> Rows:
+    """As `draw`, but task 3 raises, is stopped by Ctrl-C, or kills its process every time."""
+    if key["task"] == 3 and how == "raises":
         raise ValueError("three is\nnot allowed")
-    return draw(key, seed)
-
-
-def interrupt_at_three(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
-    """As `draw`, but the user presses Ctrl-C during task 3."""
-    if key["task"] == 3:
+    if key["task"] == 3 and how == "interrupt":
         raise KeyboardInterrupt
+    if key["task"] == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
     return draw(key, seed)
 
 
@@ -87,13 +74,6 @@ def ask_and_die(path: str) -> None:
     while not Path(path).exists():
         time.sleep(0.02)
     os.kill(os.getpid(), signal.SIGKILL)
-
-
-def talk() -> str:
-    """Writes to standard output, from Python and from below it."""
-    print("from Python", flush=True)  # noqa: T201
-    os.system("echo from below")
-    return "said"
 
 
 def hang_in_compiled_code() -> None:
@@ -121,7 +101,13 @@ def fail() -> None:
     raise ArithmeticError("no\nanswer")
 
 
-def drawn(keys: list[dict[str, Any]], seed: int = 0) -> list[float]:
+def drawn(keys: list[Key], seed: int = 0) -> list[float]:
     """The values that `draw` gives for the keys."""
     draws = [float(np.random.default_rng(seed_of(key, seed)).standard_normal()) for key in keys]
     return [value + part for value in draws for part in range(2)]
+
+
+def kept(path: Path, column: str) -> list[Any]:
+    """A column of what a run left, continued and closed again."""
+    with RowTable(path, resume=True) as table:
+        return [row[column] for rows in table.rows.values() for row in rows]

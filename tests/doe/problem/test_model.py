@@ -40,7 +40,7 @@ class Sine:
     def __init__(self, terms: int = 2) -> None:
         every = [Parameter("a", "mm", kind="size"), Parameter("b", "rad", scale=100.0, kind="phase")]
         every.append(Parameter("c", "mm/session"))
-        self.parameters, self.values = ParameterSet.of(every[:terms]), np.array([100.0, 0.2, 0.0])[:terms]
+        self.parameters, self.values = ParameterSet(every[:terms]), np.array([100.0, 0.2, 0.0])[:terms]
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         return p[0] * ca.sin(q + p[1]) + (p[2] * q if p.numel() > 2 else 0.0)
@@ -149,7 +149,7 @@ class FiveBar:
     lengths = np.array([200.0, 200.0, 300.0, 300.0])
     lower, upper = np.radians([100.0, 0.0]), np.radians([180.0, 80.0])
     prior: Mapping[str, float] = MappingProxyType({})
-    parameters = ParameterSet.of(
+    parameters = ParameterSet(
         [Parameter(f"length_error:{k}", "mm", kind="length") for k in range(1, 5)]
         + [Parameter(f"joint_offset:{k}", "rad", scale=200.0, kind="joint_offset", joint=k) for k in (1, 2)]
     )

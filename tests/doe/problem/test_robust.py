@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 
 from doe.bounds.best_known import best_known_bound
-from doe.bounds.column_generation import continuous_design, rough_design
+from doe.bounds.column_generation import column_generation, continuous_design
 from doe.bounds.continuous import ContinuousSet
 from doe.criteria import A, D
 from doe.design import score
-from doe.problem.postures import PostureList
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel, average_error, missing_effects, robust_problem, with_choices, workspace
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Conditions
@@ -96,10 +94,8 @@ def test_i_is_the_error_of_simulated_arms_drawn_from_the_prior() -> None:
     truth = deviations * generator.standard_normal((count, 12))
     clean = model.position(POSTURES, truth)
     data = clean + 0.1 * generator.standard_normal(clean.shape)
-    fitted = levenberg_marquardt(
-        Problem(model, POSTURES, Conditions(), data, np.full(6, 100.0), prior=prior).least_squares,
-        np.zeros((count, 12)),
-    )
+    told = Problem(model, POSTURES, Conditions(), data, np.full(6, 100.0), prior=prior)
+    fitted = told.minimized(np.zeros((count, 12)))
     poses = workspace(PLAIN)[:200]
     missed = model.position(poses, fitted.parameters) - model.position(poses, truth)
     simulated = float(np.mean(np.sum(missed**2, axis=-1)))
@@ -193,18 +189,18 @@ def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
     some = replace(CASE, choices=np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (40, 2)))
     sampled = replace(some, sampled=True)
     listed, everywhere = best_known_bound(some, 12), best_known_bound(sampled, 12)
-    assert (listed.scope, listed.proof, listed.candidates) == ("list", "proven", 40)
-    assert (everywhere.scope, everywhere.proof, everywhere.candidates) == ("all postures", "numerical", None)
+    assert (listed.source, listed.rigorous, listed.candidates) == ("grid", True, 40)
+    assert (everywhere.source, everywhere.rigorous, everywhere.candidates) == ("continuous", False, None)
     effort = {"runs": 12, "tolerance": 1e-3}
-    found = rough_design(some, PostureList(some.choices), **effort)
+    found = column_generation(some, some.choices, **effort)
     climbed = ContinuousSet(CASE, found.prior).best(found.gradient, found.plan.postures)[0]
-    better = rough_design(CASE, PostureList(np.concatenate([some.choices, climbed])), **effort)
+    better = column_generation(CASE, np.concatenate([some.choices, climbed]), **effort)
     value = float(CASE.criterion.value(better.information))
     assert listed.value < value - 1e-3 * abs(value)  # what was called a bound of all plans
     assert value < everywhere.value
     # and against another set of postures altogether, a fine grid with its exact bound
     grid = np.stack(np.meshgrid(*np.linspace(ARM.lower, ARM.upper, 25).T), axis=-1).reshape(-1, 2)
-    fine = rough_design(CASE, PostureList(grid), **effort)
+    fine = column_generation(CASE, grid, **effort)
     assert float(CASE.criterion.value(fine.information)) < everywhere.value
 
 

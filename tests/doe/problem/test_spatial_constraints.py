@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from doe.bounds.certificate import Bound
-from doe.problem.constraints import LINK_RADIUS, Constraint, constraints_of, distance_between, smallest
+from doe.problem.constraints import LINK_RADIUS, _distance, constraints_of
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
@@ -119,21 +119,12 @@ def test_line_of_sight() -> None:
     assert (margins[:, 4:] < 0).any()
 
 
-@pytest.mark.parametrize("constraint", MADE, ids=[c.kind for c in MADE])
-def test_symbolic_has_the_same_sign(constraint: Constraint) -> None:
-    q = ca.SX.sym("q", 6)
-    function = ca.Function("f", [q], [constraint.symbolic(q)])
-    symbolic, numeric = np.asarray(function(POSTURES.T)).T, constraint.margin(POSTURES)
-    assert symbolic.shape == numeric.shape
-    assert np.all(np.isfinite(symbolic))
-    clear = np.abs(numeric) > 1e-6
-    np.testing.assert_array_equal((symbolic >= 0)[clear], (numeric >= 0)[clear])
-
-
-def test_smallest_of_convex_functions() -> None:
-    lowest = np.array([-0.5, 0.0, 0.25, 0.8, 1.0, 1.5])
-    for function in (lambda x: np.abs(x - lowest), lambda x: (x - lowest) ** 2):
-        np.testing.assert_allclose(smallest(function, (6,)), function(np.clip(lowest, 0.0, 1.0)), atol=1e-8)
+def test_margins_have_derivatives() -> None:
+    for constraint in MADE:
+        walls = replace(DesignProblem.of(Model(ARM)), constraints=(constraint,)).wall_derivatives(range(6))
+        values, slopes = walls.first(POSTURES)
+        np.testing.assert_allclose(values, constraint.margin(POSTURES), atol=1e-9)
+        assert np.all(np.isfinite(slopes))
 
 
 def test_distance_of_segments_is_a_bounded_least_squares_problem() -> None:
@@ -142,7 +133,9 @@ def test_distance_of_segments_is_a_bounded_least_squares_problem() -> None:
     ends[3, :10] = ends[2, :10] + 0.3 * (ends[1, :10] - ends[0, :10])  # parallel
     ends[3, 10:15], ends[1, 13:18] = ends[2, 10:15], ends[0, 13:18]  # points
     ends[2, 20:25] = 2.0 * (0.3 * ends[0, 20:25] + 0.7 * ends[1, 20:25]) - ends[3, 20:25]  # crossing
-    found = distance_between(*ends)
+    points = [ca.SX.sym(name, 3) for name in "abcd"]
+    distance = ca.Function("distance", points, [_distance(*points)])
+    found = np.asarray(distance(*(end.T for end in ends))).ravel()
     for a, b, c, d, own in zip(*ends, found, strict=True):
         best = lsq_linear(np.column_stack([b - a, c - d]), c - a, (0.0, 1.0), method="bvls", tol=1e-15)
         assert own == pytest.approx(np.sqrt(2.0 * best.cost), abs=1e-5)

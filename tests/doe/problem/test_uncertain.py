@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.criteria.log_determinants import Average, SoftWorst, Worst
+from doe.criteria import Average, SoftWorst, Worst
 from doe.design import score
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import ensemble_problem, prior_draws

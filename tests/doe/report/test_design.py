@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from doe.report.design import (
     design_facts,
     design_verdict,
     missing_lines,
-    missing_payload,
+    next_document,
     plan_section,
     plan_steps,
     relax_document,
@@ -108,13 +109,12 @@ def test_a_plan_in_a_sentence() -> None:
 def test_rows_without_payload_are_completed_before_others_are_appended() -> None:
     gravity = Gravity(np.array([0.0, -9.81]), np.array([5.0, 3.0]), np.full(2, 0.5), 7.5)
     arm, data = Arm([200.0, 100.0], gravity=gravity), Measurements(np.zeros((3, 2)), np.zeros((3, 2)))
-    chosen, none = (SimpleNamespace(payload=payload) for payload in (np.array([5.0]), None))
-    (note,) = missing_payload(arm, data, chosen)  # type: ignore[arg-type]
-    assert "payload_kg" in note
-    assert "7.5" in note
-    assert missing_payload(arm, data, none) == []  # type: ignore[arg-type]
     weighed = Measurements(np.zeros((3, 2)), np.zeros((3, 2)), payload=np.ones(3))
-    assert missing_payload(arm, weighed, chosen) == []  # type: ignore[arg-type]
+    for rows, payload, noted in ((data, np.array([5.0]), True), (data, None, False), (weighed, np.ones(1), False)):
+        result: Any = SimpleNamespace(payload=payload, columns={"q1_deg": [1.0]})
+        shown = next_document(arm, rows, cast(Any, SimpleNamespace(sentence="Two fit.")), result).parts
+        assert [part for part in shown if "need a column payload_kg too: 7.5" in str(part)] == shown[2:]
+        assert len(shown) == 2 + noted
 
 
 @pytest.mark.parametrize(("arm", "joints", "runs"), [(ARM, 2, 9), (SIX_AXIS, 6, 16)])

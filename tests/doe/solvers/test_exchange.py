@@ -9,7 +9,6 @@ import pytest
 
 from doe.bounds.certificate import Bound
 from doe.criteria import D
-from doe.criteria.criterion import values_after_adding
 from doe.solvers import Exchange, solve
 from doe.solvers.solver import Budget
 from identification.arm import Arm
@@ -23,7 +22,7 @@ def test_determinant_lemma_is_direct_evaluation() -> None:
     for d in (2, 3):
         jacobians = generator.normal(size=(3, 11, d, 6))
         direct = np.linalg.slogdet(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians)[1]
-        found = values_after_adding(D(), information, jacobians) + np.linalg.slogdet(information)[1][:, None]
+        found = D().values_after_adding(information, jacobians) + np.linalg.slogdet(information)[1][:, None]
         np.testing.assert_allclose(found, direct, atol=1e-7)  # the ridge is 1e-9 of the mean eigenvalue
 
 

@@ -11,10 +11,10 @@ from scipy.optimize import minimize
 
 from doe.bounds.certificate import Bound
 from doe.solvers import Ipopt, solve
-from doe.solvers.ipopt import Climber, PlanFunction
+from doe.solvers.ipopt import Climber
 from doe.solvers.solver import Budget
 from identification.errors import InputError
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
 
 UNKNOWN = Bound(np.inf, "grid")  # spares the time to find one
@@ -31,7 +31,7 @@ def test_ends_are_stationary_within_the_limits() -> None:
         assert case.objective(plan) > case.objective(start)
         assert np.all(plan >= case.lower)
         assert np.all(plan <= case.upper)
-        slope = PlanFunction(case, case.active_joints).expand(plan)[1].reshape(7, -1)
+        slope = climb.expand(plan)[1].reshape(7, -1)
         inside = (plan > case.lower)[:, joints] & (plan < case.upper)[:, joints]
         assert np.abs(slope[inside]).max() < 1e-6
         assert np.all(slope[plan[:, joints] == case.lower[joints]] < 1e-6)  # nothing to gain by moving in
@@ -81,14 +81,14 @@ def test_ctrl_c_during_the_first_start_returns_what_there_is() -> None:
     start = np.random.default_rng(0).uniform(FIVE.lower, FIVE.upper, (41, 5))
     ends = climb(start)
     calls = iter(range(10**6))
-    expand = climb.expand
+    expanded = climb.expanded
 
     def interrupted_in_step_three(point: np.ndarray) -> tuple:
         if next(calls) == 6:
             signal.raise_signal(signal.SIGINT)
-        return expand(point)
+        return expanded(point)
 
-    climb.expand = interrupted_in_step_three  # type: ignore[method-assign]
+    climb.expanded = interrupted_in_step_three
     so_far = climb(start)
     assert problem(FIVE).objective(start) <= problem(FIVE).objective(so_far) < problem(FIVE).objective(ends)
     with pytest.raises(KeyboardInterrupt):

@@ -12,7 +12,7 @@ from doe.solvers import Analytic, Random, solve
 from doe.solvers.solver import Budget
 from identification.arm import Arm, EffectSpec
 from identification.errors import JobError
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem, random_box
 from tests.doe.bounds.test_planar_theorem import complex_log_det
 
@@ -90,7 +90,7 @@ def test_other_numbers_of_many_runs_begin_from_theory() -> None:
 
 
 def test_many_runs_have_a_time_budget_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("doe.solvers.solver.LONG_PLAN_SECONDS", 0.2)
+    monkeypatch.setattr("doe.solvers.solving.LONG_PLAN_SECONDS", 0.2)
     assert solve(problem(FIVE), 101, "exchange_ipopt").status is Status.time_limit
     assert solve(problem(FIVE), 101, "random", starts=2).status is Status.starts_finished
 

@@ -6,7 +6,7 @@ from time import perf_counter
 
 import pytest
 
-from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, time_limit
+from doe.solvers.solver import Budget
 
 
 def test_without_a_deadline_there_is_all_the_time() -> None:
@@ -14,22 +14,6 @@ def test_without_a_deadline_there_is_all_the_time() -> None:
     assert not Budget(3).out_of_time
     assert Budget(3, perf_counter() - 1.0).out_of_time
     assert 9.0 < Budget(3, perf_counter() + 10.0).remaining <= 10.0
-
-
-@pytest.mark.parametrize(
-    ("runs", "starts", "seconds", "expected"),
-    [
-        (LONG_PLAN, None, None, None),
-        (LONG_PLAN + 1, None, None, LONG_PLAN_SECONDS),
-        (LONG_PLAN + 1, 5, None, None),
-        (LONG_PLAN + 1, None, 2.0, 2.0),
-        (8, None, 2.0, 2.0),
-    ],
-)
-def test_long_plans_alone_have_a_limit_of_their_own(
-    runs: int, starts: int | None, seconds: float | None, expected: float | None
-) -> None:
-    assert time_limit(runs, starts, seconds) == expected
 
 
 def test_what_is_used_up_is_the_time_where_it_ends_the_search_first() -> None:

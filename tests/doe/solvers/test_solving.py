@@ -14,9 +14,9 @@ from doe.design import score_plan
 from doe.problem.problem import DesignProblem
 from doe.solvers import Offer, solve
 from doe.solvers.solver import LONG_PLAN, Budget
-from doe.solvers.solving import PlanSearch, named_offers
+from doe.solvers.solving import _search
 from identification.errors import InputError
-from identification.progress import silent
+from identification.running import silent
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 
 
@@ -75,12 +75,10 @@ def test_of_very_many_runs_a_random_plan_is_better_than_none() -> None:
     """What the search offers comes too near each other: the random plan beside it keeps the distance, by the distances
     of all pairs."""
     case, runs = problem(FOUR, OFFSET, ECCENTRICITY), LONG_PLAN + 100
-    offers = named_offers(case, runs, Crowded(), Budget(1), 0, None, theory_first=True)
-    search = PlanSearch(case, None, lambda _: True)
-    search.run(offers, Budget(1, deadline=perf_counter() - 1.0), silent)
-    assert search.postures is not None
-    assert search.solver == "random"
-    apart = np.abs(search.postures[:, None] - search.postures).max(axis=2)[np.triu_indices(runs, 1)]
+    late = Budget(1, deadline=perf_counter() - 1.0)
+    plan, value, name, *_ = _search(case, runs, Crowded(), True, 0, None, lambda _: True, None, late, silent)
+    assert name == "random"
+    apart = np.abs(plan[:, None] - plan).max(axis=2)[np.triu_indices(runs, 1)]
     assert apart.min() >= np.radians(1.0) * (1 - 1e-9)
-    assert np.all((FOUR.lower <= search.postures) & (search.postures <= FOUR.upper))
-    assert search.value == pytest.approx(case.objective(search.postures))
+    assert np.all((plan >= FOUR.lower) & (plan <= FOUR.upper))
+    assert value == pytest.approx(case.objective(plan))

@@ -15,8 +15,7 @@ from click.testing import CliRunner
 
 from doe.cli import main
 from doe.design import score
-from doe.jobs.rows import RowTable, frame_of
-from doe.jobs.running import Outcome
+from doe.jobs import Outcome, RowTable, frame_of
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.report.studies import comparison_parts, performance_profile, profile_figure, time_figure
@@ -33,7 +32,7 @@ PROBLEM = DesignProblem.of(Model(ARM))
 
 
 def row(solver: str, repeat: int, value: float | None, seconds: float, **more: object) -> dict[str, object]:
-    key = {"arm": "a", "arm_hash": "h", "runs": 4, "solver": solver, "starts": 1, "repeat": repeat}
+    key = {"arm": "a", "arm_hash": "h", "criterion": "D", "runs": 4, "solver": solver, "starts": 1, "repeat": repeat}
     found = {"status": "done", "error": None, "value": value, "correct": True, "parameters": 8, "seconds": seconds}
     return {**key, **found, "efficiency": None if value is None else np.exp(value / 8), **more}
 
@@ -126,13 +125,13 @@ def test_solvers_run_in_their_own_processes_and_failures_are_rows(
 ) -> None:
     comparison = Comparison([ARM], [4], ["random"], [2], repeats=2, seconds=20.0)
     path = tmp_path / "rows.parquet"
-    with RowTable.open(path) as table:
+    with RowTable(path) as table:
         rows = compare(comparison, table)
     assert rows["status"].to_list() == ["done"] * 2
     assert rows["correct"].all()
     assert (rows["peak_memory_mb"] > 20.0).all()
     assert len(set(rows["value"])) == 2
-    with RowTable.open(path, resume=True) as table:
+    with RowTable(path, resume=True) as table:
         assert compare(comparison, table).equals(rows)
     few = compare(Comparison([ARM], [2], ["random"], repeats=1))  # two runs cannot tell six parameters
     assert few["status"].to_list() == ["failed"]

@@ -122,7 +122,7 @@ def test_every_use() -> None:
         ),
         (
             'name = "joint_error_curve"\njoint = 1\nfrom_deg = 0.0\nto_deg = 9.0\nvalues_deg = "all"',
-            "values_deg: found 'all', allowed: the values",
+            "values_deg: found 'all', allowed: a list",
         ),
     ],
 )

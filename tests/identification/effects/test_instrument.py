@@ -16,7 +16,7 @@ from identification.kinematics.frames import pose
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import minimal
-from identification.model.positions import in_own_frame, tip_jacobian
+from identification.model.placed import in_own_frame, tip_jacobian
 from identification.simulate import simulate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.exponentials import Exponentials, drawing

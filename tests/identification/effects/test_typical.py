@@ -60,4 +60,4 @@ def test_sizes_follow_from_their_reasons() -> None:
 
 def test_not_known_is_infinite() -> None:
     known = Parameter("own.a", "1", typical=0.5)
-    assert ParameterSet.of([*chain_parameters([100.0]), known]).typical.tolist() == [np.inf, np.inf, 0.5]
+    assert ParameterSet([*chain_parameters([100.0]), known]).typical.tolist() == [np.inf, np.inf, 0.5]

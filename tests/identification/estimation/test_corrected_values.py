@@ -16,15 +16,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, Calibration, EffectSpec
-from identification.documents.identification import conventions, corrected_table
+from identification.documents.identification import corrected_section, corrected_table
 from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.estimation.problem import Prior
 from identification.estimation.result import (
-    Calibrated,
     CorrectedValue,
     corrected_values,
-    dh_places,
-    dh_values,
+    dh_table,
 )
 from identification.files.arm import dump_arm, load_arm
 from identification.kinematics.chain import DHRow, chain_of
@@ -144,7 +142,8 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
     assert length.weak is (weak := m * deviation**2 < 3.0)
     zero = by_name(found.corrected_values)["zero of joint 1"]
     assert (zero.prior_std, zero.held_by_prior) == (None, False)
-    shown = corrected_table(found.corrected_values).rows[0][0], " ".join(conventions(found.corrected_values, False))
+    section = corrected_section("", found.corrected_values, False)
+    shown = corrected_table(found.corrected_values).rows[0][0], str(section.parts)
     assert ("*" in shown[0], "* 1 of 2 are weakly determined" in shown[1]) == (weak, weak)
 
 
@@ -205,8 +204,8 @@ def fitted() -> Identification:
 
 def test_table_base_and_tool_say_what_the_fit_does() -> None:
     found = fitted()
-    rows = {row.name: row.corrected for row in dh_values(Calibrated.of(found), UR10)}
-    places = dict(dh_places(Calibrated.of(found), UR10))
+    values, poses = dh_table(found.calibrated_arm(), UR10)
+    rows, places = {row.name: row.corrected for row in values}, dict(poses)
     assert len(rows) == 18  # 27 of a complete set less six of the base and three of the point
     for posture in np.random.default_rng(5).uniform(-2.0, 2.0, (4, 6)):
         at = places["base"]
@@ -233,8 +232,8 @@ def test_deviations_are_those_of_samples_of_the_covariance() -> None:
     assert found.geometry is not None
     for values in generator.multivariate_normal(found.parameters, found.covariance, 400):
         named = {**found.geometry.values, **dict(zip(found.names, values, strict=True))}
-        links = corrected_links(corrected(found.geometry.chain, named), drawn).links
+        links = corrected_links(corrected(found.geometry.chain, named), drawn)[0]
         samples.append([links[1].a, np.degrees(links[1].beta or 0.0), links[3].d, np.degrees(links[4].theta)])
-    rows = {row.name: row for row in dh_values(Calibrated.of(found), UR10)}
+    rows = {row.name: row for row in dh_table(found.calibrated_arm(), UR10)[0]}
     stds = [rows[name].std for name in ("row 2 a", "row 2 beta", "row 4 d", "row 5 theta")]
     assert stds == pytest.approx(np.std(samples, axis=0).tolist(), rel=0.18)

@@ -19,7 +19,7 @@ from identification.estimation import estimate, without_outliers
 from identification.information import information_matrix
 from identification.measurements import Measurements, load_measurements
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit
 
 UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"
@@ -42,11 +42,13 @@ def test_optimal_plan_has_the_deviations_of_the_paper() -> None:
     model = Model(arm())
     found = estimate(model, Measurements(dft_plan(m), model.position(dft_plan(m))), sigma=SIGMA)
     np.testing.assert_allclose(found.std[:4], SIGMA / np.sqrt(m), rtol=1e-9)
-    np.testing.assert_allclose(found.orientation_std, SIGMA / np.sqrt(m) / lengths, rtol=1e-9)
+    sums = np.tril(np.ones((4, 4)))  # dtheta_j of dq_j
+    orientations = np.sqrt(np.diag(sums @ found.covariance[4:, 4:] @ sums.T))
+    np.testing.assert_allclose(orientations, SIGMA / np.sqrt(m) / lengths, rtol=1e-9)
     joints = SIGMA / np.sqrt(m) * np.sqrt(1 / lengths**2 + np.r_[0.0, 1 / lengths[:-1] ** 2])
-    np.testing.assert_allclose(found.joint_offset_std, joints, rtol=1e-9)
+    np.testing.assert_allclose(found.std[4:], joints, rtol=1e-9)
     np.testing.assert_allclose(found.std[:4], 0.022, atol=5e-4)  # Table III, m = 20
-    np.testing.assert_allclose(np.degrees(found.orientation_std), [0.005, 0.007, 0.011, 0.013], atol=5e-4)
+    np.testing.assert_allclose(np.degrees(orientations), [0.005, 0.007, 0.011, 0.013], atol=5e-4)
 
 
 def test_covariance_is_the_inverse_information_at_the_estimate() -> None:

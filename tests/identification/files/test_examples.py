@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from doe.plan.plan import load_plan
-from doe.studies.monte_carlo.specification import StudyFile
+from doe.studies.monte_carlo import StudyFile
 from identification.files.arm import load_arm
 from identification.files.measurement import load_targets
 from identification.measurements import load_measurements

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.files.measurement import measurement_text
-from identification.inspection.data_checks import data_warnings
+from identification.inspection.readings import data_warnings
 from identification.measurements import Measurements, load_measurements
 
 UR10 = Path(__file__).parents[4] / "shared/data/ur10_planar/measurements.csv"

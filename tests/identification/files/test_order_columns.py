@@ -12,7 +12,7 @@ from identification.effects.catalogue import entry
 from identification.errors import InputError
 from identification.files.measurement import measurement_text
 from identification.gap.library_prior import given_by
-from identification.inspection.data_checks import gap_notes
+from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, load_measurements
 from identification.sessions import pooled_sessions
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from doe.studies.blind import hidden_effects, simulator
+from doe.studies.blind import cells as hidden_effects
+from doe.studies.blind import simulator
 from doe.studies.blind.cells import random_truth
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.studies.blind.score import contradictions
+from doe.studies.blind.study import contradictions
 from identification.arm import Arm, EffectSpec
 from identification.documents.diagnosis import likely as likely_in_words
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL

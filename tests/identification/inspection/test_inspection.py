@@ -36,8 +36,8 @@ def data(m: int = 40, base: complex = 0.0, zero: float = 0.0, still: bool = Fals
 def test_good_data_have_no_problem() -> None:
     found = inspect(ARM, data())
     assert found.problems == ()
-    assert (found.rows, found.postures) == (40, 40)
-    assert 1.0 < found.drawing < 5.0
+    assert (found.data["rows"], found.data["postures"]) == (40, 40)
+    assert 1.0 < found.data["rms_drawing_mm"] < 5.0
     assert found.to_json()["rms_fitted_mm"] == pytest.approx(0.05 * np.sqrt(2.0 * (1.0 - 6.0 / 80.0)), rel=0.3)
     assert any("no posture is repeated" in note for note in found.notes)
 
@@ -194,7 +194,7 @@ def test_the_drawing_leaves_the_same_in_check_identify_and_validate() -> None:
     drawing = pytest.approx(np.sqrt(2.0 * best.cost / len(q)), rel=1e-7)
     arm = Arm(chain_of([DHRow(*row) for row in ROWS]))
     fitted = estimate(Model(arm), rows)
-    assert inspect(arm, rows).drawing == drawing
+    assert inspect(arm, rows).data["rms_drawing_mm"] == drawing
     assert fitted.rms_before == drawing
     assert validate(fitted.calibrated_arm(), rows).nominal.rms == drawing
 

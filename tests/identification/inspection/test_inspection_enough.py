@@ -43,37 +43,39 @@ def test_with_few_rows_the_noise_is_the_one_given_or_that_of_repeats() -> None:
     """3 rows leave 2 numbers, which say next to nothing of the noise."""
     measured = rows(3)
     known, unknown = (estimate(Model(replace(ARM, sigma=sigma)), measured) for sigma in (NOISE, None))
-    given = sufficiency(known, measured, NoiseFloor())
-    assert (given.numbers, given.parameters, given.spare, given.few) == (6, 4, 2, True)
-    assert given.count == "6 numbers for 4 parameters: 2 left to judge the fit"
-    assert given.identifiable == ("length of links 1 and 2", "zero of joints 1 and 2")
-    assert (given.open, given.source) == ((), "sigma")
-    assert given.tip == pytest.approx(expected(measured, NOISE), rel=0.03)  # by 1000 poses instead of 20000
-    repeats = sufficiency(unknown, measured, NoiseFloor(repeats=0.2 * np.sqrt(2.0)))
-    assert repeats.source == "repeats"
-    assert repeats.tip == pytest.approx(expected(measured, 0.2), rel=0.03)
-    nothing = sufficiency(unknown, measured, NoiseFloor())
-    assert (nothing.tip, nothing.source) == (None, None)
-    assert nothing.accuracy.startswith("not known: needs sigma_mm")
+    given, words, few = sufficiency(known, measured, NoiseFloor())
+    assert (given["numbers"], given["parameters"], given["spare_numbers"], few) == (6, 4, 2, True)
+    assert words[0][1] == "6 numbers for 4 parameters: 2 left to judge the fit"
+    assert given["identifiable"] == ("length of links 1 and 2", "zero of joints 1 and 2")
+    assert given["expected_tip_from"] == "sigma"
+    assert given["expected_tip_mm"] == pytest.approx(
+        expected(measured, NOISE), rel=0.03
+    )  # by 1000 poses instead of 20000
+    repeats = sufficiency(unknown, measured, NoiseFloor(repeats=0.2 * np.sqrt(2.0)))[0]
+    assert repeats["expected_tip_from"] == "repeats"
+    assert repeats["expected_tip_mm"] == pytest.approx(expected(measured, 0.2), rel=0.03)
+    nothing, words, _ = sufficiency(unknown, measured, NoiseFloor())
+    assert (nothing["expected_tip_mm"], nothing["expected_tip_from"]) == (None, None)
+    assert str(dict(words)["accuracy"]).startswith("not known: needs sigma_mm")
 
 
 def test_with_many_rows_the_residuals_say_it() -> None:
     measured = rows(60)
     found = estimate(Model(ARM), measured)
-    many = sufficiency(found, measured, NoiseFloor())
-    assert (many.spare, many.few, many.source) == (116, False, "residuals")
-    assert many.tip == pytest.approx(expected(measured, found.scatter or 0.0), rel=0.03)
+    many, _, few = sufficiency(found, measured, NoiseFloor())
+    assert (many["spare_numbers"], few, many["expected_tip_from"]) == (116, False, "residuals")
+    assert many["expected_tip_mm"] == pytest.approx(expected(measured, found.scatter or 0.0), rel=0.03)
 
 
 def test_what_is_not_determined_is_listed() -> None:
     """Joint 2 at rest: both links are one stick, whose parts nothing tells."""
     measured = rows(6)
     still = replace(measured, postures=measured.postures * [1.0, 0.0])
-    found = sufficiency(estimate(Model(replace(ARM, sigma=NOISE)), still), still, NoiseFloor())
-    assert found.identifiable == ()
-    assert len(found.open) == 2
-    assert found.tip is None
-    assert found.accuracy == "not known: something is not determined"
+    found, words, _ = sufficiency(estimate(Model(replace(ARM, sigma=NOISE)), still), still, NoiseFloor())
+    assert found["identifiable"] == ()
+    assert found["expected_tip_mm"] is None
+    assert dict(words)["accuracy"] == "not known: something is not determined"
+    assert len(str(dict(words)["does not"]).split("; ")) == 2
 
 
 def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
@@ -86,10 +88,10 @@ def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
     positions = np.column_stack([flat.real, flat.imag, np.full(40, 410.0)]) + NOISE * generator.standard_normal((40, 3))
     measured = Measurements(q, positions)
     found = estimate(Model(Arm(chain, sigma=NOISE)), measured)
-    seen = sufficiency(found, measured, NoiseFloor())
-    assert [name for name, *_ in seen.weak] == ["base.z", "tool[1].z"]
-    assert seen.identifiable[:2] == ("base (x, y, rx, ry, rz)", "tool[1] (x, y)")
-    rows = seen.to_json()["weakly_determined"]
+    seen = sufficiency(found, measured, NoiseFloor())[0]
+    assert [row["name"] for row in seen["weakly_determined"]] == ["base.z", "tool[1].z"]
+    assert seen["identifiable"][:2] == ("base (x, y, rx, ry, rz)", "tool[1] (x, y)")
+    rows = seen["weakly_determined"]
     heights = [found.names.index(row["name"]) for row in rows]
     assert [(row["std"], row["unit"]) for row in rows] == [(pytest.approx(found.std[k]), "mm") for k in heights]
     assert min(row["std"] for row in rows) > 100.0
@@ -102,10 +104,9 @@ def test_what_the_machining_holds_is_no_unknown() -> None:
     arm = Arm(chain, sigma=NOISE)
     q = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 3))
     measured = Measurements(q, Model(arm).position(q))
-    found = sufficiency(estimate(Model(arm), measured), measured, NoiseFloor())
+    found, words, few = sufficiency(estimate(Model(arm), measured), measured, NoiseFloor())
     held = sum(name.startswith(("translation", "rotation", "joint_offset")) for name in Model(arm).names)
-    assert found.held == held
-    assert f"({held} held by [machining])" in found.count
-    assert not found.few
-    assert found.weak == ()
-    assert found.identifiable[:2] == ("base", "tool[1]")
+    assert f"({held} held by [machining])" in str(words[0][1])
+    assert not few
+    assert found["weakly_determined"] == []
+    assert found["identifiable"][:2] == ("base", "tool[1]")

@@ -11,7 +11,7 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.estimation import estimate
 from identification.inspection.inspection import constant_length, other_base, turned_frame
-from identification.inspection.readings import as_written
+from identification.inspection.readings import read_differently
 from identification.instruments import Distance
 from identification.kinematics.chain import BASE
 from identification.kinematics.frames import pose, rotation_about
@@ -36,7 +36,7 @@ def in_the_plane(turn: float, place: complex = 0.0) -> Measurements:
 
 
 def frame_note(arm: Arm, data: Measurements) -> list[str]:
-    return turned_frame(arm, as_written(arm, data).written)
+    return turned_frame(arm, read_differently(arm, data, search=False).written)
 
 
 @pytest.mark.parametrize("place", [0.0, 300.0 + 50.0j])

@@ -219,7 +219,6 @@ def test_columns_are_read_and_named() -> None:
         "an axis of the positions points the other way",
     )
     assert np.allclose(SWAPPED.postures(np.array([[0.1, 0.2, 0.3]])), [[0.2, 0.1 + 1.5 * np.pi, -0.3]])
-    assert np.allclose(SWAPPED.positions(np.array([[5.0, 6.0]])), [[5.0, -6.0]])
 
 
 @given(countings(joints=4), countings(joints=4))

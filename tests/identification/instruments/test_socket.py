@@ -21,7 +21,7 @@ from identification.instruments import Socket
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import minimal_of
-from identification.model.positions import of_positions
+from identification.model.placed import of_positions
 from identification.sessions import with_sessions
 from tests.identification.exponentials import SEVEN, TABLE, Exponentials, drawing
 from tests.identification.touching import seated

@@ -57,16 +57,16 @@ def test_the_table_puts_the_tip_where_the_chain_does(rows: list[DHRow], conventi
     kinds = [(f"{kind}_{axis}", size) for kind, size in (("translation", 1.0), ("rotation", 5e-3)) for axis in "xyz"]
     errors = {f"{kind}:{j}": size * generator.standard_normal() for kind, size in kinds for j in range(1, 7)}
     real = corrected(chain, errors | {f"joint_offset:{j}": 0.01 * j for j in range(2, 6)})
-    found = corrected_links(real, drawn)
+    links, first, last = corrected_links(real, drawn)
     for q in generator.uniform(-3.0, 3.0, (5, 6)):
-        at = found.first @ elementary("z", q[0])
-        for link, angle in zip(found.links, q[1:], strict=True):
+        at = first @ elementary("z", q[0])
+        for link, angle in zip(links, q[1:], strict=True):
             for axis, value in (("z", link.theta), ("Z", link.d), ("X", link.a), ("x", link.alpha)):
                 at = at @ elementary(axis, value)
             at = at @ elementary("y", link.beta or 0.0) @ elementary("z", angle)
-        np.testing.assert_allclose(at @ found.last, tip(real, q), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(at @ last, tip(real, q), rtol=0, atol=1e-9)
     # errors of machining size move no number by more than a few of them: nothing explodes
-    for link, nominal in zip(found.links, drawn, strict=True):
+    for link, nominal in zip(links, drawn, strict=True):
         assert abs(link.d - nominal.d) < 15.0
         assert abs(link.a - nominal.a) < 15.0
         assert max(abs(link.theta - nominal.theta), abs(link.alpha - nominal.alpha), abs(link.beta or 0.0)) < 0.1
@@ -75,7 +75,7 @@ def test_the_table_puts_the_tip_where_the_chain_does(rows: list[DHRow], conventi
 def test_without_errors_it_is_the_table_as_drawn() -> None:
     for rows, convention in ((UR10, STANDARD), (CRAIG, MODIFIED)):
         drawn = drawn_links(rows, convention)
-        found = corrected_links(chain_of(rows, convention), drawn).links
+        found = corrected_links(chain_of(rows, convention), drawn)[0]
         for one, other in zip(found, drawn, strict=True):
             numbers = [[link.theta, link.d, link.a, link.alpha, link.beta or 0.0] for link in (one, other)]
             np.testing.assert_allclose(*numbers, rtol=0, atol=1e-9)

@@ -14,7 +14,7 @@ from identification.kinematics.parameters import (
 )
 
 ERRORS = chain_parameters([300.0, 200.0])
-SET = ParameterSet.of(
+SET = ParameterSet(
     [
         ERRORS[0],
         chain_parameters([300.0])[1],

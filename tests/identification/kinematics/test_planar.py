@@ -61,7 +61,7 @@ def test_orientations_sum_the_offsets() -> None:
     """dtheta_j = dq_1 + ... + dq_j; where an offset is known, the others only."""
     parameters = chain_parameters([300.0, 200.0])
     np.testing.assert_array_equal(orientation_transform(parameters), [[0, 0, 1, 0], [0, 0, 1, 1]])
-    without = ParameterSet.of(p for p in parameters if p.name not in ("length_error:2", "joint_offset:1"))
+    without = ParameterSet(p for p in parameters if p.name not in ("length_error:2", "joint_offset:1"))
     np.testing.assert_array_equal(orientation_transform(without), [[0, 1]])
 
 

@@ -13,7 +13,7 @@ from identification.instruments import Distance
 from identification.instruments.registration import registered
 from identification.kinematics.frames import pose
 from identification.model import Model
-from identification.model.positions import in_own_frame, of_positions, tip_jacobian
+from identification.model.placed import in_own_frame, of_positions, tip_jacobian
 from tests.doe.six_axis import CHAIN
 
 BAR = Arm(replace(CHAIN, instrument=Distance(), base=pose([-700.0, 200.0, -300.0])), sigma=0.01)

@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.inspection.data_checks import certainly_wrong_units
+from identification.inspection.readings import certainly_wrong_units
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.reuse import with_mounting_doubt
+from identification.running import Status
 from identification.sessions import pooled_sessions, with_sessions
-from identification.status import Status
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials

@@ -1,25 +1,32 @@
-"""The two implementations of the effects agree: plain numpy from their formulas, and CasADi."""
+"""The two implementations of arms and effects agree: products of exponentials in plain numpy, and frames in CasADi."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from doe.studies.blind import hidden_effects, simulator
+from doe.studies.blind import cells, simulator
 from doe.studies.blind.cells import random_truth
+from doe.studies.blind.simulator import RowConditions, TrueArm, session
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.measurements import Conditions, past_from_order
+from identification.conditions import Conditions
+from identification.gap.fit import Rows, fit
+from identification.kinematics.chain import DHRow, chain_of
+from identification.kinematics.frames import from_own_axes, pose, rotation_about
+from identification.measurements import Measurements, past_from_order
 from identification.model import Model
 
-VALUES = {
-    "joint_compliance": ({"c": 2e-5}, {"c": 2e-5}),
+AROUND: tuple[Any, Any] = ({"a": 2e-3, "b": -1e-3},) * 2
+IN_PLANE: dict[str, tuple[Any, Any]] = {
+    "joint_compliance": ({"c": 2e-5},) * 2,
     "joint_compliance*": ({"c": np.array([1e-5, 2e-5, 3e-5])}, {"c1": 1e-5, "c2": 2e-5, "c3": 3e-5}),
-    "encoder_eccentricity": ({"a": 2e-3, "b": -1e-3},) * 2,
-    "encoder_second_harmonic": ({"a": 2e-3, "b": -1e-3},) * 2,
+    "encoder_eccentricity": AROUND,
+    "encoder_second_harmonic": AROUND,
     "transmission_ripple": ({"a": 2e-3, "b": -1e-3, "k": 7},) * 2,
     "gear_ratio": ({"e": 1e-3},) * 2,
     "joint_coupling": ({"c": 1e-3},) * 2,
@@ -41,17 +48,17 @@ VALUES = {
 }
 
 
-@pytest.mark.parametrize("name", VALUES)
-def test_two_implementations_agree(name: str) -> None:
+@pytest.mark.parametrize("name", IN_PLANE)
+def test_two_implementations_agree_in_the_plane(name: str) -> None:
     rng = np.random.default_rng(1)
     truth = random_truth(rng, 3)
-    run = simulator.session(truth, rng.uniform(-np.pi, np.pi, (40, 3)), rng)
-    joint = None if name in hidden_effects.OF_ARM else 2
-    theirs, ours = VALUES[name]
-    c = 1e-5 * np.arange(1.0, 4.0) if name in hidden_effects.LOADS else np.zeros(3)
+    run = session(truth, rng.uniform(-np.pi, np.pi, (40, 3)), rng)
+    joint = None if name in cells.OF_ARM else 2
+    theirs, ours = IN_PLANE[name]
+    c = 1e-5 * np.arange(1.0, 4.0) if name in cells.LOADS else np.zeros(3)
     known = EffectSpec("joint_compliance", None, {f"c{j}": value for j, value in enumerate(c, 1)})
     truth = replace(truth, effects=[(name.rstrip("*"), joint, theirs)])
-    if name in hidden_effects.LOADS:
+    if name in cells.LOADS:
         truth = replace(truth, modelled=[("joint_compliance", None, {"c": c})])
     arm = Arm(
         truth.lengths,
@@ -77,8 +84,8 @@ def test_a_leaning_axis_seen_in_the_plane() -> None:
     arm = Arm(shorter, effects=(EffectSpec("axis_tilt", 3, {"a": factor.real, "b": factor.imag}),))
     zero = np.zeros(4)
     rest = {"masses": zero, "payload": 0.0, "lower": zero, "upper": zero, "sigma": 1.0}
-    truth = simulator.TrueArm.planar(lengths, zero, zero, **rest)
-    run = simulator.session(truth, q, rng)
+    truth = TrueArm.planar(lengths, zero, zero, **rest)
+    run = session(truth, q, rng)
     straight = simulator.position(truth, run)
     leaning, mirrored = (
         simulator.position(replace(truth, effects=[("axis_tilt", 3, {"square": sign * square, "beta": beta})]), run)
@@ -92,9 +99,9 @@ def test_a_leaning_axis_seen_in_the_plane() -> None:
 def test_hidden_effect_has_the_size_asked_for() -> None:
     rng = np.random.default_rng(2)
     truth = random_truth(rng, 4)
-    run = simulator.session(truth, rng.uniform(-np.pi, np.pi, (50, 4)), rng)
-    names = hidden_effects.LIBRARY_JOINT + hidden_effects.LIBRARY_WHOLE
-    effect = hidden_effects.random_effect(names, truth, run, 8.0, rng)
+    run = session(truth, rng.uniform(-np.pi, np.pi, (50, 4)), rng)
+    names = cells.LIBRARY_JOINT + cells.LIBRARY_WHOLE
+    effect = cells.random_effect(names, truth, run, 8.0, rng)
     moved = simulator.position(replace(truth, effects=[effect]), run) - simulator.position(
         replace(truth, effects=[]), run
     )
@@ -114,3 +121,171 @@ def test_what_simulates_loads_nothing_of_the_model_that_is_judged() -> None:
     assert not [name for name in loaded if name.startswith(tuple(f"identification.{module}" for module in judged))]
     ours = {name for name in loaded if name.partition(".")[0] == "doe" and not name.startswith("doe.studies")}
     assert ours <= {"doe"}
+
+
+# -- in space ----------------------------------------------------------------------------------------------------------
+HALF = np.pi / 2
+TABLE = np.array([(120.0, -HALF, 400.0), (500.0, 0.0, 0.0), (90.0, -HALF, 30.0), (0.0, HALF, 450.0), (0.0, 0.2, 90.0)])
+TOOLS = np.array([[30.0, -20.0, 60.0], [-40.0, 10.0, 50.0]])
+MASSES = np.array([20.0, 15.0, 10.0, 5.0, 2.0])
+SIMPLE = ("encoder_eccentricity", "encoder_second_harmonic")
+# ours, theirs, and how well they agree: turns about x, then y, then z against one about a vector are of second order
+VALUES: dict[str, tuple[dict, dict, float]] = {
+    "joint_compliance:3": ({"c": 2e-5}, {"c": 2e-5}, 1e-9),
+    "joint_compliance": ({f"c{j}": 1e-5 * j for j in range(1, 6)}, {"c": 1e-5 * np.arange(1.0, 6.0)}, 1e-9),
+    "bearing_compliance:2": ({"c": 1e-6}, {"c": 1e-6}, 1e-5),
+    "bearing_compliance:4": ({"c": 1e-6}, {"c": 1e-6}, 1e-5),
+    "gravity_backlash:2": ({"b": 1e-3}, {"b": 1e-3}, 1e-9),
+    "axis_runout:3": ({"a": 0.2, "b": -0.1}, {"a": 0.2, "b": -0.1}, 1e-9),
+    "axis_runout:5": ({"a": 0.2, "b": -0.1}, {"a": 0.2, "b": -0.1}, 1e-9),
+    **{f"{name}:4": ({"a": 2e-3, "b": -1e-3}, {"a": 2e-3, "b": -1e-3}, 1e-9) for name in SIMPLE},
+    "transmission_ripple:2": ({"a": 2e-3, "b": -1e-3, "k": 7}, {"a": 2e-3, "b": -1e-3, "k": 7}, 1e-9),
+    "gear_ratio:1": ({"e": 1e-3}, {"e": 1e-3}, 1e-9),
+    "joint_coupling:5": ({"c": 1e-3}, {"c": 1e-3}, 1e-9),
+    "backlash:3": ({"b": 1e-3}, {"b": 1e-3}, 1e-9),
+    "thermal_growth": ({"a": 2e-4}, {"a": 2e-4}, 1e-9),
+    "base_drift": ({"vx": 1.0, "vy": -2.0, "vz": 0.5}, {"v": np.array([1.0, -2.0, 0.5])}, 1e-9),
+    "base_rotation_drift": ({"wx": 1e-4, "wy": -2e-4, "wz": 1e-4}, {"w": np.array([1e-4, -2e-4, 1e-4])}, 1e-4),
+}
+
+
+def truth_and_session(seed: int = 1) -> tuple[TrueArm, RowConditions]:
+    """An arm as drawn, 30 postures of it."""
+    generator = np.random.default_rng(seed)
+    base = pose((300.0, -200.0, 900.0), from_own_axes(0.3, -0.2, 2.0))
+    limit = np.full(5, 2.0)
+    loads = {"masses": MASSES, "payload": 4.0, "lower": -limit, "upper": limit, "sigma": 0.05}
+    truth = TrueArm.built(
+        TABLE, np.random.default_rng(0), 0.0, 0.0, offsets=np.zeros(5), base=base, tools=TOOLS, **loads
+    )
+    return truth, session(truth, generator.uniform(-2.0, 2.0, (30, 5)), generator)
+
+
+def model_of(truth: TrueArm, *specs: EffectSpec) -> Model:
+    """The program's model of the same arm, base and tools known."""
+    chain = chain_of([DHRow(a, alpha, d) for a, alpha, d in truth.table.tolist()])
+    tools = dict(zip("12", truth.tools, strict=True))
+    chain = replace(chain, base=truth.base, tools=tools, settled=frozenset({"base", "tool"}))
+    gravity = Gravity(truth.gravity, truth.masses, np.full(truth.n, truth.center), truth.payload, truth.load)
+    return Model(Arm(chain, gravity=gravity, effects=specs))
+
+
+def difference(truth: TrueArm, run: RowConditions, *specs: EffectSpec) -> float:
+    """Largest distance [mm] of a coordinate, of both measured points."""
+    run = replace(run, marker=np.arange(len(run.q)) % 2)
+    conditions = Conditions(run.payload, run.warm, run.t, run.s, marker=1.0 * run.marker)
+    ours = model_of(truth, *specs).position(run.q, conditions=conditions)
+    return float(np.abs(ours - simulator.position(truth, run)).max())
+
+
+@pytest.mark.parametrize("key", VALUES)
+def test_two_implementations_agree(key: str) -> None:
+    """Every effect moves the tip by more than 0.01 mm; the second order of 1e-4 rad at 1000 mm is 1e-5 mm."""
+    name, _, joint = key.partition(":")
+    number, (ours, theirs, tolerance) = int(joint) if joint else None, VALUES[key]
+    truth, run = truth_and_session()
+    hidden = replace(truth, effects=[(name, number, theirs)])
+    assert difference(hidden, run, EffectSpec(name, number, ours)) < tolerance
+    assert difference(hidden, run) > 0.01
+
+
+def test_loads_that_are_wrong() -> None:
+    """A heavier tool and a leaning base show through every effect of gravity; `tool_mass` is one name of the first."""
+    truth, run = truth_and_session()
+    c = ("joint_compliance", None, {"c": np.full(5, 2e-5)})
+    known = EffectSpec("joint_compliance", None, {f"c{j}": 2e-5 for j in range(1, 6)})
+    heavy = replace(truth, effects=[c, ("payload_error", None, {"d": 3.0})])
+    for name, short in (("payload_error", "d"), ("tool_mass", "m")):
+        assert difference(heavy, run, known, EffectSpec(name, None, {short: 3.0})) < 1e-9
+    assert difference(heavy, run, known) > 0.01
+    lean = replace(truth, effects=[c, ("gravity_tilt", None, {"x": 2e-3, "y": -3e-3})])
+    # turns about x, then y, against one about a vector: 3e-6 rad of gravity, which moves the tip by 1 mm
+    assert difference(lean, run, known, EffectSpec("gravity_tilt", None, {"x": 2e-3, "y": -3e-3})) < 1e-5
+    assert difference(lean, run, known) > 1e-3
+
+
+def test_a_payload_that_hangs_elsewhere() -> None:
+    """Where the arm file says, or away from there; whichever point is measured."""
+    truth, run = truth_and_session()
+    for name, value in (("joint_compliance", 2e-5), ("bearing_compliance", 1e-6), ("gravity_backlash", 1e-3)):
+        short = "b" if name == "gravity_backlash" else "c"
+        known = EffectSpec(name, 4, {short: value})
+        away = replace(truth, effects=[(name, 4, {short: value})], load=np.array([250.0, -40.0, 80.0]))
+        assert difference(away, run, known) < 1e-5
+        beside = replace(away, load=None)  # the model's payload is at the first point
+        shift = dict(zip("xyz", (away.load - truth.tools[0]).tolist(), strict=True))  # type: ignore[operator]
+        run = replace(run, marker=np.arange(len(run.q)) % 2)
+        conditions = Conditions(run.payload, run.warm, run.t, run.s, marker=1.0 * run.marker)
+        ours = model_of(beside, known, EffectSpec("payload_place", None, shift))
+        theirs = simulator.position(away, run)
+        assert np.abs(ours.position(run.q, conditions=conditions) - theirs).max() < 1e-5
+        assert np.abs(model_of(beside, known).position(run.q, conditions=conditions) - theirs).max() > 1e-3
+
+
+def test_effects_outside_the_library() -> None:
+    """An error of an angle is the arm at that angle; an axis that wobbles turns what lies beyond about the origin of
+    its frame, whose place is that of a chain of Denavit-Hartenberg rows in plain numpy."""
+    truth, run = truth_and_session()
+    here, joint = simulator.position(truth, run), 3
+    q = run.q[:, joint - 1]
+    errors = {
+        "bump": ({"h": 1e-3, "at": 0.5, "width": 0.4}, 1e-3 * np.exp(-0.5 * ((q - 0.5) / 0.4) ** 2)),
+        "cubic": ({"c": 1e-3}, 1e-3 * q**3),
+        "cable_pull": ({"c": 1e-3}, 1e-3 * q * run.q[:, joint]),
+    }
+    for name, (values, error) in errors.items():
+        moved = run.q.copy()
+        moved[:, joint - 1] += error
+        hidden = replace(truth, effects=[(name, joint, values)])
+        np.testing.assert_allclose(
+            simulator.position(hidden, run), simulator.position(truth, replace(run, q=moved)), atol=1e-9
+        )
+    wobbling = replace(truth, effects=[("axis_wobble", joint, {"c": 1e-5})])
+    found = simulator.position(wobbling, run) - here
+    for row, posture in enumerate(run.q):
+        frame = truth.base
+        for j, (a, alpha, d) in enumerate(TABLE[: joint - 1]):
+            about, link = pose(rotation=rotation_about([0.0, 0.0, 1.0], posture[j])), pose((a, 0.0, d))
+            frame = frame @ about @ link @ pose(rotation=rotation_about([1.0, 0.0, 0.0], alpha))
+        axes = (frame @ pose(rotation=rotation_about([0.0, 0.0, 1.0], posture[joint - 1])))[:3, :3]
+        tilt = 1e-5 * axes[:, :2] @ [np.cos(2.0 * q[row]), np.sin(2.0 * q[row])]
+        expected = np.cross(tilt, here[row] - frame[:3, 3])
+        np.testing.assert_allclose(found[row], expected, atol=1e-6)  # second order: 1e-10 of 1e3 mm
+    assert np.abs(found).max() > 1e-3
+
+
+def test_what_the_geometry_can_be_wrong_about() -> None:
+    """The base Jacobian contains the derivative by every parameter of the model's geometry, by finite differences."""
+    truth, run = truth_and_session()
+    chain = replace(
+        chain_of([DHRow(*row) for row in truth.table.tolist()]), base=truth.base, tools={"1": truth.tools[0]}
+    )
+    model = Model(Arm(chain))
+    steps = 1e-4 / model.scales
+    columns = [
+        (model.position(run.q, model.values + step) - model.position(run.q, model.values - step)).ravel() / 2e-4
+        for step in np.diag(steps)
+    ]
+    space = simulator.base_jacobian(replace(truth, tools=truth.tools[:1]), run)
+    for column in columns:
+        left = column - space @ np.linalg.lstsq(space, column, rcond=1e-10)[0]
+        assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(column)  # of differences: (1e-4)^2 and 1e-13 / 1e-4
+
+
+def test_the_mass_of_a_tool_that_nobody_weighed() -> None:
+    """Estimated with the compliances from data without noise; a guessed mass makes other stiffnesses of it."""
+    truth, run = truth_and_session()
+    truth = replace(truth, payload=0.0)
+    c = 1e-5 * np.array([0.0, 2.0, 1.0, 3.0, 4.0])
+    heavy = replace(truth, effects=[("joint_compliance", None, {"c": c}), ("payload_error", None, {"d": 3.0})])
+    run = replace(run, payload=np.zeros(len(run.q)))
+    rows = Rows.of(Measurements(run.q, simulator.position(heavy, run)))
+    compliances = [EffectSpec("joint_compliance", j) for j in range(2, 6)]
+    found = fit(model_of(truth, *compliances, EffectSpec("tool_mass")), rows).by_name
+    assert found["tool_mass.m"] == pytest.approx(3.0, abs=1e-6)
+    for j in range(2, 6):
+        assert found[f"joint_compliance:{j}.c"] == pytest.approx(c[j - 1], rel=1e-6)
+    guessed = fit(
+        model_of(replace(truth, payload=1.0), *compliances), rows.pick(np.ones(len(run.q), dtype=bool))
+    ).by_name
+    assert guessed["joint_compliance:5.c"] > 1.5 * c[4]  # at the wrist nearly all of the torque is the tool's

@@ -6,7 +6,6 @@ import json
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -14,23 +13,22 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli.study import command
-from doe.jobs.running import processes, serial
+from doe.jobs import SERIAL, processes
 from doe.report.studies import figure_1_picture, figure_2_picture
-from doe.studies.paper import study as paper_run
-from doe.studies.paper.study import Shown, errata
-from doe.studies.paper.tables import (
+from doe.studies import paper
+from doe.studies.paper import (
+    Shown,
     agreement,
     consistent,
+    errata,
     figure_1,
     figure_2,
-    joint_offset_std,
     table_1,
     table_2,
     table_3,
     text_figures,
 )
 from identification.errors import JobError
-from identification.progress import silent
 
 L = np.array([260.0, 180.0, 120.0, 100.0])
 
@@ -80,8 +78,10 @@ def test_table_3_agrees_but_for_the_errata() -> None:
     agrees = found.filter(verdict="agrees")
     assert len(agrees) == 2 * (4 + 6 + 8) - 8 - 2  # two columns of numbers, the lost, the errata
     joints = found.filter(pl.col("item").str.starts_with("joint"), links=4, runs=20, place="Table III")
-    np.testing.assert_allclose(joints["ideal"].to_numpy(), joint_offset_std(4, 20), rtol=1e-12)
-    np.testing.assert_allclose(joints["simulated"].to_numpy(), joint_offset_std(4, 20), rtol=0.05)
+    of_link = np.degrees(0.1 / np.sqrt(20.0) / L)
+    expected = np.sqrt(of_link**2 + np.r_[0.0, of_link[:-1] ** 2])  # dq_j = dtheta_j - dtheta_(j-1)
+    np.testing.assert_allclose(joints["ideal"].to_numpy(), expected, rtol=1e-12)
+    np.testing.assert_allclose(joints["simulated"].to_numpy(), expected, rtol=0.05)
 
 
 def test_table_3_against_a_loop_of_least_squares() -> None:
@@ -98,18 +98,15 @@ def test_table_3_against_a_loop_of_least_squares() -> None:
     np.testing.assert_allclose(ours, oracle, rtol=4.5 * np.sqrt(2.0) / np.sqrt(6_000))
 
 
-def test_inconsistency_is_seen() -> None:
-    row = {"theory": [1.0, None], "simulated": [1.1, 2.0], "standard_error": [0.01, 0.1]}
-    assert not consistent(pl.DataFrame(row))
-    assert consistent(pl.DataFrame({**row, "simulated": [1.04, 2.0]}))
-
-
 @pytest.mark.parametrize(
     ("printed", "theory", "expected"),
     [(0.027, 0.02757, "agrees"), (0.028, 0.02757, "agrees"), (0.058, 0.022361, "erratum"), (None, 1.0, "added")],
 )
 def test_verdict(printed: float | None, theory: float, expected: str) -> None:
     assert agreement(printed, theory) == expected
+    row = {"theory": [1.0, None], "simulated": [1.1, 2.0], "standard_error": [0.01, 0.1]}
+    assert not consistent(pl.DataFrame(row))
+    assert consistent(pl.DataFrame({**row, "simulated": [1.04, 2.0]}))
 
 
 def test_text() -> None:
@@ -118,13 +115,10 @@ def test_text() -> None:
     np.testing.assert_allclose(found["theory"].to_numpy()[:4], [0.05, 0.1 / np.sqrt(20), 0.01, 0.001])
 
 
-def test_every_erratum_is_confirmed() -> None:
+def test_every_erratum_is_confirmed_and_a_correct_statement_is_none() -> None:
     found = errata(replications=3_000, seed=1)
     assert found.filter(~pl.col("confirmed"))["place"].to_list() == []
     assert len(found) == 15  # doe/README.md, "Errata", and D*
-
-
-def test_a_correct_statement_is_no_erratum() -> None:
     assert not Shown(1e-6, 1e-12, 1e-9).confirmed
     assert not Shown(0.5, 1e-3, 1e-9).confirmed
 
@@ -194,9 +188,6 @@ def test_verb(tmp_path: Path) -> None:
         assert f"--replications: found {number}, allowed for the paper: 100 to 100,000" in few.output
 
 
-ARGUMENTS: dict[str, Any] = {"seed": 3, "replications": 100, "force": False, "progress": silent}
-
-
 @cache
 def plain_tables() -> tuple[pl.DataFrame, ...]:
     """What the study's functions give when they are called one by one."""
@@ -208,8 +199,8 @@ def plain_tables() -> tuple[pl.DataFrame, ...]:
 
 def test_parts_make_the_same_tables_on_any_workers() -> None:
     """One process stands for any number: rows depend on keys alone (tests/doe/jobs/test_running.py)."""
-    found = paper_run.paper_study(folder=None, workers=processes(1), resume=False, **ARGUMENTS).tables
-    assert tuple(found) == tuple(paper_run.PIECES)
+    found = paper.paper_study(100, workers=processes(1), seed=3).tables
+    assert tuple(found) == tuple(paper.PIECES)
     for frame, other in zip(found.values(), plain_tables(), strict=True):
         assert frame.equals(other)
 
@@ -225,15 +216,16 @@ def test_resume_keeps_finished_parts(tmp_path: Path, monkeypatch: pytest.MonkeyP
             raise ValueError("out of luck")
         return errata(replications, seed, numbers)
 
-    monkeypatch.setattr(paper_run, "errata", stopped)
-    options: dict[str, Any] = {**ARGUMENTS, "folder": tmp_path / "out", "workers": serial()}
+    def run(resume: bool = True) -> dict[str, pl.DataFrame]:
+        return paper.paper_study(100, tmp_path / "out", SERIAL, seed=3, resume=resume).tables
+
+    monkeypatch.setattr(paper, "errata", stopped)
     with pytest.raises(KeyboardInterrupt):
-        paper_run.paper_study(resume=False, **options)
+        run(resume=False)
     with pytest.raises(JobError, match=r"errata: ValueError: out of luck; go on with --resume"):
-        paper_run.paper_study(resume=True, **options)
-    resumed = paper_run.paper_study(resume=True, **options).tables
+        run()
+    resumed = run()
     assert sorted(asked) == sorted([*range(15), 5, 7])  # nothing else twice
-    monkeypatch.undo()
-    for name, frame in zip(paper_run.PIECES, plain_tables(), strict=True):
+    for name, frame in zip(paper.PIECES, plain_tables(), strict=True):
         assert frame.equals(resumed[name])
         assert frame.equals(pl.read_parquet(tmp_path / "out" / f"{name}.parquet"))

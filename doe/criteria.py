@@ -1,0 +1,590 @@
+"""Criteria of optimality. Every one is MAXIMISED and is a concave function of the information matrix.
+
+*Log-determinants of principal submatrices* (D, D_s, D*, and D of several arms): Phi(M) = sum_t s_t log det M[t, t],
+with Phi(c M) = Phi(M) + s log c, s = sum_t s_t |t|; with Phi concave that gives for every other design N the bound
+Phi(N) <= Phi(M) + s log( tr(G N) / s )  (tangent at c M, c chosen best).
+
+*Weighted sums of variances* (A, I): Phi(M) = -tr(W M^-1). t(c M) = t(M) / c for t = tr(W M^-1) > 0; the tangent at c M,
+c chosen best, gives t(N) >= t(M)^2 / tr(G N), G = M^-1 W M^-1.
+
+*Eigenvalues* (Kiefer's means, E): Phi(c M) = c Phi(M), so that tangents pass through the origin: Phi(N) <= tr(G N).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification import Array, InputError, information_matrix, nearest, readonly
+from identification.information import rounding_share, significant
+
+NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
+Factors = list[tuple[float, Array, Array]]  # number c, and symmetric (p, p) L and R
+Term = tuple[float, NDArray[np.intp]]  # sign, rows
+
+
+def criterion(
+    name: str,
+    *,
+    units: Sequence[str] = (),
+    subset: Sequence[int] | None = None,
+    test_jacobians: Array | None = None,
+) -> Criterion:
+    """The criterion of a name as in `--criterion`.
+
+    units : of the p parameters, for Dstar;  subset : indices (from 0) of the parameters that matter, for Ds
+    test_jacobians : (k, d, p) `DesignProblem.scaled_jacobians` at the test poses, for I
+    Raises `InputError` for an unknown name, and where what the criterion needs is missing.
+    """
+    if name not in NAMES:
+        raise InputError(f"criterion: unknown name {name!r}, {nearest(name, NAMES)}")
+    if name == "I":
+        if test_jacobians is None or not len(test_jacobians):
+            raise InputError("criterion: I needs test poses, none are given, allowed: at least one posture")
+        return I(test_jacobians)
+    if name == "Ds":
+        if not subset or not set(subset) <= set(range(len(units) or max(subset) + 1)):
+            chosen = list(subset) if subset else "none"
+            raise InputError(f"criterion: Ds needs a subset of the parameters, found {chosen}, allowed: at least one")
+        return Ds(tuple(subset))
+    return DStar.by_unit(units) if name == "Dstar" else {"D": D, "A": A, "E": E}[name]()
+
+
+class Criterion(ABC):
+    """A concave function Phi of the (p, p) scaled information matrix per run, M = sum_i w_i B_i^T B_i, sum w = 1.
+
+    A singular M has the value -inf, not an error; `log_determinants` says which are.
+    name : as in `--criterion`
+    """
+
+    name: str
+
+    @abstractmethod
+    def value(self, information: Array) -> Array:
+        """(...) Phi(M) of matrices (..., p, p); -inf where M is singular."""
+
+    @abstractmethod
+    def gradient(self, information: Array) -> Array:
+        """(p, p) G = dPhi/dM. Equivalence theorem: w is optimal iff max_q tr(G B(q)^T B(q)) = tr(G M)."""
+
+    @abstractmethod
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """No design has a greater value than this, given `largest` >= max_q tr(G B(q)^T B(q)) over the design space."""
+
+    @abstractmethod
+    def efficiency(self, value: float, bound: float, parameters: int) -> float:
+        """Fraction 0..1 of the runs that an optimal design would need for the same accuracy."""
+
+    @property
+    def smooth(self) -> Criterion:
+        """What gradient methods climb: another one where the criterion has no second derivatives."""
+        return self
+
+    @property
+    def surrogate(self) -> Criterion:
+        """What many postures are compared by: another one where the criterion is slow to compute."""
+        return self
+
+    def curvature_factors(self, information: Array) -> Factors | None:
+        """c, L and R of D^2 Phi(M)[X, Y] = -sum c tr(L X R Y); None: it is of another form."""
+        return None
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """(k, k) second derivative D^2 Phi(M)[X_a, X_b] for symmetric directions X (k, p, p); never positive."""
+        k, total = len(directions), np.zeros((len(directions),) * 2)
+        for factor, left, right in self.curvature_factors(information) or ():
+            one, other = left @ directions, right @ directions
+            total -= factor * (one.reshape(k, -1) @ np.swapaxes(other, 1, 2).reshape(k, -1).T)
+        return np.asarray(0.5 * (total + total.T))
+
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) Phi(A_s + B_sc^T B_sc), but for a number that depends on s only: enough to choose a posture.
+
+        information : (s, p, p) matrices A of plans that lack one run;  jacobians : (s, c, d, p) candidates for it
+        """
+        return np.asarray(self.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians))
+
+
+# -- log-determinants --------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class D(Criterion):
+    """Phi(M) = log det M: the volume of the confidence ellipsoid (paper, Section V).
+
+    Invariant to units and to linear changes of the parameters (doe/README.md, "Criteria"). The other criteria of this
+    kind differ in their terms.
+    """
+
+    name = "D"
+
+    def terms(self, parameters: int) -> list[Term]:
+        """Signs and rows (from 0) of the submatrices of a (p, p) matrix: all of M."""
+        return [(1.0, np.arange(parameters))]
+
+    def degree(self, parameters: int) -> float:
+        """s, the degree of homogeneity."""
+        return float(sum(sign * len(rows) for sign, rows in self.terms(parameters)))
+
+    def value(self, information: Array) -> Array:
+        """(...) Phi(M), -inf where a submatrix is singular."""
+        total, regular = np.zeros(information.shape[:-2]), np.ones(information.shape[:-2], dtype=bool)
+        for sign, rows in self.terms(information.shape[-1]):
+            log_det = log_determinants(information[..., rows[:, None], rows])
+            regular &= np.isfinite(log_det)
+            total = total + sign * np.where(regular, log_det, 0.0)
+        return np.where(regular, total, -np.inf)
+
+    def gradient(self, information: Array) -> Array:
+        """(p, p) sum_t sign_t inverse of the submatrix, in its place."""
+        return np.asarray(sum(sign * inverse for sign, inverse, _ in self.curvature_factors(information)))
+
+    def curvature_factors(self, information: Array) -> Factors:
+        """-sum_t sign_t tr(M_t^-1 X_t M_t^-1 Y_t)."""
+        factors: Factors = []
+        for sign, rows in self.terms(len(information)):
+            inverse, place = np.zeros_like(information), np.ix_(rows, rows)
+            inverse[place] = np.linalg.inv(information[place])
+            factors.append((sign, inverse, inverse))
+        return factors
+
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) Phi(A_s + B_sc^T B_sc) - Phi(A_s), by the determinant lemma: log det(I_d + B_t A_t^-1 B_t^T)."""
+        s, c, d, columns = jacobians.shape
+        total = np.zeros((s, c))
+        for sign, rows in self.terms(columns):
+            p = len(rows)
+            root = np.linalg.inv(np.linalg.cholesky(ridged(information[..., rows[:, None], rows])))
+            parts = jacobians if p == columns else jacobians[..., rows]
+            whitened = (parts.reshape(s, c * d, p) @ np.swapaxes(root, -1, -2)).reshape(s, c, d, p)
+            small = np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2)
+            if d == 2:  # the planar case, without a factorisation
+                total += sign * np.log(small[..., 0, 0] * small[..., 1, 1] - small[..., 0, 1] * small[..., 1, 0])
+            else:
+                total += sign * np.linalg.slogdet(small)[1]
+        return total
+
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """Phi(M) + s log(max tr(G N) / s)."""
+        s = self.degree(len(information))
+        return float(self.value(information)) + s * float(np.log(largest / s))
+
+    def efficiency(self, value: float, bound: float, parameters: int) -> float:
+        """exp((value - bound) / s)."""
+        return float(np.exp((value - bound) / self.degree(parameters))) if np.isfinite(value) else 0.0
+
+
+@dataclass(frozen=True)
+class Ds(D):
+    """Phi(M) = log det M - log det M_22 = -log det of the covariance of the `subset` (M_22: all other parameters).
+
+    The confidence ellipsoid of some parameters, the others being estimated as well. Invariant to units.
+    subset : indices (from 0) of the parameters that matter
+    """
+
+    subset: tuple[int, ...]
+    name = "Ds"
+
+    def terms(self, parameters: int) -> list[Term]:
+        """All of M, minus the block of the nuisance parameters."""
+        everything = np.arange(parameters)
+        return [(1.0, everything), (-1.0, np.setdiff1d(everything, self.subset))]
+
+
+@dataclass(frozen=True)
+class DStar(D):
+    """Phi(M) = sum of the log-determinants of the groups' own principal submatrices.
+
+    The paper maximises det C' and asks for det S' = 0, C' and S' being the diagonal and off-diagonal blocks of M'
+    (eq. 20). Of the base model both diagonal blocks are C', so Phi = 2 log det C' >= log det M', with equality when
+    S' = 0. It ignores the correlation between lengths and angles: prefer D (doe/README.md, "Criteria"). det S' = 0
+    alone says nothing for odd n, where every antisymmetric matrix has it, and little for even n >= 4, where such a
+    matrix may be singular without being zero: D* agrees with D for 2 links only.
+
+    groups : indices (from 0) of the parameters of each group, say lengths and angles
+    """
+
+    groups: tuple[tuple[int, ...], ...]
+    name = "Dstar"
+
+    @classmethod
+    def by_unit(cls, units: Sequence[str]) -> DStar:
+        """One group per unit of the p parameters, as the paper argues."""
+        return cls(tuple(tuple(k for k, u in enumerate(units) if u == unit) for unit in dict.fromkeys(units)))
+
+    def terms(self, parameters: int) -> list[Term]:
+        """The groups."""
+        return [(1.0, np.array(group)) for group in self.groups]
+
+    def value(self, information: Array) -> Array:
+        """(...) Phi(M), -inf where M is singular, even if no group's submatrix is."""
+        return np.where(np.isneginf(log_determinants(information)), -np.inf, super().value(information))
+
+
+@dataclass(frozen=True)
+class Average(D):
+    """log det M = sum_k log det M_k of K arms measured together (`doe.problem.uncertain`): M is block diagonal.
+
+    Its efficiency, exp((value - bound) / p) with p of all arms together, is the geometric mean of the arms'.
+    count : K blocks on the diagonal of M
+    """
+
+    count: int
+    name = "average"
+
+    def terms(self, parameters: int) -> list[Term]:
+        """The blocks."""
+        return [(1.0, rows) for rows in np.split(np.arange(parameters), self.count)]
+
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) as of D, the sum over the arms."""
+        return np.sum(_gains(information, jacobians, self.count), axis=0)
+
+
+@dataclass(frozen=True)
+class SoftWorst(Criterion):
+    """-(1/t) log sum_k exp(-t log det M_k) = -(1/t) log sum_k det(M_k)^-t: smooth, concave, below the smallest by at
+    most log(K) / t.
+
+    count : K blocks on the diagonal of M;  sharpness : t
+    """
+
+    count: int
+    sharpness: float = 20.0
+    name = "soft_worst"
+
+    def value(self, information: Array) -> Array:
+        """(...) soft minimum of log det M_k, -inf where one of them is singular."""
+        return self._soft_minimum(D().value(_blocks(information, self.count)))
+
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) soft minimum of log det (M_k + B_k^T B_k); a singular M_k counts as nearly so."""
+        before = D().value(ridged(_blocks(information, self.count)))
+        return self._soft_minimum(before[..., None] + _gains(information, jacobians, self.count))
+
+    def _soft_minimum(self, each: Array) -> Array:
+        """(...) of (K, ...)."""
+        lowest = each.min(axis=0)
+        safe = np.where(np.isfinite(lowest), lowest, 0.0)
+        with np.errstate(invalid="ignore"):
+            total = np.sum(np.exp(-self.sharpness * (each - safe)), axis=0)
+        return np.where(np.isfinite(lowest), safe - np.log(total) / self.sharpness, -np.inf)
+
+    def block_weights(self, information: Array) -> Array:
+        """(K,) weights of the blocks in the gradient: the worse, the more."""
+        each = D().value(_blocks(information, self.count))
+        raised = np.exp(-self.sharpness * (each - each.min()))
+        return np.asarray(raised / raised.sum())
+
+    def gradient(self, information: Array) -> Array:
+        """(p, p) block diagonal of s_k M_k^-1, s the weights of the blocks."""
+        size, total = len(information) // self.count, np.zeros_like(information)
+        each = np.linalg.inv(_blocks(information, self.count))
+        for k, weight in enumerate(self.block_weights(information)):
+            total[k * size : (k + 1) * size, k * size : (k + 1) * size] = weight * each[k]
+        return total
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """sum_k s_k phi_k'' - t (sum_k s_k phi_k' phi_k'^T - (sum_k s_k phi_k') (sum_k s_k phi_k')^T)."""
+        weights = self.block_weights(information)
+        parts, moves = _blocks(information, self.count), _blocks(directions, self.count)
+        slopes = np.array([np.tensordot(x, D().gradient(m), axes=2) for x, m in zip(moves, parts, strict=True)])
+        bends = sum(s * D().curvature(m, x) for s, m, x in zip(weights, parts, moves, strict=True))
+        mean = weights @ slopes
+        return np.asarray(bends - self.sharpness * ((slopes.T * weights) @ slopes - np.outer(mean, mean)))
+
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """Tangent of sum_k s_k log det M_k, which no design's smallest log det exceeds: its value + largest - p / K."""
+        mean = self.block_weights(information) @ D().value(_blocks(information, self.count))
+        return float(mean + largest - len(information) / self.count)
+
+    def efficiency(self, value: float, bound: float, parameters: int) -> float:
+        """exp((value - bound) / p) of one arm's p."""
+        return float(np.exp((value - bound) / (parameters / self.count))) if np.isfinite(value) else 0.0
+
+
+@dataclass(frozen=True)
+class Worst(SoftWorst):
+    """min_k log det M_k; solvers climb its smooth stand-in, whose gradient also gives the bound."""
+
+    sharpness: float = 200.0
+    name = "worst"
+
+    @property
+    def smooth(self) -> Criterion:
+        """What gradient methods climb."""
+        return SoftWorst(self.count)
+
+    surrogate = smooth
+
+    def value(self, information: Array) -> Array:
+        """(...) min_k log det M_k."""
+        return np.min(D().value(_blocks(information, self.count)), axis=0)
+
+
+def _gains(information: Array, jacobians: Array, count: int) -> Array:
+    """(K, s, c) log det(A_k + B_k^T B_k) - log det A_k of plans (s, p, p) and candidates (s, c, K d, p)."""
+    d, p = jacobians.shape[-2] // count, jacobians.shape[-1] // count
+    each = [jacobians[..., k * d : (k + 1) * d, k * p : (k + 1) * p] for k in range(count)]
+    return np.stack([D().values_after_adding(m, b) for m, b in zip(_blocks(information, count), each, strict=True)])
+
+
+def _blocks(information: Array, count: int) -> Array:
+    """(K, ..., p/K, p/K) the diagonal blocks."""
+    size = information.shape[-1] // count
+    return np.stack([information[..., k : k + size, k : k + size] for k in range(0, count * size, size)])
+
+
+# -- variances ---------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class InverseTrace(Criterion):
+    """Phi(M) = -tr(W M^-1): the criteria of this kind differ in the weight matrix W (p, p), positive semidefinite."""
+
+    @abstractmethod
+    def weight(self, parameters: int) -> Array:
+        """(p, p) W."""
+
+    def value(self, information: Array) -> Array:
+        """(...) -tr(W M^-1), -inf where M is singular."""
+        inverse = inverses(information)
+        none = np.isinf(inverse[..., 0, 0])
+        finite = np.where(none[..., None, None], 0.0, inverse)
+        return np.where(none, -np.inf, -np.sum(finite * self.weight(information.shape[-1]), axis=(-2, -1)))
+
+    def gradient(self, information: Array) -> Array:
+        """(p, p) M^-1 W M^-1."""
+        inverse = np.linalg.inv(information)
+        return inverse @ self.weight(len(information)) @ inverse
+
+    def curvature_factors(self, information: Array) -> Factors:
+        """-2 tr(M^-1 W M^-1 X M^-1 Y)."""
+        return [(2.0, self.gradient(information), np.asarray(np.linalg.inv(information), dtype=np.float64))]
+
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) tr(W A^-1) - tr(W (A + B^T B)^-1), by Woodbury's identity: d x d inverses only."""
+        s, c, d, p = jacobians.shape
+        _, seen, inner = _woodbury(information, jacobians)
+        outer = (seen.reshape(s, c * d, p) @ self.weight(p)).reshape(s, c, d, p) @ np.swapaxes(seen, -1, -2)
+        return np.trace(np.linalg.solve(inner, outer), axis1=-2, axis2=-1)
+
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """-t^2 / max tr(G N), t = tr(W M^-1)."""
+        return -(float(self.value(information)) ** 2) / largest
+
+    def efficiency(self, value: float, bound: float, parameters: int) -> float:
+        """Ratio of the sums of variances, which fall as 1/m."""
+        return bound / value if np.isfinite(value) else 0.0
+
+
+@dataclass(frozen=True)
+class A(InverseTrace):
+    """Sum of the variances of the scaled parameters [mm^2]: angles times link length (doe/README.md, "Criteria").
+
+    Not invariant to units. The paper's reason against it (a constant trace) is about tr M, not tr M^-1.
+    """
+
+    name = "A"
+
+    def weight(self, parameters: int) -> Array:
+        """(p, p) identity."""
+        return np.eye(parameters)
+
+
+@dataclass(frozen=True)
+class I(InverseTrace):  # noqa: E742 (its name in the literature)
+    """Mean squared position error at test poses after compensation (Klimchik's test-pose criterion).
+
+    After m runs with noise sigma per coordinate, -Phi sigma^2 / m is the mean over the poses of E |error|^2 [mm^2]:
+    Phi = -tr(W M^-1) with W = mean of B_0^T B_0. Invariant to units.
+
+    jacobians : (k, d, p) scaled Jacobians at the test poses, `DesignProblem.scaled_jacobians(poses)`, or (k, P, c, p)
+        of P measured points each
+    """
+
+    jacobians: Array
+    name = "I"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "jacobians", readonly(self.jacobians))
+
+    @property
+    def points(self) -> int:
+        """P."""
+        return self.jacobians.shape[1] if self.jacobians.ndim == 4 else 1
+
+    @cached_property
+    def _weight(self) -> Array:
+        k, *_, p = self.jacobians.shape
+        return information_matrix(self.jacobians.reshape(k, -1, p)) / k
+
+    def weight(self, parameters: int) -> Array:
+        """(p, p) mean of B_0^T B_0."""
+        return self._weight
+
+
+# -- eigenvalues -------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class PowerMean(Criterion):
+    """Kiefer's Phi_k(M) = (mean of lambda^-k)^(-1/k): k -> 0 is D, k = 1 is A, k -> infinity is E. Smooth, concave.
+
+    exponent : k > 0
+    """
+
+    exponent: float = 1.0
+    name = "power_mean"
+
+    def value(self, information: Array) -> Array:
+        """(...) Phi_k, -inf where M is singular."""
+        variances, none = _variances(information)
+        ratio = variances / variances[..., -1:]
+        mean = np.mean(ratio**self.exponent, axis=-1) ** (-1.0 / self.exponent) / variances[..., -1]
+        return np.where(none, -np.inf, mean)
+
+    def gradient(self, information: Array) -> Array:
+        """(p, p) V diag(g) V^T, g_i = lambda_i^(-k-1) Phi^(k+1) / p."""
+        values, vectors = np.linalg.eigh(information)
+        return (vectors * self._slopes(values)) @ vectors.T
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """Second derivative of a symmetric function of eigenvalues (Lewis and Sendov).
+
+        With X~ = V^T X V:  sum_ij h_ij X~_ii Y~_jj + sum_(i != j) (g_i - g_j) / (lambda_i - lambda_j) X~_ij Y~_ij.
+        """
+        values, vectors = np.linalg.eigh(information)
+        slopes, mean, k = self._slopes(values), float(self.value(information)), self.exponent
+        turned = vectors.T @ directions @ vectors
+        slope_changes = -(k + 1.0) * slopes / values
+        gap = values[:, None] - values
+        near = np.abs(gap) <= 1e-7 * np.abs(values[:, None] + values)  # the quotient's limit, to 1e-7 of itself
+        quotient = np.where(
+            near, (slope_changes[:, None] + slope_changes) / 2.0, (slopes[:, None] - slopes) / np.where(near, 1.0, gap)
+        )
+        np.fill_diagonal(quotient, 0.0)
+        diagonal = np.diagonal(turned, axis1=-2, axis2=-1)
+        full = np.diag(slope_changes) + (k + 1.0) * np.outer(slopes, slopes) / mean
+        flat = turned.reshape(len(directions), -1)
+        return diagonal @ full @ diagonal.T + (flat * quotient.ravel()) @ flat.T
+
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) Phi_k(A + B^T B), inverses by Woodbury's identity, M^-k by squaring if k is a power of two."""
+        doublings = float(np.log2(self.exponent))
+        if doublings < 1.0 or not doublings.is_integer():
+            return super().values_after_adding(information, jacobians)
+        before, seen, inner = _woodbury(information, jacobians)
+        inverse = before[:, None] - np.swapaxes(seen, -1, -2) @ np.linalg.solve(inner, seen)
+        scale = np.trace(inverse, axis1=-2, axis2=-1)
+        power = inverse / scale[..., None, None]  # against overflow
+        for _ in range(int(doublings) - 1):
+            power = power @ power
+        mean = np.sum(power**2, axis=(-2, -1)) / power.shape[-1]
+        return mean ** (-1.0 / self.exponent) / scale
+
+    def _slopes(self, values: Array) -> Array:
+        ratio = values / values[0]
+        mean = np.mean(ratio**-self.exponent)
+        return ratio ** (-self.exponent - 1.0) * mean ** (-1.0 / self.exponent - 1.0) / len(values)
+
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """max tr(G N); for the smallest eigenvalue with any G >= 0 of unit trace: lambda_min(N) <= tr(G N)."""
+        return largest
+
+    def efficiency(self, value: float, bound: float, parameters: int) -> float:
+        """Ratio of the values."""
+        return value / bound if np.isfinite(value) else 0.0
+
+
+@dataclass(frozen=True)
+class E(PowerMean):
+    """Phi(M) = smallest eigenvalue of the scaled M: 1 over the largest variance of any unit combination of parameters.
+
+    Not invariant to units (lengths in mm, angles times link length). Not differentiable where the eigenvalue is
+    multiple, which an optimum usually is: the gradient is one of many there, and solvers climb a `smooth` stand-in.
+    """
+
+    exponent: float = np.inf
+    name = "E"
+
+    @property
+    def smooth(self) -> Criterion:
+        """Within p^(1/k), 7 % for p = 8 and k = 32, of the smallest eigenvalue."""
+        return PowerMean(exponent=32.0)
+
+    @property
+    def surrogate(self) -> Criterion:
+        """Without an eigenvalue problem for each posture."""
+        return PowerMean(exponent=8.0)
+
+    def value(self, information: Array) -> Array:
+        """(...) smallest eigenvalue, -inf where M is singular."""
+        variances, none = _variances(information)
+        return np.where(none, -np.inf, 1.0 / variances[..., -1])
+
+    def gradient(self, information: Array) -> Array:
+        """(p, p) v v^T of the eigenvector v of the smallest eigenvalue (one of its supergradients if multiple)."""
+        vector = np.linalg.eigh(information)[1][:, 0]
+        return np.outer(vector, vector)
+
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) values, one eigenvalue problem each."""
+        return Criterion.values_after_adding(self, information, jacobians)
+
+
+# -- matrices ----------------------------------------------------------------------------------------------------------
+def ridged(information: Array) -> Array:
+    """(..., p, p) the matrices, whose diagonals are about one, with a little added: they have an inverse."""
+    p = information.shape[-1]
+    # of the mean eigenvalue: where a run is lacking M may be singular, and this keeps the ranking right
+    ridge = 1e-9 * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
+    return np.asarray(information + ridge[..., None, None] * np.eye(p))
+
+
+def _woodbury(information: Array, jacobians: Array) -> tuple[Array, Array, Array]:
+    """(s, p, p) A^-1, (s, c, d, p) B A^-1 and (s, c, d, d) I + B A^-1 B^T of candidates B (s, c, d, p).
+
+    (A + B^T B)^-1 = A^-1 - A^-1 B^T (I + B A^-1 B^T)^-1 B A^-1.
+    """
+    s, c, d, p = jacobians.shape
+    inverse = np.asarray(np.linalg.inv(ridged(information)), dtype=np.float64)
+    seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)
+    return inverse, seen, np.asarray(np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2))
+
+
+def log_determinants(information: Array) -> Array:
+    """(...) log det of information matrices (..., p, p) of scaled parameters; -inf where the rule of ranks calls them
+    singular.
+
+    The determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most matrices their
+    eigenvalues.
+    """
+    p = information.shape[-1]
+    lengths = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
+    usable = np.array(np.all(np.isfinite(information), axis=(-2, -1)))
+    usable &= np.all(significant(np.where(usable[..., None], lengths, 1.0)), axis=-1)
+    lengths = np.where(usable[..., None], lengths, 1.0)
+    unit = np.where(usable[..., None, None], information / lengths[..., :, None] / lengths[..., None, :], np.eye(p))
+    signs, logs = np.linalg.slogdet(unit)
+    usable &= signs > 0
+    close = usable & (logs <= 1.0 + np.log(p * rounding_share(p)))
+    if np.any(close):
+        usable[close] = np.all(significant(np.linalg.eigvalsh(unit[close]), rounding_share(p)), axis=-1)
+    return np.where(usable, logs + 2.0 * np.sum(np.log(lengths), axis=-1), -np.inf)
+
+
+def inverses(information: Array) -> Array:
+    """(..., p, p) inverses of information matrices of scaled parameters, infinite where `log_determinants` is -inf."""
+    p = information.shape[-1]
+    singular = np.isneginf(log_determinants(information))[..., None, None]
+    matrices = np.where(singular, np.eye(p), information)
+    lengths = np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
+    inverse = np.linalg.inv(matrices / lengths[..., :, None] / lengths[..., None, :])
+    return np.where(singular, np.inf, inverse / lengths[..., :, None] / lengths[..., None, :])
+
+
+def _variances(information: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(..., p) eigenvalues of M^-1, smallest first, ones where M is singular; and (...) where it is."""
+    inverse = inverses(information)
+    none = np.isinf(inverse[..., 0, 0])
+    return np.asarray(np.linalg.eigvalsh(np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse))), none

@@ -1,0 +1,504 @@
+"""Many tasks, and tables of their rows that outlive a crash; on processes of this machine or on a dask cluster.
+
+A task is a key (what to do, in JSON types) of a function that workers import by name: what cannot be pickled (CasADi,
+IPOPT) is built there. Its rows depend on key and seed, never on workers or order.
+
+A table is one Parquet file. While work goes on, finished rows are appended to a journal beside it (one line of JSON per
+key, floats to the last bit); closing the table turns both into the Parquet file. After a kill the journal remains, and
+`resume` reads it; a line cut short by the crash is dropped, and its key is done again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import logging
+import multiprocessing
+import os
+import re
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import polars as pl
+
+from identification import SINGLE_THREAD, InputError, JobError, Progress, silent
+from identification.files.io import check_writable, write_together
+
+Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
+Row = dict[str, Any]
+Function = Callable[..., list[Row]]  # (key, seed sequence), and the key's payload where there is one
+KEY = "key"  # column with the key's canonical text
+SEED = "seed"  # column; a key with an entry of this name brings its own
+LOST = "the workers were lost; finished rows are kept, go on with --resume"
+# of a new process: nothing is imported from the folder it starts in, no traceback
+QUIET = {"PYTHONSAFEPATH": "1", "PYTHONFAULTHANDLER": ""}
+
+
+def canonical(key: Key) -> str:
+    """The key as text, independent of the order of its entries.
+
+    >>> canonical({"runs": 4, "arm": "a"})
+    '{"arm":"a","runs":4}'
+    """
+    return json.dumps(key, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def short_hash(content: str | bytes) -> str:
+    """Twelve hexadecimal digits that identify a long input in the keys of tasks."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()[:12]
+
+
+def seed_of(key: Key, seed: int = 0) -> np.random.SeedSequence:
+    """The seed of a key's own stream of random numbers: from the key's text and the user's seed, nothing else."""
+    digest = hashlib.sha256(canonical(key).encode()).digest()
+    return np.random.SeedSequence([seed, *np.frombuffer(digest, dtype="<u4").tolist()])
+
+
+# -- tables ------------------------------------------------------------------------------------------------------------
+def frame_of(rows: Sequence[Row]) -> pl.DataFrame:
+    """Rows as a polars frame with the union of their columns; what a row does not have is null."""
+    return pl.DataFrame(rows, infer_schema_length=None, strict=False) if rows else pl.DataFrame()
+
+
+def parquet(frame: pl.DataFrame) -> bytes:
+    """The content of the frame's Parquet file."""
+    buffer = io.BytesIO()
+    frame.write_parquet(buffer)
+    return buffer.getvalue()
+
+
+def with_columns(frame: pl.DataFrame, types: Mapping[str, Any]) -> pl.DataFrame:
+    """The frame with columns of these names and types; one that no row has is there, empty."""
+    empty = [pl.lit(None).alias(name) for name in types if name not in frame.columns]
+    return frame.with_columns(empty).cast(types)  # type: ignore[arg-type]
+
+
+def journal_of(path: Path) -> Path:
+    """The file that holds finished rows while work goes on."""
+    return path.with_name(path.name + ".journal")
+
+
+class RowTable:
+    """Rows by the text of their key, in memory and in the journal.
+
+    path : the Parquet file, written on the way out of `with`, also after Ctrl-C or an error; None: in memory only
+    resume : continue a table that exists;  force : replace it, at once: what is resumed later is of one run
+
+    Raises `InputError` if the table exists and neither is given, or another process is writing it.
+    """
+
+    def __init__(self, path: Path | str | None = None, *, resume: bool = False, force: bool = False) -> None:
+        self.rows: dict[str, list[Row]] = {}
+        self.path = None if path is None else Path(path).absolute()
+        if self.path is None:
+            return
+        check_writable(self.path, force=True)
+        self._journal = _locked(journal_of(self.path))
+        try:
+            if resume:
+                self.rows = _from_parquet(self.path) | _from_journal(self._journal)
+                return
+            for file, exists in ((self.path, self.path.exists()), (journal_of(self.path), self._journal.tell() > 0)):
+                if exists and not force:
+                    allowed = "a new name, --resume to go on, or --force to replace it"
+                    raise InputError(f"{file}: exists, allowed: {allowed}")
+            self.path.unlink(missing_ok=True)
+            self._journal.truncate(0)
+        except BaseException:
+            if self._journal.seek(0, io.SEEK_END) == 0:
+                journal_of(self.path).unlink()
+            self._journal.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.path is None:
+            return
+        try:
+            self.write()
+        except KeyboardInterrupt:  # once more, for the signal to find the table whole and no journal
+            self.write()
+            raise
+        finally:
+            self._journal.close()
+
+    def write(self) -> None:
+        """The Parquet file in place of the journal; without a row none."""
+        assert self.path is not None
+        if self.rows:
+            write_together({self.path: parquet(self.frame(self.rows))}, force=True)
+        journal_of(self.path).unlink(missing_ok=True)
+
+    def add(self, text: str, rows: Sequence[Row]) -> None:
+        """The rows of the key with this text, in the journal before this returns. Raises `JobError` if that cannot be
+        written."""
+        self.rows[text] = [{KEY: text, **row} for row in rows]
+        if self.path is None:
+            return
+        line = json.dumps([text, list(rows)]).encode() + b"\n"
+        try:
+            while line:
+                line = line[self._journal.write(line) :]
+        except OSError as error:
+            reason = f"cannot be written ({error.strerror}); finished rows are kept, go on with --resume"
+            raise JobError(f"{journal_of(self.path)}: {reason}") from None
+
+    def frame(self, texts: Iterable[str]) -> pl.DataFrame:
+        """The rows of these keys, in their order; without a row, a frame without columns."""
+        return frame_of([row for text in texts for row in self.rows[text]])
+
+
+def _locked(path: Path) -> io.FileIO:
+    """A journal, at its end, that no other process writes."""
+    import portalocker
+
+    try:
+        stream = io.FileIO(path, "a+b")
+        portalocker.lock(stream, portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING)
+    except portalocker.AlreadyLocked:
+        stream.close()
+        raise InputError(f"{path}: another run is writing this table, allowed: one at a time") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}), allowed: a writable place") from None
+    stream.seek(0, io.SEEK_END)
+    if path.exists() and os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+        return stream
+    stream.close()
+    return _locked(path)  # another run ended, and took its journal away, between the two lines
+
+
+def _from_parquet(path: Path) -> dict[str, list[Row]]:
+    if not path.exists():
+        return {}
+    try:
+        frame = pl.read_parquet(path)
+    except (pl.exceptions.PolarsError, OSError) as error:
+        reason = f"not a Parquet file ({str(error).splitlines()[0]})"
+        raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
+    if KEY not in frame.columns:
+        raise InputError(f"{path}: has no column {KEY!r}, allowed: a table written by armcal")
+    return frame.rows_by_key(KEY, named=True, include_key=True)
+
+
+def _from_journal(journal: io.FileIO) -> dict[str, list[Row]]:
+    """Its rows; the torn end of a crashed run is cut off."""
+    journal.seek(0)
+    rows, size = {}, 0
+    with suppress(ValueError, TypeError):
+        for line in journal.read().splitlines(keepends=True):
+            text, of_key = json.loads(line)
+            if line.endswith(b"\n"):
+                rows[text] = [{KEY: text, **row} for row in of_key]
+                size += len(line)
+    journal.truncate(size)
+    return rows
+
+
+# -- tasks -------------------------------------------------------------------------------------------------------------
+@contextmanager
+def tables(
+    folder: Path | str | None, *names: str, resume: bool = False, force: bool = False
+) -> Iterator[list[RowTable]]:
+    """Tables of these names that belong together: in a folder, which is made (None: in memory), all of them closed to
+    other runs."""
+    if folder is not None:
+        try:
+            Path(folder).mkdir(exist_ok=True)
+        except OSError as error:
+            reason = f"cannot be made ({error.strerror})"
+            raise InputError(f"{folder}: {reason}, allowed: a folder in an existing one") from None
+    with ExitStack() as stack:
+        paths = [None if folder is None else Path(folder) / name for name in names]
+        yield [stack.enter_context(RowTable(path, resume=resume, force=force)) for path in paths]
+
+
+def run_tasks(
+    function: Function,
+    keys: Sequence[Key],
+    table: RowTable,
+    workers: Workers | None = None,
+    *,
+    seed: int = 0,
+    payload: Callable[[Key], Any] | None = None,
+    progress: Progress = silent,
+) -> pl.DataFrame:
+    """The rows of all keys, in the order of the keys; those that the table has already are not done again.
+
+    function : importable by name where the workers are; `function(key, seed_sequence)` gives the rows of one key
+    payload : what a task needs besides its key, sent along as a third argument; it must follow from the key
+    A task that raises, or whose worker dies each time, becomes a row with `status` "failed" and `error`; every row has
+    its key's entries, `status` and `seconds`. Rows are in the table as soon as they are finished: Ctrl-C or a crash
+    loses only what was being computed.
+    Raises `JobError` if the workers are lost, `InputError` if the table's rows are those of another seed.
+    """
+    asked, workers = {canonical(key): key for key in keys}, workers or SERIAL
+    for text, key in asked.items():
+        for row in table.rows.get(text, ()):
+            if (made := row.get(SEED)) not in (None, key.get(SEED, seed)):
+                allowed = f"--seed {made} to go on, or --force to replace them"
+                raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
+    waiting = deque(text for text in asked if text not in table.rows)
+    done, failed, running = len(asked) - len(waiting), 0, dict[Future[Any], str]()
+    # three tasks per worker, so that none waits; a million tasks are never in flight at once
+    ahead = workers.count * 3 if workers.count > 1 else 1
+
+    def task(text: str) -> tuple[Any, ...]:
+        return (function, dict(asked[text]), seed, *(() if payload is None else (payload(asked[text]),)))
+
+    def store(text: str, rows: list[Row]) -> None:
+        nonlocal done, failed
+        table.add(text, rows)
+        done, failed = done + 1, failed + (rows[0]["status"] != "done")
+        progress(done, len(asked), f"{failed} failed" if failed else "")
+
+    def stored(future: Future[Any], text: str) -> None:
+        error = None if future.cancelled() else future.exception()
+        if future.cancelled() or isinstance(error, BrokenExecutor):
+            raise BrokenExecutor
+        store(text, future.result() if error is None else [_failure(asked[text], seed, error)])  # cannot travel
+
+    progress(done, len(asked), "")
+    try:
+        while waiting:
+            try:
+                with workers.open() as executor:
+                    while waiting or running:
+                        while waiting and len(running) < ahead:
+                            future = executor.submit(perform, *task(waiting[0]))
+                            running[future] = waiting.popleft()
+                        for future in wait(running, 0.2, FIRST_COMPLETED).done:
+                            stored(future, running[future])
+                            del running[future]
+                        workers.check(executor)
+            except BrokenExecutor:  # one task of these killed its worker, and took the others with it
+                if not running:
+                    raise JobError(LOST) from None
+                for text in running.values():
+                    outcome = call(perform, *task(text), seconds=None)
+                    died = JobError(f"the worker process died each time it ran this task ({outcome.error})")
+                    store(text, outcome.value or [_failure(asked[text], seed, died)])
+                running.clear()
+    finally:  # after Ctrl-C what is finished is kept; in the order of the keys, whichever finished first
+        with suppress(BrokenExecutor):
+            for future, text in running.items():
+                if not future.cancel() and future.done():
+                    stored(future, text)
+        table.rows = {text: table.rows[text] for text in (asked | table.rows) if text in table.rows}
+    return table.frame(asked)
+
+
+def perform(function: Function, key: dict[str, Any], seed: int, *payload: Any) -> list[Row]:
+    """Run a task on a worker: the rows of its key, or one row that says how it failed."""
+    started = time.perf_counter()
+    try:
+        rows = function(key, seed_of(key, seed), *payload)
+    except Exception as error:  # noqa: BLE001 - failures are rows; the study goes on
+        return [_failure(key, seed, error, time.perf_counter() - started)]
+    seconds = time.perf_counter() - started
+    return [{SEED: seed, **key, "status": "done", "error": None, "seconds": seconds, **row} for row in rows or [{}]]
+
+
+def _failure(key: Key, seed: int, error: BaseException, seconds: float = 0.0) -> Row:
+    return {SEED: seed, **key, "status": "failed", "error": one_line(error), "seconds": seconds}
+
+
+def one_line(error: BaseException) -> str:
+    """`TypeName: message`, on one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+# -- workers -----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Workers:
+    """Where tasks run: what gives an executor, for one that stays open `Workers(lambda: nullcontext(executor), 8)`;
+    how many tasks run at once; what raises `JobError` where futures of the executor will never end."""
+
+    open: Callable[[], AbstractContextManager[Executor]]
+    count: int = 1
+    check: Callable[[Any], None] = lambda _: None
+
+
+def chosen_workers(workers: int | None = None, address: str | None = None) -> Workers:
+    """What the options --workers and --cluster ask for; both left out: all cores."""
+    if address is not None:
+        return cluster(address)
+    number = workers or os.cpu_count() or 1
+    return SERIAL if number == 1 else processes(number)
+
+
+class _Serial(Executor):
+    """Runs each task in this process when it is submitted."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*arguments, **named))
+        except Exception as error:  # noqa: BLE001 - as every executor: the future has it
+            future.set_exception(error)
+        return future
+
+
+SERIAL = Workers(_Serial)  # this process, one task at a time
+
+
+def processes(number: int | None = None) -> Workers:
+    """`number` processes of this machine (default: its cores), each with one thread of linear algebra."""
+    number = number or os.cpu_count() or 1
+    return Workers(partial(_pool, number), number)
+
+
+@contextmanager
+def _pool(number: int) -> Iterator[Executor]:
+    """Processes of our own, by loky (joblib): it starts an ordinary Python, so it works from anywhere (a notebook, a
+    dask worker), and what hangs or crashes there stops nothing here. Killed at the end: after Ctrl-C nobody waits."""
+    from joblib.externals.loky import ProcessPoolExecutor
+
+    # of loky's tracker, which would print what a killed process leaves behind and it removes
+    os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
+    # a dask worker is a daemon, which may have no children since they would outlive it: ours do not
+    multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C is for the one that asked
+    try:
+        environment = {**SINGLE_THREAD, **QUIET}
+        pool = ProcessPoolExecutor(number, env=environment, initializer=_end_with, initargs=(os.getpid(),))
+        pool.submit(int)  # starts them
+    except OSError as error:  # no semaphores: a /dev/shm that is read-only
+        raise JobError(f"no processes can share work here ({error.strerror}), allowed: --workers 1") from None
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(kill_workers=True)
+
+
+def _end_with(parent: int) -> None:
+    """Ends this process when the one that asked is gone: killed, it could not say so."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.2)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def cluster(address: str, patience: float = 10.0) -> Workers:
+    """An existing dask cluster, `tcp://host:port` of its scheduler; its workers need this package installed.
+
+    patience : time to wait for an answer, and for a first worker [s]
+
+    Raises `InputError` if dask is not installed, nothing answers there, or no worker is connected.
+    """
+    try:
+        from distributed import Client
+        from distributed.comm import get_address_host_port
+    except ImportError:
+        raise InputError("--cluster: dask is not installed, allowed: pip install 'armcal[cluster]'") from None
+    try:
+        get_address_host_port(address, strict=True)  # a client of a bad address hangs when it is closed
+    except (ValueError, TypeError, NotImplementedError):
+        raise InputError(f"--cluster: found {address!r}, allowed: an address as tcp://host:8786") from None
+
+    @contextmanager
+    def connected() -> Iterator[Executor]:
+        """dask prints nothing meanwhile: a lost scheduler is one line of ours."""
+        before = logging.root.manager.disable
+        logging.disable()
+        try:
+            client = Client(address, timeout=patience, set_as_default=False)
+            executor = client.get_executor(pure=False)
+            try:
+                yield executor
+            except Exception:
+                scheduler_is_there(executor)
+                raise
+            finally:
+                client.close(timeout=patience)
+        finally:
+            logging.disable(before)
+
+    try:
+        with connected() as executor:
+            client = executor._client  # type: ignore[attr-defined]
+            client.wait_for_workers(1, timeout=patience)
+            threads = sum(client.nthreads().values())
+    except OSError as error:
+        allowed = f"one that runs, with workers, started with `dask worker {address}`"
+        reason = f"no scheduler with workers answers ({one_line(error)})"
+        raise InputError(f"--cluster {address}: {reason}, allowed: {allowed}") from None
+    return Workers(connected, max(threads, 1), scheduler_is_there)
+
+
+def scheduler_is_there(executor: Any) -> None:
+    """Raises `JobError` if a dask client has lost its scheduler: it does so once and for all, and some futures never
+    end, as what fails while a result is fetched is logged and dropped."""
+    if executor._client.status != "running":
+        raise JobError(LOST)
+
+
+# -- one call in a process of its own ----------------------------------------------------------------------------------
+class Outcome(NamedTuple):
+    """How a call in its own process ended.
+
+    value : what it returned, None unless `status` is "done"
+    status : "done", "failed" (it raised), "timeout" (killed), "crashed" (the process died)
+    error : one line on what went wrong
+    seconds : wall time of the call itself, without starting the process
+    peak_memory_mb : largest resident memory of the process, with its imports; None where the system does not give it
+    """
+
+    value: Any
+    status: str
+    error: str | None
+    seconds: float
+    peak_memory_mb: float | None
+
+
+def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -> Outcome:
+    """`function(*arguments)` in a new process, killed `seconds` [s] after it was called.
+
+    function : importable by name there;  arguments : picklable
+    """
+    started = time.monotonic()
+    with _pool(1) as process:
+        try:
+            # a minute to start and import, which is not part of the limit on the call itself
+            process.submit(id, function).result(60.0)  # its module is imported by now
+            started = time.monotonic()
+            return process.submit(_measured, function, arguments).result(seconds)
+        except TimeoutError:
+            return Outcome(None, "timeout", f"killed after {seconds:g} s", seconds or 60.0, None)
+        except BrokenExecutor as error:
+            code = re.search(r"\((-?\d+)\)\}", str(error))
+            number = int(code[1]) if code else 1
+            reason = f"signal {-number}" if number < 0 else f"exit code {number}"
+            return Outcome(None, "crashed", reason, time.monotonic() - started, None)
+
+
+def _measured(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome:
+    """The call, in the new process; what it prints goes nowhere: solvers print banners."""
+    for stream in (1, 2):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+    started = time.perf_counter()
+    try:
+        value, status, error = function(*arguments), "done", None
+    except Exception as raised:  # noqa: BLE001 - every failure becomes the outcome
+        value, status, error = None, "failed", one_line(raised)
+    seconds, process = time.perf_counter() - started, Path("/proc/self/status")
+    # of the address space: `getrusage` would count what the parent had before this process began
+    peak = int(process.read_text().split("VmHWM:")[1].split()[0]) / 1024.0 if process.exists() else None
+    return Outcome(value, status, error, seconds, peak)

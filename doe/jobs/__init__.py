@@ -1,1 +1,0 @@
-"""Running many tasks: workers, isolated processes, and tables of finished rows."""

@@ -1,0 +1,411 @@
+"""Monte Carlo studies: against the paper's formulas, plain loops, and themselves on other workers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+from scipy.optimize import least_squares
+
+from doe.cli.study import command
+from doe.jobs import frame_of, processes, seed_of
+from doe.plan.plan import Plan
+from doe.report.studies import monte_carlo_parts
+from doe.studies.monte_carlo import (
+    Study,
+    StudyResult,
+    TruthTable,
+    dft_postures,
+    in_api_units,
+    in_file_units,
+    load_study,
+    pooled_rows,
+    run_study,
+    true_values,
+)
+from identification.arm import Arm, Calibration
+from identification.errors import InputError
+from identification.estimation import estimate_each
+from identification.files.arm import dump_arm
+from identification.for_design import without_prior
+from identification.kinematics.chain import DHRow, chain_of
+from identification.measurements import Conditions
+from identification.model import Model
+from identification.workspace import WorkspaceBox
+
+LENGTHS, ERRORS = np.array([260.0, 180.0, 120.0, 100.0]), np.array([1.5, -0.6, -0.4, 0.7])
+OFFSETS = np.radians([0.5, -0.5, 0.7, -0.3])
+PAPER = {"name": "paper", "length_errors_mm": ERRORS.tolist(), "joint_offsets_deg": [0.5, -0.5, 0.7, -0.3]}
+ARM = Arm(LENGTHS, sigma=0.1, name="paper-4-link")
+HIDDEN = {"name": "encoder_eccentricity", "joint": 2, "a_deg": 0.03, "b_deg": -0.012}
+ECCENTRIC, WAVE = PAPER | {"name": "eccentric", "effects": [HIDDEN]}, {"name": HIDDEN["name"], "joint": 2}
+RANDOM_PLAN = Plan(np.random.default_rng(8).uniform(-np.pi, np.pi, (12, 4)))
+
+ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
+CHAIN = replace(chain_of(ROWS), tools={"1": np.array([40.0, 30.0, 20.0])})
+ELBOW = Arm(CHAIN, sigma=0.05, name="elbow")
+SIZES = {"translation_x:2": 0.4, "translation_y:3": -0.3, "rotation_y:3": 0.1, "base.x": 2.0}
+MACHINED: dict[str, Any] = {"name": "machined", "values": SIZES}
+PLAN = Plan(np.random.default_rng(2).uniform(-2.5, 2.5, (15, 3)))
+
+
+def paper(plans: Any = ("dft",), truth: Any = PAPER, **others: Any) -> StudyResult:
+    """A study of the paper's arm."""
+    seed = others.pop("seed", 0)
+    return run_study(Study.of([ARM], plans, truths=[truth], **others), seed=seed)
+
+
+def positions(postures: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Eq. 1 written out."""
+    theta = np.cumsum(postures + offsets, axis=-1)
+    return np.stack([(lengths * np.cos(theta)).sum(-1), (lengths * np.sin(theta)).sum(-1)], axis=-1)
+
+
+def test_dft_plan_satisfies_table_1() -> None:
+    postures = dft_postures(4, 7)
+    for j in range(4):
+        for k in range(j + 1, 4):
+            assert abs(np.mean(np.exp(1j * postures[:, j + 1 : k + 1].sum(axis=1)))) < 1e-14
+    assert np.all((postures > -np.pi) & (postures <= np.pi))
+
+
+def test_fits_on_plans_of_their_own_equal_a_general_optimiser() -> None:
+    generator = np.random.default_rng(4)
+    postures = generator.uniform(-np.pi, np.pi, (3, 6, 4))
+    measured = positions(postures, LENGTHS + ERRORS, OFFSETS) + 0.1 * generator.standard_normal((3, 6, 2))
+    fits, unit = estimate_each(Model(ARM), postures, measured), np.r_[np.ones(4), LENGTHS]
+    for k in range(3):
+        oracle = least_squares(
+            lambda x, k=k: (positions(postures[k], LENGTHS + x[:4], x[4:]) - measured[k]).ravel(),
+            np.zeros(8),
+            x_scale=1.0 / unit,
+            **dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15),
+        )
+        # the optimiser stops where the cost no longer changes: half the digits
+        np.testing.assert_allclose(fits.parameters[k] * unit, oracle.x * unit, atol=1e-5)
+        assert fits.rss[k] == pytest.approx(2 * oracle.cost, rel=1e-9)
+
+
+def test_cells_pool_blocks_as_if_there_were_none() -> None:
+    generator = np.random.default_rng(2)
+    parts = [generator.normal(3.0, 2.0, size) for size in (5, 1, 40)]
+    key = {"arm": "a", "plan": "p", "runs": 3, "sigma_mm": 0.1, "truth": "t", "model": "m", "inputs": "i"}
+    key |= {"status": "done", "error": None, "parameter": "x", "unit": "mm", "failed": 1, "expected_std": 2.0}
+    rows = [
+        key | {"fits": len(e), "mean_error": e.mean(), "squares": ((e - e.mean()) ** 2).sum()}
+        | {"covered": int((abs(e) < 3).sum()), "rms_mm": float(len(e))}
+        for e in parts
+    ]  # fmt: skip
+    (found,) = pooled_rows(frame_of(rows)).to_dicts()
+    every = np.concatenate(parts)
+    expected = {"fits": 46, "failed": 3, "mean_error": every.mean(), "std": every.std(ddof=1)}
+    expected |= {"rms": np.sqrt(np.mean(every**2)), "coverage": np.mean(abs(every) < 3)}
+    expected["rms_mm"] = np.sqrt((5**3 + 1 + 40**3) / 46)
+    assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-13)
+    lost = frame_of([rows[0] | {"fits": 0, "mean_error": None, "squares": None, "rms_mm": None, "expected_std": None}])
+    [_, sheet] = monte_carlo_parts(StudyResult(pooled_rows(lost), lost.with_columns(key=pl.lit("")), lost))
+    assert sheet.title.endswith("0 fits, 1 failed, RMS - mm")
+
+
+def test_optimal_plan_has_the_deviations_of_equation_25() -> None:
+    m, replications = 20, 20_000
+    found = paper(runs=[m], replications=replications, block=6_000).cells
+    orientation = np.degrees(0.1 / np.sqrt(m) / (LENGTHS + ERRORS))
+    joint = np.sqrt(orientation**2 + np.r_[0.0, orientation[:-1] ** 2])  # dq_j = dtheta_j - dtheta_(j-1)
+    expected = np.r_[np.full(4, 0.1 / np.sqrt(m)), joint, orientation]
+    np.testing.assert_allclose(found["expected_std"].to_numpy(), expected, rtol=1e-9)
+    # 12 deviations, 12 means and 12 coverages from one fixed seed: 4.5 standard errors fail by chance in 1 of 4,000
+    std_error = expected / np.sqrt(2 * replications)
+    assert np.all(np.abs(found["std"].to_numpy() - expected) < 4.5 * std_error)
+    # the estimate of a length |u| is high by sigma^2 / (2 m l), 1e-6 mm: nothing here
+    assert np.all(np.abs(found["mean_error"].to_numpy()) < 4.5 * expected / np.sqrt(replications))
+    assert np.all(np.abs(found["coverage"].to_numpy() - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / replications))
+    # residuals have 2m - 2n degrees of freedom, summed over x and y
+    assert found["rms_mm"][0] == pytest.approx(0.1 * np.sqrt((2 * m - 8) / m), rel=0.01)
+    assert found["fits"].to_list() == [replications] * 12
+
+
+def test_random_plans_are_new_for_each_replication() -> None:
+    result = paper(["random"], runs=[6], sigma_mm=[0.2], replications=30, block=30, seed=3)
+    generator = np.random.default_rng(seed_of(json.loads(result.blocks["key"][0]), 3))
+    postures = generator.uniform(-np.pi, np.pi, (30, 6, 4))
+    measured = positions(postures, LENGTHS + ERRORS, OFFSETS) + 0.2 * generator.standard_normal((30, 6, 2))
+    errors, variances = [], []
+    for q, p in zip(postures, measured, strict=True):
+        columns = np.exp(1j * np.cumsum(q, axis=1))
+        u = np.linalg.lstsq(columns, p[:, 0] + 1j * p[:, 1], rcond=None)[0]
+        errors.append(np.abs(u) - LENGTHS - ERRORS)
+        variances.append(0.04 * np.diag(np.linalg.inv(columns.conj().T @ columns)).real)  # H, doe/README.md
+    found = result.cells.filter(pl.col("parameter").str.starts_with("length"))
+    np.testing.assert_allclose(found["mean_error"].to_numpy(), np.mean(errors, axis=0), atol=1e-10)
+    np.testing.assert_allclose(found["std"].to_numpy(), np.std(errors, axis=0, ddof=1), rtol=1e-8)
+    np.testing.assert_allclose(found["expected_std"].to_numpy(), np.sqrt(np.mean(variances, axis=0)), rtol=1e-6)
+    covered = np.abs(errors) <= 1.959963984540054 * np.sqrt(variances)
+    np.testing.assert_allclose(found["coverage"].to_numpy(), covered.mean(axis=0))
+
+
+@pytest.mark.parametrize("effects", [[], [WAVE], [{"name": "backlash", "joint": 1}]])
+def test_random_plans_have_the_deviations_and_intervals_that_theory_says(effects: list[dict[str, Any]]) -> None:
+    replications = 2_000
+    truth = PAPER | {"effects": [entry | {"b_deg": 0.05} for entry in effects if entry["name"] == "backlash"]}
+    models = [{"name": "m", "effects": effects}]
+    found = paper(["random"], truth, runs=[16], models=models, replications=replications, seed=2).cells
+    # 14 ratios from one fixed seed; plans of 16 runs differ little, so the deviation of a normal error is near enough
+    ratio = found["std"].to_numpy() / found["expected_std"].to_numpy()
+    assert np.all(np.abs(ratio - 1.0) < 1.5 * 4.5 / np.sqrt(2 * replications))
+    assert np.all(np.abs(found["coverage"].to_numpy() - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / replications))
+    assert ((found["mean_error"] / found["mean_error_se"]).abs() < 4.5).all()
+    assert found["std_se"].null_count() == len(found)
+
+
+def test_missing_effect_biases_and_its_model_repairs() -> None:
+    models = [{"name": "base", "effects": []}, {"name": "full", "effects": [WAVE]}]
+    found = paper({"plan.csv": RANDOM_PLAN}, ECCENTRIC, models=models, replications=400).cells
+    base, full = (found.filter(model=name) for name in ("base", "full"))
+    assert full["runs"].to_list() == [12] * 14
+    assert ((full["mean_error"] / full["mean_error_se"]).abs() < 4.5).all()  # 14 numbers
+    # 0.0005 rad at 180 mm is 0.09 mm against 0.1 / sqrt(12 * 400) = 0.0014 mm
+    assert ((base["mean_error"] / base["mean_error_se"]).abs() > 20.0).any()
+    assert base["rms_mm"][0] > full["rms_mm"][0]
+
+
+def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
+    boxed, seen = replace(ARM, constraints=(WorkspaceBox((-800.0, 800.0), (0.0, 800.0)),), name="boxed"), []
+
+    def spy(model: Model, postures: np.ndarray, measured: np.ndarray, conditions: Conditions) -> Any:
+        seen.append(postures)
+        return estimate_each(model, postures, measured, conditions)
+
+    monkeypatch.setattr("doe.studies.monte_carlo.estimate_each", spy)
+    found = run_study(Study.of([boxed], ["random", "dft"], runs=[8], truths=[PAPER], replications=300)).cells
+    heights = positions(np.concatenate(seen), LENGTHS, np.zeros(4))[..., 1]
+    assert heights.shape == (300, 8)
+    assert heights.min() >= 0.0
+    assert found.filter(plan="random")["status"].to_list() == ["done"] * 12
+    assert found.filter(plan="dft")["error"].str.contains(r"plan dft: posture \d+ is outside").all()
+
+
+def test_parts_of_a_block_are_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long plans go through memory in parts: the same draws, and sums that do not tell."""
+    whole = paper(runs=[6], replications=50).cells
+    monkeypatch.setattr("doe.studies.monte_carlo.MOST_ROWS", 6 * 7)
+    parts = paper(runs=[6], replications=50).cells
+    numbers = ["mean_error", "std", "expected_std", "coverage", "rms_mm"]
+    np.testing.assert_allclose(parts.select(numbers).to_numpy(), whole.select(numbers).to_numpy(), rtol=1e-9)
+
+
+def test_rows_depend_on_no_workers_and_an_extended_study_keeps_what_is_done(tmp_path: Path) -> None:
+    def small(*runs: int) -> Study:
+        arms = [ARM, Arm(LENGTHS[:2], sigma=0.1, name="two")]
+        return Study.of(arms, ["analytic", "random"], runs=[*runs], replications=300, block=200)
+
+    folder, alone = tmp_path / "out", run_study(small(4, 5), seed=1)
+    first = run_study(small(4), folder, processes(2), seed=1)
+    with pytest.raises(InputError, match="--resume"):
+        run_study(small(4, 5), folder, seed=1)
+    both = run_study(small(4, 5), folder, seed=1, resume=True)
+    assert both.blocks.filter(runs=4).equals(first.blocks)  # to the very seconds
+    for one, other in zip((both.blocks, both.plans), (alone.blocks, alone.plans), strict=True):
+        assert one.drop("seconds").equals(other.drop("seconds"))
+    assert both.cells.equals(alone.cells)
+    assert {f.name for f in folder.iterdir()} == {"plans.parquet", "blocks.parquet", "cells.parquet"}
+    assert pl.read_parquet(folder / "cells.parquet").equals(alone.cells)
+
+
+def test_cells_that_cannot_be_done_are_rows() -> None:
+    limited = replace(ARM, lower=np.full(4, -1.0), upper=np.full(4, 1.0), name="limited")
+    plans = ["dft", "random", "analytic"]
+    result = run_study(Study.of([ARM, limited], plans, runs=[3, 4], truths=[PAPER], replications=10))
+    reason = {(r["arm"], r["plan"], r["runs"]): r["error"] for r in result.cells.filter(status="failed").to_dicts()}
+    few = {(arm, plan, 3) for arm in ("paper-4-link", "limited") for plan in plans}
+    assert set(reason) == few | {("limited", "dft", 4), ("limited", "analytic", 4)}
+    assert "3 runs are too few for 4 links" in reason["paper-4-link", "dft", 3]
+    assert "is outside the limits" in reason["limited", "dft", 4]
+    assert "no plan" in reason["limited", "analytic", 4]
+
+
+# -- in space ----------------------------------------------------------------------------------------------------------
+def truth_of(arm: Arm) -> Model:
+    return Model(TruthTable(**MACHINED).of(arm))
+
+
+def test_true_values_put_the_point_where_the_truth_does() -> None:
+    """Without noise the fitted set, which is smaller than that of the errors, ends at the positions of all of them."""
+    model, truth = Model(without_prior(ELBOW)), truth_of(ELBOW)
+    assert len(model.names) < len(truth.names)
+    postures = np.random.default_rng(5).uniform(-3.0, 3.0, (30, 3))
+    found = model.position(postures, true_values(model, truth))
+    np.testing.assert_allclose(found, truth.position(postures), atol=1e-5)
+
+
+def test_intervals_hold_and_a_missing_effect_is_a_bias() -> None:
+    truths, sets = [MACHINED, MACHINED | {"name": "eccentric", "effects": [HIDDEN]}], 400
+    models = [{"name": "geometry", "effects": []}]
+    plans = {"plan": PLAN, "dft": None}
+    study = Study.of([ELBOW], plans, runs=[15], truths=truths, models=models, replications=sets, block=sets)
+    cells = run_study(study, seed=3).cells
+    rows, other = (cells.filter(plan="plan", truth=name) for name in ("machined", "eccentric"))
+    assert rows["failed"].to_list() == [0] * len(Model(without_prior(ELBOW)).names)
+    spread = 5.0 / np.sqrt(2.0 * sets)  # five standard errors of a standard deviation
+    np.testing.assert_allclose(rows["std"] / rows["expected_std"], 1.0, atol=spread)
+    assert (rows["mean_error"].abs() < 5.0 * rows["mean_error_se"]).all()
+    assert ((rows["coverage"] - 0.95).abs() < 5.0 * np.sqrt(0.95 * 0.05 / sets)).all()
+    assert other["rms_mm"][0] > 1.5 * rows["rms_mm"][0]
+    assert (other["mean_error"] / other["mean_error_se"]).abs().to_numpy().max() > 20.0
+    assert "is spatial, allowed: planar arms" in cells.filter(plan="dft")["error"][0]
+
+
+SEVERAL = {"tools": {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10.0, 60.0])}}
+
+
+@pytest.mark.parametrize("measured", [SEVERAL, SEVERAL | {"angle_scale": 100.0}])
+def test_every_point_and_frame_is_measured_at_every_posture(measured: dict[str, Any]) -> None:
+    """Expected deviations from (sum of J^T J)^-1 with J by central differences of the model's own positions and turned
+    axes; the fits scatter by as much, and the intervals hold."""
+    chain = replace(CHAIN, **measured)
+    arm, plans = Arm(chain, sigma=0.05, name="elbow"), {"plan": Plan(PLAN.postures[:8]), "random": None}
+    study = Study.of([arm], plans, runs=[9], truths=[MACHINED], replications=100)
+    cells = run_study(study, seed=4).cells
+    model, count = Model(without_prior(arm)), len(chain.tools)
+    values = true_values(model, truth_of(study.arms[0]))
+    q, marker = np.repeat(PLAN.postures[:8], count, axis=0), Conditions(marker=np.arange(8 * count) % count)
+    if chain.angle_scale is not None:
+        known = Calibration(dict(zip(model.names, values.tolist(), strict=True)))
+        real = Model(replace(model.arm, calibration=known))
+        marker = replace(marker, orientation=real.orientations(q, marker))
+    steps = 1e-4 * np.diag(1.0 / model.scales)
+    moved = [model.position(q, values + step, marker) - model.position(q, values - step, marker) for step in steps]
+    at = np.array(moved).reshape(len(values), -1) / 2e-4 * model.scales[:, None]
+    expected = 0.05 * np.sqrt(np.diag(np.linalg.inv(at @ at.T)))
+    factors = [p.to_file for p in model.parameters]
+    rows, at_random = (cells.filter(plan=plan) for plan in ("plan", "random"))
+    np.testing.assert_allclose(rows["expected_std"], expected * factors, rtol=1e-4)
+    # five standard errors of a standard deviation, and of a mean
+    np.testing.assert_allclose(rows["std"], rows["expected_std"], rtol=5.0 / np.sqrt(2.0 * 100))
+    assert np.abs(rows["mean_error"] / rows["expected_std"]).max() < 5.0 / np.sqrt(100)
+    for each in (rows, at_random):
+        assert each["failed"].to_list() == [0] * len(model.names)
+        assert each["coverage"].mean() == pytest.approx(0.95, abs=0.03)
+        assert each["rms_mm"].is_null().all() == (chain.angle_scale is not None)
+
+
+def test_several_points_make_up_for_few_postures() -> None:
+    Study.of([Arm(replace(CHAIN, **SEVERAL), sigma=0.1)], ["random"], runs=[5])
+    with pytest.raises(InputError, match="runs: found 2, allowed: at least"):
+        Study.of([Arm(replace(CHAIN, **SEVERAL), sigma=0.1)], ["random"], runs=[2])
+
+
+def test_units_of_sliding_joints() -> None:
+    types, postures = ("revolute", "prismatic"), np.array([[np.pi, 250.0]])
+    np.testing.assert_array_equal(in_file_units(postures, types), [[180.0, 250.0]])
+    np.testing.assert_array_equal(in_api_units(in_file_units(postures, types), types), postures)
+
+
+# -- the file ----------------------------------------------------------------------------------------------------------
+GOOD = """
+arms = ["arm.toml"]
+plans = ["dft", "plan.csv"]
+runs = [5]
+replications = 50
+[[truths]]
+name = "eccentric"
+length_errors_mm = [1.0, -1.0]
+joint_offsets_deg = [0.5, 0.25]
+effects = [{name = "encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01}]
+[[models]]
+name = "base"
+effects = []
+"""
+SPATIAL = """
+arms = ["elbow.toml"]
+plans = ["random"]
+runs = [9]
+replications = 5
+[[truths]]
+name = "machined"
+values = {"rotation_y:3" = 0.1}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "arm.toml").write_text("name = 'two'\nlinks_mm = [260.0, 180.0]\n[measurement]\nsigma_mm = 0.1\n")
+    (tmp_path / "elbow.toml").write_text(dump_arm(ELBOW))
+    rows = "\n".join(f"{k + 1},{30 * k},{-70 * k % 360 - 180}" for k in range(7))
+    (tmp_path / "plan.csv").write_text(f"run,q1_deg,q2_deg\n{rows}\n")
+    (tmp_path / "study.toml").write_text(GOOD)
+    return tmp_path
+
+
+def test_file_is_read(folder: Path) -> None:
+    study = load_study(folder / "study.toml", 40)
+    true = study.asked.truths[0].of(study.arms[0])
+    assert true.effects[0].values == pytest.approx({"a": np.radians(0.03), "b": np.radians(-0.01)})
+    assert true.calibration is not None
+    np.testing.assert_allclose(true.calibration.joint_offsets, np.radians([0.5, 0.25]))
+    assert study.asked.models[0].of(true) == replace(study.arms[0], effects=())
+    assert (study.plans["dft"], len(study.plans["plan.csv"] or ()), study.asked.replications) == (None, 7, 40)
+    (folder / "study.toml").write_text(SPATIAL)
+    cells = run_study(load_study(folder / "study.toml")).cells
+    assert cells["fits"].to_list() == [5] * len(Model(without_prior(ELBOW)).names)
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "found"),
+    [
+        *(
+            (GOOD, *change)
+            for change in (
+                ('plans = ["dft"', 'plans = ["dtf"', "did you mean 'dft'"),
+                ("replications = 50", "replicatons = 50", "replicatons: unknown key"),
+                ("runs = [5]", "", "runs: is missing"),
+                ('name = "base"', "", "models[1].name: is missing"),
+                ("replications = 50", "replications = 0", "replications: found 0"),
+                ("replications = 50", f"replications = 1{23 * '0'}", "<= 1000000000"),
+                ("replications = 50", "replications = 1000000\nblock = 1", "block: found 1"),
+                ("replications = 50", "sigma_mm = []", "sigma_mm: found 0 values"),
+                ("replications = 50", "sigma_mm = [nan]", "sigma_mm[1]: found nan"),
+                ("runs = [5]", "runs = [1000000000000]", "runs[1]: found 1000000000000"),
+                ("runs = [5]", "runs = [5, 2.5]", "runs[2]: found 2.5"),
+                ("length_errors_mm = [1.0,", "length_errors_mm = [1.0, 2.0,", "length_errors_mm: found 3 values for 2"),
+                ("joint = 2", "joint = 3", "truths: eccentric with arm two: effects: encoder_eccentricity at joint 3"),
+                ("encoder_eccentricity", "encoder_excentricity", "did you mean 'encoder_eccentricity'"),
+                ('"encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01', '"link_bending"', "needs gravity"),
+                ('"base"', '"base"\neffects = []\n[[models]]\nname = "base"', "models: name 'base' is given twice"),
+                ('["arm.toml"]', '["arm.toml", "arm.toml"]', "arms: name 'two' is given twice"),
+                ("arm.toml", "other.toml", "no such file"),
+            )
+        ),
+        (SPATIAL, "rotation_y:3", "rotation_w:3", "rotation_w:3"),
+        (SPATIAL, "elbow.toml", "arm.toml", "calibration.values: found in the file of a planar arm"),
+        (SPATIAL, 'values = {"rotation_y:3" = 0.1}', "length_errors_mm = [1.0]", "length_errors_mm: found in the file"),
+    ],
+)
+def test_bad_file_is_one_line(folder: Path, text: str, old: str, new: str, found: str) -> None:
+    assert old in text
+    (folder / "study.toml").write_text(text.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        load_study(folder / "study.toml")
+    assert found in str(caught.value)
+    assert "study.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_verb(folder: Path) -> None:
+    options = [str(folder / "study.toml"), "--workers", "1"]
+    done = CliRunner().invoke(command, [*options, "--json"])
+    assert done.exit_code == 0, done.output
+    answer = json.loads(done.stdout)
+    assert {cell["runs"] for cell in answer["cells"]} == {5, 7}
+    assert answer["failed"] == 0
+    assert (folder / "study.results" / "cells.parquet").exists()
+    assert CliRunner().invoke(command, options).exit_code == 2
+    shown = CliRunner().invoke(command, [*options, "--resume"])
+    assert shown.exit_code == 0
+    assert "joint_offset:2" in shown.output
