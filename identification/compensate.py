@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, readonly
-from identification.data_frames import frame_of_columns
+from identification.arrays import Array, frame_of_columns, readonly
 from identification.document import Document
 from identification.documents.identification import compensation_document
 from identification.errors import InputError

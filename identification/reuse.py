@@ -26,11 +26,10 @@ from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLAT
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
-from identification.measurements import Measurements
+from identification.measurements import ROW_DIGESTS, Measurements, rows_shared, union
 from identification.model import Model
 from identification.model.placed import with_markers
 from identification.origin import HELD_FROM, comes_from, identified
-from identification.row_digests import ROW_DIGESTS, rows_shared, union
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import SESSIONS, with_base
 

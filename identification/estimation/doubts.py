@@ -37,8 +37,8 @@ from identification.kinematics.parameters import (
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import FEWEST, tip_jacobian
+from identification.running import single_thread
 from identification.sessions import placing
-from identification.threads import single_thread
 from identification.workspace import ColumnLimits
 
 if TYPE_CHECKING:

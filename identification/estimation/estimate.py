@@ -45,9 +45,8 @@ from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Conditions, Measurements, directions_from_order, past_from_order, session_time
 from identification.model import Model
 from identification.model.placed import placed_model
+from identification.running import Status, single_thread
 from identification.sessions import placing
-from identification.status import Status
-from identification.threads import single_thread
 
 LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
 

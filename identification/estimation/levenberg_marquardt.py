@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.information import RANK_TOLERANCE, column_lengths, significant
-from identification.status import Status
+from identification.running import Status
 
 GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine with the residuals above this
 ITERATIONS = 200

@@ -38,7 +38,7 @@ from identification.kinematics.closed_form import PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
 ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, readonly
-from identification.data_frames import frame_of_rows
+from identification.arrays import Array, frame_of_rows, readonly
 from identification.document import Document
 from identification.documents import identification as shown
 from identification.estimation.doubts import Contradiction, contradiction_warnings, hardly_determined, tip_of
@@ -31,7 +30,7 @@ from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
 from identification.measurements import POINT, distances, rms_distance
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 
 STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
 ZERO = "add to the zero of joint {j}: real position = reading + this; or take it off every command"

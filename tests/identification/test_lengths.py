@@ -26,9 +26,9 @@ from identification.kinematics.frames import pose
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal, minimal_of
+from identification.running import Status
 from identification.sessions import with_sessions
 from identification.simulate import simulate
-from identification.status import Status
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.exponentials import Exponentials, drawing

@@ -29,7 +29,7 @@ from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 from identification.workspace import WorkspaceBox
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])

@@ -16,7 +16,7 @@ from doe.solvers import Offer, solve
 from doe.solvers.solver import LONG_PLAN, Budget
 from doe.solvers.solving import _search
 from identification.errors import InputError
-from identification.progress import silent
+from identification.running import silent
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 
 

@@ -16,7 +16,7 @@ from identification.estimation.levenberg_marquardt import (
     damped_steps,
     levenberg_marquardt,
 )
-from identification.status import Status
+from identification.running import Status
 
 INF = np.inf
 TIMES = np.linspace(0.0, 3.0, 12)

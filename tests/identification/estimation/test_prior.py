@@ -22,7 +22,7 @@ from identification.gap.library_prior import library_prior
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 
 ARM = Arm([300.0, 200.0], sigma=0.1)
 LIBRARY = library_prior(ARM, names=["encoder_eccentricity", "gear_ratio"])

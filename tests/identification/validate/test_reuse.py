@@ -16,7 +16,7 @@ from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.reuse import earlier, only, with_base_doubt, with_held, words_of
-from identification.status import Status
+from identification.running import Status
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 LENGTHS, SIGMA = np.array([260.0, 180.0, 120.0]), 0.1
