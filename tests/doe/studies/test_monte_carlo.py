@@ -357,7 +357,7 @@ def test_file_is_read(folder: Path) -> None:
         ),
         (SPATIAL, "rotation_y:3", "rotation_w:3", "rotation_w:3"),
         (SPATIAL, "elbow.toml", "arm.toml", "calibration.values: unknown parameter 'rotation_y:3'"),
-        (SPATIAL, 'values = {"rotation_y:3" = 0.1}', "length_errors_mm = [1.0]", "length_errors_mm: found in the file"),
+        (SPATIAL, 'values = {"rotation_y:3" = 0.1}', "length_errors_mm = [1, 2, 3]", "length_error"),
     ],
 )
 def test_bad_file_is_one_line(folder: Path, text: str, old: str, new: str, found: str) -> None:
