@@ -32,21 +32,16 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "information": "identifiability information_matrix spectrum",
     # errors, progress, arrays
     "errors": "ArmcalError InputError JobError in_one_line nearest",
-    "installed": "additions",
-    "status": "Status",
-    "progress": "Progress silent",
-    "arrays": "Array ByValue readonly",
-    "data_frames": "frame_of_columns",
-    "threads": "single_thread SINGLE_THREAD",
+    "running": "SINGLE_THREAD Progress Status additions silent single_thread",
+    "arrays": "Array ByValue frame_of_columns readonly",
 }
 _PLACES = {name: f"identification.{module}" for module, names in _CONTENTS.items() for name in names.split()}
 __all__ = sorted(_PLACES)
 
 if TYPE_CHECKING:  # the same for type checkers
     from identification.arm import LARGEST_MASS, Arm, Calibration, EffectSpec, Gravity
-    from identification.arrays import Array, ByValue, readonly
+    from identification.arrays import Array, ByValue, frame_of_columns, readonly
     from identification.campaign import Campaign
-    from identification.data_frames import frame_of_columns
     from identification.effects import library
     from identification.errors import ArmcalError, InputError, JobError, in_one_line, nearest
     from identification.estimation import Identification, estimate, estimate_batch, estimate_each
@@ -67,7 +62,6 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.gap.diagnose import diagnose
     from identification.gap.result import Diagnosis
     from identification.information import identifiability, information_matrix, spectrum
-    from identification.installed import additions
     from identification.kinematics.chain import DHRow, chain_of, planar_chain
     from identification.kinematics.counting import turned_into
     from identification.kinematics.parameters import (
@@ -83,9 +77,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.measurements import Conditions, Measurements, load_measurements, rms_distance
     from identification.model import Model
     from identification.model.minimal import practical
-    from identification.progress import Progress, silent
-    from identification.status import Status
-    from identification.threads import SINGLE_THREAD, single_thread
+    from identification.running import SINGLE_THREAD, Progress, Status, additions, silent, single_thread
     from identification.workflow import load_sessions
 
 

@@ -1,9 +1,9 @@
-"""Read-only arrays of floats, dataclasses of them that compare by value, eigenvalues of pairs, rows in words."""
+"""Read-only arrays of floats, dataclasses of them that compare by value, eigenvalues of pairs, frames."""
 
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from numbers import Real
 from types import MappingProxyType
@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from identification.errors import InputError
 
 Array = NDArray[np.float64]
 SHOWN = 5  # rows named in a sentence
@@ -40,14 +42,10 @@ class ByValue:
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
             return NotImplemented
-        return all(_same(value, getattr(other, name)) for name, value in _fields(self).items())
+        return all(_same(getattr(self, each.name), getattr(other, each.name)) for each in fields(self))  # type: ignore[arg-type]
 
     def __hash__(self) -> int:
-        return hash((type(self), *map(_hashable, _fields(self).values())))
-
-
-def _fields(item: Any) -> dict[str, Any]:
-    return {entry.name: getattr(item, entry.name) for entry in fields(item)}
+        return hash((type(self), *(_hashable(getattr(self, each.name)) for each in fields(self))))  # type: ignore[arg-type]
 
 
 def _same(one: Any, other: Any) -> bool:
@@ -87,3 +85,25 @@ def rows_in_words(chosen: NDArray[np.bool_]) -> str:
     numbers = (np.flatnonzero(chosen) + 1).tolist()
     rest = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
     return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{rest}"
+
+
+def frame_of_columns(columns: Mapping[str, Any], kind: str = "polars") -> Any:
+    """A frame of columns of one length;  kind : `polars` or `pandas`. Raises `InputError` for another, or no pandas."""
+    lists = {name: values.tolist() if hasattr(values, "tolist") else list(values) for name, values in columns.items()}
+    if kind == "polars":
+        import polars as pl  # takes longer to load than numpy: nothing else needs it to design or to fit
+
+        return pl.DataFrame(lists, strict=False)
+    try:
+        if kind == "pandas":
+            import pandas as pd  # an optional one
+
+            return pd.DataFrame(lists)
+    except ImportError:
+        raise InputError("frame: pandas is not installed, allowed: kind='polars', or pip install pandas") from None
+    raise InputError(f"frame: unknown kind {kind!r}, allowed: polars or pandas")
+
+
+def frame_of_rows(rows: Sequence[Mapping[str, Any]], kind: str = "polars") -> Any:
+    """A frame of rows that have the same keys; what is None is null."""
+    return frame_of_columns({name: [row[name] for row in rows] for name in (rows[0] if rows else ())}, kind)

@@ -273,7 +273,7 @@ class Campaign:
         """The error of every model on some measurements, and its sign against each joint."""
         tests, measured, fitted = self.tests[rows], self.measurements[rows], self.fitted(rows)
         last, names = list(tests.values())[-1], ["drawing", *tests]
-        figures = [vars(last.nominal).values(), *(vars(test.model).values() for test in tests.values())]
+        figures = [last.nominal, *(test.model for test in tests.values())]
         cells = [[name, *map(number, values)] for name, values in zip(names, figures, strict=True)]
         other = None if len(tests) == 1 else list(tests.values())[-2]
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])

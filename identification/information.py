@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,11 +115,6 @@ class Spectrum:
         return replace(self, rank=int(np.count_nonzero(significant(self.values, tolerance))))
 
     @property
-    def estimable(self) -> Array:
-        """(p, rank) orthonormal basis of the combinations that the data determine."""
-        return self.directions[:, : self.rank]
-
-    @property
     def null_space(self) -> Array:
         """(p, p - rank) orthonormal basis of the combinations that the data leave undetermined."""
         return self.directions[:, self.rank :]
@@ -131,7 +127,7 @@ class Spectrum:
     @property
     def root(self) -> Array:
         """(p, rank) whose product with its transpose is the covariance; J @ root has orthonormal columns."""
-        return self.estimable / self.values[: self.rank] / self.lengths[:, None]
+        return self.directions[:, : self.rank] / self.values[: self.rank] / self.lengths[:, None]
 
     def determined(self, jacobian: Array) -> float:
         """How many of p parameters the data determine, a prior the rest: tr J (J^T J + R^T R)^-1 J^T.
@@ -166,53 +162,25 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, 
     return Spectrum(lengths, values, turned.T, p).truncated(tolerance)
 
 
-def covariance(jacobian: Array, scales: Array, sigma: float = 1.0) -> Array:
-    """(p, p) sigma^2 (sum J^T J)^-1 (eq. 16) on the estimable directions: see `Spectrum.covariance`."""
-    return sigma**2 * spectrum(jacobian, scales).covariance
-
-
-def full_rank(jacobians: Array, scales: Array) -> NDArray[np.bool_]:
-    """(K,) True where every parameter is estimable: `spectrum(...).rank == p` of many Jacobians (K, m, d, p)."""
-    normal, lengths = _unit_normal(jacobians)
-    full = _clear(np.linalg.eigh(normal)[0], lengths, scales)
-    for k in np.flatnonzero(~full):
-        full[k] = spectrum(jacobians[k], scales).rank == len(scales)
-    return full
-
-
 def covariances(jacobians: Array, scales: Array, sigma: float = 1.0) -> Array:
-    """(K, p, p) `covariance` of many Jacobians (K, m, d, p); not a number where not all is estimable."""
-    normal, lengths = _unit_normal(jacobians)
-    values, vectors = np.linalg.eigh(normal)
-    clear = _clear(values, lengths, scales)
-    vectors = vectors / lengths[:, :, None]
+    """(K, p, p) sigma^2 (sum J^T J)^-1 (eq. 16) of many Jacobians (K, m, d, p); not a number where not all is
+    estimable."""
+    count, *_, p = jacobians.shape
+    rows = jacobians.reshape(count, -1, p)
+    lengths = np.maximum(np.sqrt(np.einsum("kip,kip->kp", rows, rows)), np.finfo(float).tiny)
+    rows = rows / lengths[:, None, :]
+    values, vectors = np.linalg.eigh(np.swapaxes(rows, 1, 2) @ rows)
+    sizes, vectors = lengths / scales, vectors / lengths[:, :, None]
+    # full rank by far; a normal matrix holds half the digits, the rest needs singular values
+    clear = (values[:, 0] > CLEAR) & (np.min(sizes, axis=1) > np.sqrt(CLEAR) * np.max(sizes, axis=1))
     inverse = (vectors / np.where(clear[:, None], values, np.nan)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     for k in np.flatnonzero(~clear):
         one = spectrum(jacobians[k], scales)
-        inverse[k] = one.covariance if one.rank == len(scales) else np.nan
+        inverse[k] = one.covariance if one.rank == p else np.nan
     return sigma**2 * inverse
 
 
-def _unit_normal(jacobians: Array) -> tuple[Array, Array]:
-    """(K, p, p) E^T E of the columns scaled to unit length, and (K, p) their lengths, no less than a tiny number."""
-    count, m, d, p = jacobians.shape
-    rows = jacobians.reshape(count, m * d, p)
-    lengths = np.maximum(np.sqrt(np.einsum("kip,kip->kp", rows, rows)), np.finfo(float).tiny)
-    rows = rows / lengths[:, None, :]
-    return np.swapaxes(rows, 1, 2) @ rows, lengths
-
-
-def _clear(values: Array, lengths: Array, scales: Array) -> NDArray[np.bool_]:
-    """(K,) True where full rank is clear by far; a normal matrix holds half the digits, the rest needs singular values.
-
-    values : (K, p) eigenvalues, smallest first
-    """
-    sizes = lengths / scales
-    return (values[:, 0] > CLEAR) & (np.min(sizes, axis=1) > np.sqrt(CLEAR) * np.max(sizes, axis=1))
-
-
-@dataclass(frozen=True)
-class Identifiability:
+class Identifiability(NamedTuple):
     """Which of p parameters a plan makes estimable.
 
     rank : number of estimable combinations
@@ -227,13 +195,10 @@ class Identifiability:
     combinations: tuple[str, ...]
 
 
-def identifiability(jacobian: Array, names: Sequence[str], scales: Array) -> Identifiability:
-    """Rank of a Jacobian (m, d, p), and the combinations of parameters that it cannot distinguish."""
-    return identifiability_of(spectrum(jacobian, scales), names, scales)
-
-
-def identifiability_of(decomposed: Spectrum, names: Sequence[str], scales: Array) -> Identifiability:
-    """`identifiability` of a Jacobian that is decomposed already."""
+def identifiability(jacobian: Array | Spectrum, names: Sequence[str], scales: Array) -> Identifiability:
+    """Rank of a Jacobian (m, d, p), decomposed already or not, and the combinations of parameters that it cannot
+    distinguish."""
+    decomposed = jacobian if isinstance(jacobian, Spectrum) else spectrum(jacobian, scales)
     identifiable = np.linalg.norm(decomposed.null_space, axis=1) <= TOUCHED
     identifiable.setflags(write=False)
     basis = sparse_basis(decomposed.null_space) / decomposed.lengths[:, None] * scales[:, None]
@@ -269,37 +234,28 @@ def sparse_basis(orthonormal: Array) -> Array:
     if k == 0:
         return np.zeros((p, 0))
     from scipy.linalg import qr  # deferred: only rank-deficient plans pay for the import
+    from scipy.optimize import linprog
 
     _, _, pivots = qr(orthonormal.T, pivoting=True, mode="economic")
-    echelon = orthonormal @ np.linalg.inv(orthonormal[pivots[:k]])
-    touched = np.flatnonzero(np.linalg.norm(orthonormal, axis=1) > TOUCHED)
-    candidates = [_sparsest(orthonormal, i) for i in touched.tolist()] + list(echelon.T)
-    vectors = [v / np.max(np.abs(v)) for v in candidates if v is not None]
+    candidates = [*(orthonormal @ np.linalg.inv(orthonormal[pivots[:k]])).T]
+    for one in np.flatnonzero(np.linalg.norm(orthonormal, axis=1) > TOUCHED):
+        # variables are coefficients z and bounds t >= |N z|
+        result = linprog(
+            np.r_[np.zeros(k), np.ones(p)],
+            A_ub=np.block([[orthonormal, -np.eye(p)], [-orthonormal, -np.eye(p)]]),
+            b_ub=np.zeros(2 * p),
+            A_eq=np.r_[orthonormal[one], np.zeros(p)][None],
+            b_eq=[1.0],
+            bounds=[(None, None)] * k + [(0.0, None)] * p,
+            method="highs-ds",
+        )
+        candidates += [orthonormal @ result.x[:k]] if result.status == 0 else []
+    vectors = [v / np.max(np.abs(v)) for v in (*candidates[k:], *candidates[:k])]
     chosen: list[Array] = []
     # fewest parameters first (greedy: the independent sets are a matroid)
     for vector in sorted(vectors, key=lambda v: (int(np.sum(np.abs(v) > TOUCHED)), float(np.sum(np.abs(v))))):
         clean = np.where(np.abs(vector) > RANK_TOLERANCE, vector, 0.0)
         trial = np.array([v / np.linalg.norm(v) for v in (*chosen, clean)])
-        if np.linalg.svd(trial, compute_uv=False)[-1] > VISIBLE:
+        if len(chosen) < k and np.linalg.svd(trial, compute_uv=False)[-1] > VISIBLE:
             chosen.append(clean)
-        if len(chosen) == k:
-            break
     return np.array(sorted(chosen, key=lambda v: tuple(np.flatnonzero(np.abs(v) > TOUCHED)))).T
-
-
-def _sparsest(orthonormal: Array, one: int) -> Array | None:
-    """The vector v of least sum |v| in the span with v[one] = 1: variables are coefficients z and bounds t >= |N z|."""
-    from scipy.optimize import linprog
-
-    p, k = orthonormal.shape
-    above = np.block([[orthonormal, -np.eye(p)], [-orthonormal, -np.eye(p)]])
-    result = linprog(
-        np.r_[np.zeros(k), np.ones(p)],
-        A_ub=above,
-        b_ub=np.zeros(2 * p),
-        A_eq=np.r_[orthonormal[one], np.zeros(p)][None],
-        b_eq=[1.0],
-        bounds=[(None, None)] * k + [(0.0, None)] * p,
-        method="highs-ds",
-    )
-    return orthonormal @ result.x[:k] if result.status == 0 else None

@@ -1,79 +1,29 @@
-"""Measured postures: what was commanded, what was measured, and under which conditions."""
+"""Measured postures: what was commanded, what was measured, and under which conditions.
+
+Beside it: which rows a calibration comes from, in little space, to tell later whether measurements are among them. Each
+row's angles and position have a digest; of more than `KEPT` rows those with the smallest digests are kept: a random
+sample that is the same whatever the order, and the smallest of a union are among the smallest of its parts (A. Z.
+Broder, "On the resemblance and containment of documents", 1997).
+"""
 
 from __future__ import annotations
 
+import binascii
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from hashlib import blake2b
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arrays import Array, ByValue, readonly
+from identification.arrays import Array, ByValue, frame_of_columns, readonly
 from identification.conditions import REMEMBERED, Conditions, Past, directions_from_order, past_from_order, session_time
 from identification.errors import InputError
 from identification.kinematics.parameters import MAX_LINKS
-from identification.row_digests import ROW_DIGESTS, digests
-
-_Test = Callable[[Array], NDArray[np.bool_]]
-DIMENSIONS = (2, 3, 6, 1)  # coordinates that an instrument may measure; 1: a length
-OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations", "commanded", "gaps")
-
-
-def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
-    """(m, 3, 3) True in rows that turn and do not mirror."""
-    square = np.swapaxes(matrices, 1, 2) @ matrices
-    good = np.all(np.abs(square - np.eye(3)) < 1e-6, axis=(1, 2)) & (np.linalg.det(matrices) > 0.0)
-    return np.broadcast_to(good[:, None, None], matrices.shape)
-
-
-# columns, sentence and test of what is allowed, for every field of `Measurements`
-VALUES: dict[str, tuple[str, str, _Test]] = {
-    "postures": ("joints", "finite angles [rad]", np.isfinite),
-    "positions": ("coordinates", "finite coordinates [mm]", np.isfinite),
-    "order": ("one", "finite numbers", np.isfinite),
-    "payload": ("one", "numbers >= 0 [kg]", lambda v: np.isfinite(v) & (v >= 0.0)),
-    "temperature": ("one", "numbers >= -273.15 [deg C]", lambda v: np.isfinite(v) & (v >= -273.15)),
-    "directions": ("joints", "+1 or -1, NaN: unknown", lambda v: (np.abs(v) == 1.0) | np.isnan(v)),
-    "gaps": ("one", "0 or 1", lambda v: np.isin(v, (0.0, 1.0))),
-    "sigma": ("one", "numbers > 0 [mm]", lambda v: np.isfinite(v) & (v > 0.0)),
-    "repeats": ("one", "whole numbers", lambda v: np.isfinite(v) & (v == np.round(v))),
-    "commanded": ("joints", "finite angles [rad]", np.isfinite),
-    "orientations": ("axes", "rotation matrices", _is_rotation),
-}
-
-
-def numbers(name: str, values: Any) -> Array:
-    """A read-only float copy; raises `InputError` for what are no numbers, or rows of different lengths."""
-    try:
-        return readonly(values)
-    except (TypeError, ValueError):
-        raise InputError(f"measurements.{name}: not an array of numbers, allowed: real numbers") from None
-
-
-def with_rotations(positions: Array) -> Array:
-    """(m, 6) of points (m, 3): the orientations are as measured."""
-    return positions if positions.shape[1:] != (3,) else np.pad(positions, ((0, 0), (0, 3)))
-
-
-def names(name: str, values: Any, m: int) -> NDArray[np.str_]:
-    """(m,) read-only texts; raises `InputError` for another shape or an empty one."""
-    array = np.array(values, dtype=np.str_)
-    if array.shape != (m,):
-        raise InputError(f"measurements.{name}: shape {array.shape} for {m} postures, allowed: ({m},)")
-    check_values(name, array, array != "", "a name")
-    array.setflags(write=False)
-    return array
-
-
-def check_values(name: str, array: NDArray[Any], good: NDArray[np.bool_], allowed: str) -> None:
-    """Raises `InputError` naming the first row that is not good."""
-    if not good.all():
-        row = int(np.argmin(np.all(good.reshape(len(good), -1), axis=1)))
-        raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()!r}, allowed: {allowed}")
-
 
 if TYPE_CHECKING:
     from identification.arm import Arm
@@ -89,14 +39,36 @@ __all__ = [
     "session_time",
 ]
 
-
+OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations", "commanded", "gaps")
 # [rad] repeats of one posture agree to some thousandths or hundredths of a degree, as the encoders were read. Within
 # this, 0.1 / 202, a wave of 202 periods per turn (two per turn of a gear of 1:101) changes by a tenth of its amplitude.
 SAME_POSTURE = 5e-4
 SCAN = 3.0 * SAME_POSTURE  # [rad] rows that are linked over more than this come from a joint that moves on slowly
-
-
 POINT = slice(3)  # the coordinates of a residual that are those of a point, in a plane, in space and of a pose
+
+
+def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
+    """(m, 3, 3) True in rows that turn and do not mirror."""
+    square = np.swapaxes(matrices, 1, 2) @ matrices
+    good = np.all(np.abs(square - np.eye(3)) < 1e-6, axis=(1, 2)) & (np.linalg.det(matrices) > 0.0)
+    return np.broadcast_to(good[:, None, None], matrices.shape)
+
+
+# for every field of `Measurements` its shapes behind the rows (n: joints), what is allowed in words, and a test
+VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Array], NDArray[np.bool_]]]] = {
+    "postures": ((("n",),), "finite angles [rad]", np.isfinite),
+    # 1: a length
+    "positions": (((2,), (3,), (6,), (1,)), "finite coordinates [mm]", np.isfinite),
+    "order": (((),), "finite numbers", np.isfinite),
+    "payload": (((),), "numbers >= 0 [kg]", lambda v: np.isfinite(v) & (v >= 0.0)),
+    "temperature": (((),), "numbers >= -273.15 [deg C]", lambda v: np.isfinite(v) & (v >= -273.15)),
+    "directions": ((("n",),), "+1 or -1, NaN: unknown", lambda v: (np.abs(v) == 1.0) | np.isnan(v)),
+    "gaps": (((),), "0 or 1", lambda v: np.isin(v, (0.0, 1.0))),
+    "sigma": (((),), "numbers > 0 [mm]", lambda v: np.isfinite(v) & (v > 0.0)),
+    "repeats": (((),), "whole numbers", lambda v: np.isfinite(v) & (v == np.round(v))),
+    "commanded": ((("n",),), "finite angles [rad]", np.isfinite),
+    "orientations": (((3, 3),), "rotation matrices", _is_rotation),
+}
 
 
 def rms_distance(residuals: Array) -> float:
@@ -162,38 +134,51 @@ class Measurements(ByValue):
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        postures = numbers("postures", self.postures)
-        if postures.ndim != 2 or not (len(postures) and 1 <= postures.shape[1] <= MAX_LINKS):
-            allowed = f"(m, n) with m >= 1 rows and n = 1 to {MAX_LINKS} joints"
-            raise InputError(f"measurements.postures: shape {postures.shape}, allowed: {allowed}")
-        m, n = postures.shape
-        if self.orientations is not None:
-            object.__setattr__(self, "positions", with_rotations(numbers("positions", self.positions)))
-        by_columns: dict[str, list[tuple[int, ...]]] = {
-            "one": [(m,)],
-            "coordinates": [(m, d) for d in DIMENSIONS],
-            "joints": [(m, n)],
-            "axes": [(m, 3, 3)],
-        }
-        for name, (columns, allowed, test) in VALUES.items():
-            value = getattr(self, name)
-            if value is None and name in OPTIONAL:
+        m, n = self._checked("postures", None).shape
+        for name in VALUES:
+            if getattr(self, name) is not None or name not in OPTIONAL:
+                array = self._checked(name, (m, n))
+                object.__setattr__(self, name, readonly(array) if name != "repeats" else array.astype(np.int64))
+        for name in ("repeats", "session", "marker"):
+            if (labels := getattr(self, name)) is None:
                 continue
-            array, shapes = numbers(name, value), by_columns[columns]
-            if array.shape not in shapes:
-                actual = f"shape {array.shape} for {m} postures of {n} joints"
-                raise InputError(f"measurements.{name}: {actual}, allowed: {' or '.join(map(str, shapes))}")
-            check_values(name, array, test(array), allowed)
-            object.__setattr__(self, name, array)
-        if self.repeats is not None:
-            object.__setattr__(self, "repeats", self.repeats.astype(np.int64))
-            self.repeats.setflags(write=False)
-        for name in ("session", "marker"):
-            if (labels := getattr(self, name)) is not None:
-                texts = names(name, labels, m)
-                object.__setattr__(self, name, texts)
-                every = dict.fromkeys((*getattr(self, f"{name}_names"), *texts.tolist()))
+            if name != "repeats":
+                labels = np.array(labels, dtype=np.str_)
+                if labels.shape != (m,):
+                    raise InputError(f"measurements.{name}: shape {labels.shape} for {m} postures, allowed: ({m},)")
+                self._require_good(name, labels, labels != "", "a name")
+                object.__setattr__(self, name, labels)
+                every = dict.fromkeys((*getattr(self, f"{name}_names"), *labels.tolist()))
                 object.__setattr__(self, f"{name}_names", tuple(every))
+            labels.setflags(write=False)
+
+    def _checked(self, name: str, rows: tuple[int, int] | None) -> Array:
+        """A field as floats;  rows : m and n, None: of the postures, which say them. Raises `InputError`."""
+        try:
+            array: Array = np.array(getattr(self, name), dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(f"measurements.{name}: not an array of numbers, allowed: real numbers") from None
+        if rows is None:
+            if array.ndim != 2 or not (len(array) and 1 <= array.shape[1] <= MAX_LINKS):
+                allowed = f"(m, n) with m >= 1 rows and n = 1 to {MAX_LINKS} joints"
+                raise InputError(f"measurements.{name}: shape {array.shape}, allowed: {allowed}")
+            return array
+        if name == "positions" and self.orientations is not None and array.shape[1:] == (3,):
+            array = np.pad(array, ((0, 0), (0, 3)))  # the orientations are as measured
+        shapes, allowed, test = VALUES[name]
+        m, n = rows
+        full = [(m, *(n if size == "n" else size for size in shape)) for shape in shapes]
+        if array.shape not in full:
+            actual = f"shape {array.shape} for {m} postures of {n} joints"
+            raise InputError(f"measurements.{name}: {actual}, allowed: {' or '.join(map(str, full))}")
+        self._require_good(name, array, test(array), allowed)
+        return array
+
+    def _require_good(self, name: str, array: NDArray[Any], good: NDArray[np.bool_], allowed: str) -> None:
+        """Raises `InputError` naming the first row that is not good."""
+        if not good.all():
+            row = int(np.argmin(np.all(good.reshape(len(good), -1), axis=1)))
+            raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()!r}, allowed: {allowed}")
 
     @classmethod
     def from_frame(cls, frame: Any, links: int | Arm | None = None) -> Self:
@@ -211,7 +196,6 @@ class Measurements(ByValue):
 
         joint_types : of each joint, None: all revolute
         """
-        from identification.data_frames import frame_of_columns
         from identification.files.measurement import measurement_columns
 
         return frame_of_columns(measurement_columns(self, joint_types), kind)
@@ -251,27 +235,32 @@ class Measurements(ByValue):
             return (np.arange(len(self)),)
         return tuple(np.flatnonzero(self.session == name) for name in self.sessions)
 
-    @property
-    def _session_numbers(self) -> Array | None:
-        """(m,) number of each row's session, from 0; None where there is but one."""
-        if self.session is None or len(self.session_names) < 2:
+    def _numbers(self, name: str) -> NDArray[np.int64] | None:
+        """(m,) number of each row's session or marker, from 0, None: the data name none."""
+        if (labels := getattr(self, name)) is None:
             return None
-        number = {name: float(k) for k, name in enumerate(self.session_names)}
-        return np.array([number[name] for name in self.session.tolist()])
+        number = {label: k for k, label in enumerate(getattr(self, f"{name}_names"))}
+        return np.array([number[label] for label in labels.tolist()], dtype=np.int64)
+
+    @property
+    def _session_numbers(self) -> NDArray[np.int64] | None:
+        """(m,) number of each row's session, from 0; None where there is but one."""
+        return None if len(self.session_names) < 2 else self._numbers("session")
 
     @property
     def marker_numbers(self) -> NDArray[np.int64] | None:
         """(m,) number of each row's measured point among `marker_names`, None: there is one."""
-        if self.marker is None:
-            return None
-        number = {name: k for k, name in enumerate(self.marker_names)}
-        return np.array([number[name] for name in self.marker.tolist()], dtype=np.int64)
+        return self._numbers("marker")
+
+    @property
+    def _order(self) -> Array:
+        """(m,) `order`, that of the rows where there is none."""
+        return np.arange(len(self), dtype=float) if self.order is None else self.order
 
     @property
     def sequence(self) -> NDArray[np.int64]:
         """(m,) row numbers in the order of measurement, one session after another."""
-        order = np.arange(len(self), dtype=float) if self.order is None else self.order
-        return np.concatenate([rows[np.argsort(order[rows], kind="stable")] for rows in self.session_rows])
+        return np.concatenate([rows[np.argsort(self._order[rows], kind="stable")] for rows in self.session_rows])
 
     @cached_property
     def posture_numbers(self) -> NDArray[np.int64]:
@@ -316,14 +305,13 @@ class Measurements(ByValue):
     @property
     def conditions(self) -> Conditions:
         """Conditions for the model: time and directions follow, in each session, from the order where not given."""
-        order = np.arange(len(self), dtype=float) if self.order is None else self.order
-        time = np.empty(len(self))
+        order, time = self._order, np.empty(len(self))
         for rows in self.session_rows:
             time[rows] = session_time(order[rows])
         directions = np.nan_to_num(self._directions, nan=0.0)
         temperature = None if self.temperature is None else self.temperature - self.reference_temperature
-        marker = None if self.marker_numbers is None else self.marker_numbers.astype(float)
-        session = self._session_numbers
+        numbers = (self._session_numbers, self.marker_numbers)
+        session, marker = (None if each is None else each.astype(float) for each in numbers)
         return Conditions(self.payload, temperature, time, directions, session, self._past, marker, self.orientations)
 
     @property
@@ -349,8 +337,7 @@ class Measurements(ByValue):
 
     def _by_order(self, function: Callable[..., Array], shape: tuple[int, ...]) -> Array:
         """What follows from the order, in each session."""
-        order = np.arange(len(self), dtype=float) if self.order is None else self.order
-        gaps, by_row = np.zeros(len(self)) if self.gaps is None else self.gaps, np.empty(shape)
+        order, gaps, by_row = self._order, np.zeros(len(self)) if self.gaps is None else self.gaps, np.empty(shape)
         for rows in self.session_rows:
             by_row[rows] = function(self.postures[rows], order[rows], gaps[rows])
         return by_row
@@ -392,3 +379,61 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     from identification.files.measurement import measurement_fields
 
     return Measurements(**measurement_fields(read_table(path), links))
+
+
+# -- which rows --------------------------------------------------------------------------------------------------------
+ROW_DIGESTS = "digests_of_rows"  # key of a calibration's provenance
+KEPT = 2000  # digests: of 12,000 rows one in six, so that 30 of them are missed once in 240 times; 16 kB of text
+BYTES = 6  # of a digest: two of a million rows share one with a probability of 0.002 for each of a thousand others
+STEP = 1e-3  # [rad, mm] numbers to the nearest: those written with three digits are still the same
+BETWEEN = 0.5 + 1e-6  # of a step is added: what lies half way goes up, whatever its last bits are
+
+
+class Shared(NamedTuple):
+    """Estimated from the digests: the share of the measurements that the calibration comes from, and the share of what
+    it comes from that is among the measurements."""
+
+    measurements: float
+    calibration: float
+
+
+def digests(postures: Array, positions: Array) -> str:
+    """Text of the digests of rows: postures (m, n) [rad, mm] and positions (m, d) [mm]."""
+    return _text(_digests(postures, positions))
+
+
+def union(texts: list[str]) -> str:
+    """Text of the digests of all rows of several texts."""
+    return _text(np.concatenate([_read(text) for text in texts]))
+
+
+def rows_shared(text: str, postures: Array, positions: Array) -> Shared:
+    """How many rows two sets share: one of digests, and postures (m, n) with positions (m, d)."""
+    kept, numbers = _read(text), np.unique(_digests(postures, positions))
+    if len(kept) >= KEPT:  # of these rows alone it can be told
+        numbers = numbers[numbers <= kept[-1]]
+    shared = np.count_nonzero(np.isin(numbers, kept))
+    return Shared(shared / max(len(numbers), 1), shared / max(len(kept), 1))
+
+
+def _digests(postures: Array, positions: Array) -> NDArray[np.uint64]:
+    """(m,)."""
+    whole = np.floor(np.column_stack([postures, positions]) / STEP + BETWEEN).astype("<i8")
+    hashed = [int.from_bytes(blake2b(row.tobytes(), digest_size=BYTES).digest(), "big") for row in whole]
+    return np.array(hashed, dtype=np.uint64)
+
+
+def _text(numbers: NDArray[np.uint64]) -> str:
+    """Base 64 of the smallest numbers, in ascending order."""
+    kept = np.unique(numbers)[:KEPT]
+    return b64encode(b"".join(int(number).to_bytes(BYTES, "big") for number in kept)).decode()
+
+
+def _read(text: str) -> NDArray[np.uint64]:
+    """(k,) numbers, ascending; none of a text that no program wrote."""
+    try:
+        read = b64decode(text, validate=True)
+    except (binascii.Error, ValueError):
+        read = b""
+    numbers = [int.from_bytes(read[k : k + BYTES], "big") for k in range(0, len(read) - BYTES + 1, BYTES)]
+    return np.unique(np.array(numbers, dtype=np.uint64))

@@ -1,8 +1,7 @@
 """Reusing a calibration: only some of its parameters are estimated again, or all of them with it as the prior.
 
-The tracker moved, a motor was changed, a year went by: most of what was found still holds. Where the set-up is another
-than the fit assumes, a freer fit says so: the base stands elsewhere, or a measured point is mounted elsewhere than in
-the session before.
+Where the set-up is another than the fit assumes, a freer fit says so: the base stands elsewhere, or a measured point is
+mounted elsewhere than in the session before.
 """
 
 from __future__ import annotations
@@ -21,33 +20,30 @@ from identification.arm import Arm, Calibration
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
-from identification.estimation.problem import Earlier
+from identification.estimation.problem import conditioned
 from identification.estimation.uncertainty import LEVEL
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
-from identification.measurements import Measurements
+from identification.measurements import ROW_DIGESTS, Measurements, rows_shared, union
 from identification.model import Model
 from identification.model.placed import with_markers
 from identification.origin import HELD_FROM, comes_from, identified
-from identification.row_digests import ROW_DIGESTS, rows_shared, union
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import SESSIONS, with_base
 
 HARDLY = 0.1  # of how far a point is moved: a standard deviation that adds hardly anything to it
 GAIN = 1.25  # of the sum of squares: a tenth of the RMS error; less is not worth another set of parameters
 # word -> kinds of parameters
-KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "lengths": (LENGTH_ERROR, TRANSLATION_ERROR),
-        "rotations": (ROTATION_ERROR,),
-        "joint_offsets": (JOINT_OFFSET,),
-        "base": (BASE,),
-        "tool": (TOOL,),
-        "effects": (EFFECT,),
-    }
-)
+KINDS: Mapping[str, tuple[str, ...]] = {
+    "lengths": (LENGTH_ERROR, TRANSLATION_ERROR),
+    "rotations": (ROTATION_ERROR,),
+    "joint_offsets": (JOINT_OFFSET,),
+    "base": (BASE,),
+    "tool": (TOOL,),
+    "effects": (EFFECT,),
+}
 
 
 def words_of(texts: Iterable[str]) -> list[str]:
@@ -69,7 +65,21 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     if not arm.chain.planar and measurements is not None:
         arm = replace(arm, chain=with_markers(arm.chain, measurements))
     model = Model(arm)
-    chosen = {name for word in words for name in _named(word, model)}
+    effects, available, chosen = {effect.key: effect for effect in model.effects}, {*model.names}, set[str]()
+    for word in words:
+        if word == "base" and model.arm.chain.positions_in_plane:
+            named = {*PLANAR_BASE}
+        elif word in KINDS:
+            named = {p.name for p in model.parameters if p.kind in KINDS[word]}
+        else:
+            named = {name for name in available if name == word or name.rpartition(".")[0].partition(":")[0] == word}
+            named |= {p.name for p in effects[word].parameters} if word in effects else set()
+        if not named & available:
+            kinds = {p.kind for p in model.parameters} | {BASE}
+            allowed = [each for each, kinds_of_word in KINDS.items() if kinds & set(kinds_of_word)]
+            near = nearest(word, [*allowed, *effects, *model.names])
+            raise InputError(f"only: {word!r} is no parameter of the model, {near}")
+        chosen |= named & available
     chosen |= {name for name in model.names if name.startswith(f"{SESSIONS}.")}
     held = {name: value for name, value in model.best_known.items() if name not in chosen}
     frozen, kept = set(held) - set(model.fixed), arm.calibration
@@ -82,24 +92,6 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     if several and arm.chain.planar and set(PLANAR_BASE) & frozen:
         raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
     return replace(model, held=held)
-
-
-def _named(word: str, model: Model) -> set[str]:
-    """Names of the parameters that a word means."""
-    effects = {effect.key: effect for effect in model.effects}
-    if word == "base" and model.arm.chain.positions_in_plane:
-        named = {p.name for p in model.parameters if p.name in PLANAR_BASE}
-    elif word in KINDS:
-        named = {p.name for p in model.parameters if p.kind in KINDS[word]}
-    else:
-        named = {name for name in model.names if name == word or name.rpartition(".")[0].partition(":")[0] == word}
-        named |= {p.name for key, effect in effects.items() if key == word for p in effect.parameters}
-    if named & set(model.names):
-        return named & set(model.names)
-    kinds = {p.kind for p in model.parameters} | {BASE}
-    allowed = [word for word, kinds_of_word in KINDS.items() if kinds & set(kinds_of_word)]
-    names = [*allowed, *effects, *model.names]
-    raise InputError(f"only: {word!r} is no parameter of the model, {nearest(word, names)}")
 
 
 def at_reference(measurements: Measurements, calibrated: Arm) -> Measurements:
@@ -115,9 +107,8 @@ def with_held(calibration: Calibration, before: Calibration | None, kinds: Seque
 
     kinds : types of the joints
     """
-    if before is None or not (
-        names := set(before.parameter_names) & set(calibration.values) - set(calibration.parameter_names)
-    ):
+    rest = set(calibration.values) - set(calibration.parameter_names)
+    if before is None or not (names := set(before.parameter_names) & rest):
         return calibration
     calibration = with_data_of(calibration, before, kinds)
     if before.covariance is None or calibration.covariance is None:
@@ -152,7 +143,7 @@ def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Se
 
 
 # -- an earlier calibration as the prior -------------------------------------------------------------------------------
-def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlier:
+def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibration:
     """What a calibrated arm says of a model's parameters, but for where base and measured points are, which are found
     again; given what the model holds.
 
@@ -167,41 +158,32 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlie
         raise InputError("prior: found no covariance, allowed: a file written by `armcal identify --out`")
     if not same_drawing(calibrated, model.arm):
         raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
-    _check_other_rows(calibration.provenance, measurements)
-    values = np.array([calibration.values[name] for name in calibration.parameter_names])
-    whole = Earlier(calibration.parameter_names, values, calibration.covariance)
+    shared, of_its = 0.0, 0.0  # of these rows that are among its own, and of its own
+    if comes_from(calibration.provenance, measurements):
+        reason = "the calibration was fitted to these very measurements, which would count twice"
+        raise InputError(f"prior: {reason}, allowed: new measurements")
+    if isinstance(text := calibration.provenance.get(ROW_DIGESTS), str):
+        shared, of_its = rows_shared(text, measurements.postures, measurements.positions)
+    else:
+        why = "the calibration does not say which rows it comes from, as of an earlier version"
+        warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=2)
+    share = f"about {100.0 * shared:.0f} % of these rows ({100.0 * of_its:.0f} % of the calibration's own)"
+    # most rows; coarse readings of postures that are commanded again may agree by chance
+    if max(shared, of_its) >= 0.5:
+        twice = "are among those it was fitted to, which would count twice, allowed: new measurements"
+        raise InputError(f"prior: {share} {twice}")
+    if shared > 0.0:
+        warnings.warn(f"prior: {share} are among those it was fitted to, and count twice", UserWarning, stacklevel=2)
     held = {name: value for name, value in model.fixed.items() if name in calibration.parameter_names}
     # where arm and instrument stand; of a planar arm with a base offset that and the offset of joint 1
     planar = PLANAR_BASE if PLANAR_BASE[0] in model.all_parameters.names else ()
     of_set_up = {
         p.name for p in model.all_parameters if (p.name in planar if model.arm.chain.planar else p.kind in (BASE, TOOL))
     }
-    of_both = whole.about((set(model.names) | set(held)) - of_set_up)
-    if not set(of_both.names) - set(held):
+    of_both = calibration.about((set(model.names) | set(held)) - of_set_up)
+    if not set(of_both.parameter_names) - set(held):
         raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
-    return of_both.conditioned_on({name: value for name, value in held.items() if name not in of_set_up})
-
-
-def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> None:
-    """Raises `InputError` for measurements that a calibration of this provenance comes from, in any order, for most of
-    them and for measurements that have most of its own."""
-    if comes_from(origin, measurements):
-        reason = "the calibration was fitted to these very measurements, which would count twice"
-        raise InputError(f"prior: {reason}, allowed: new measurements")
-    if not isinstance(text := origin.get(ROW_DIGESTS), str):
-        why = "the calibration does not say which rows it comes from, as of an earlier version"
-        warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=3)
-        return
-    shared = rows_shared(text, measurements.postures, measurements.positions)
-    share, of_its = (100.0 * part for part in shared)
-    rows = (
-        f"about {share:.0f} % of these rows ({of_its:.0f} % of the calibration's own) are among those it was fitted to"
-    )
-    # most rows; coarse readings of postures that are commanded again may agree by chance
-    if max(shared) >= 0.5:
-        raise InputError(f"prior: {rows}, which would count twice, allowed: new measurements")
-    if shared.measurements > 0.0:
-        warnings.warn(f"prior: {rows}, and count twice", UserWarning, stacklevel=3)
+    return conditioned(of_both, {name: value for name, value in held.items() if name not in of_set_up})
 
 
 def same_drawing(calibrated: Arm, arm: Arm) -> bool:
@@ -225,14 +207,19 @@ def with_base_doubt(
         free_fit = estimate(model, measurements) if "base" not in words else held_fit
     except InputError:  # the base is given, or too few rows
         return held_fit
-    if not _worth_freeing(held_fit, free_fit, FALL**2):
+    if (fall := _fall(held_fit, free_fit, FALL**2)) is None:
         return held_fit
-    fall = (
-        f"the RMS falls from {held_fit.rms_after:.4g} to {free_fit.rms_after:.4g} mm where the base is estimated, too"
-    )
-    reason = f"the arm does not stand where the arm file says: {fall}; add it: --only base,{','.join(words)}"
+    reason = f"the arm does not stand where the arm file says: {fall} where the base is estimated, too"
     others = (doubt for doubt in held_fit.doubts if not doubt.startswith(OTHER_FRAME))
-    return replace(held_fit, doubts=(reason, *others))
+    return replace(held_fit, doubts=(f"{reason}; add it: --only base,{','.join(words)}", *others))
+
+
+def _fall(held: Identification, free: Identification, factor: float) -> str | None:
+    """How the RMS falls, where a fit with further parameters is worth it (`doubts.worth_freeing`)."""
+    left, left_free = (float(np.sum(fit.residuals_after**2)) for fit in (held, free))
+    if not worth_freeing(left, left_free, len(free.names) - len(held.names), free.dof, factor):
+        return None
+    return f"the RMS falls from {held.rms_after:.4g} to {free.rms_after:.4g} mm"
 
 
 def with_mounting_doubt(
@@ -243,64 +230,42 @@ def with_mounting_doubt(
 
     fit : the same for other measurements
     """
-    arm = getattr(together.model, "arm", None)
-    if arm is None or arm.chain.planar or len(measurements.sessions) < 2:
+    if together.arm is None or together.arm.chain.planar or len(measurements.sessions) < 2:
         return together
-    renamed, old = renamed_by_session(measurements, tuple(arm.chain.tools))
+    # points have names of their own in every session after the first that sees them; without a column marker it is the
+    # first of the arm's points that is measured
+    first, marker = next(iter(together.arm.chain.tools)), measurements.marker
+    names = np.full(len(measurements), first) if marker is None else np.asarray(marker)
+    renamed, old, seen = names.astype(object), dict[str, str](), set[str]()
+    for session, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
+        for name in (here := sorted({*names[rows].tolist()} & seen)):
+            old[f"{name} of {session}"] = name
+            renamed[rows[names[rows] == name]] = f"{name} of {session}"
+        seen |= {*names[rows].tolist()} - {*here}
     try:
-        apart = fit(renamed) if old else together
+        apart = fit(replace(measurements, marker=renamed.astype(str), marker_names=())) if old else together
     except InputError:  # the points are given, or too few rows
         return together
-    if not _worth_freeing(together, apart, GAIN) or not (moved := _moved(apart, old)):
+    if (fall := _fall(together, apart, GAIN)) is None:
         return together
-    which = "; ".join(f"{new.replace(' of ', ' in session ', 1)}: {size} mm away" for new, size in moved.items())
-    fall = f"the RMS falls from {together.rms_after:.4g} to {apart.rms_after:.4g} mm where each has a name of its own"
-    doubt = f"reflectors are mounted elsewhere than in the session before ({which}): {fall}"
-    return replace(together, doubts=(f"{doubt}; name them otherwise there, in the column marker", *together.doubts))
-
-
-def _worth_freeing(held: Identification, free: Identification, factor: float) -> bool:
-    """`doubts.worth_freeing` of a fit and one with further parameters."""
-    left, left_free = (float(np.sum(fit.residuals_after**2)) for fit in (held, free))
-    return worth_freeing(left, left_free, len(free.names) - len(held.names), free.dof, factor)
-
-
-def renamed_by_session(measurements: Measurements, names: tuple[str, ...]) -> tuple[Measurements, dict[str, str]]:
-    """Measurements whose points have names of their own in every session after the first that sees them; and of each
-    new name the one that the point has in the data.
-
-    names : of the arm's points, of which the first is measured where the data have no column marker
-    """
-    marker = measurements.marker
-    names_read = np.full(len(measurements), names[0]) if marker is None else np.asarray(marker)
-    renamed, old, seen = names_read.astype(object), dict[str, str](), set[str]()
-    for session, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
-        for name in (here := sorted({*names_read[rows].tolist()} & seen)):
-            old[f"{name} of {session}"] = name
-            renamed[rows[names_read[rows] == name]] = f"{name} of {session}"
-        seen |= {*names_read[rows].tolist()} - {*here}
-    return replace(measurements, marker=renamed.astype(str), marker_names=()), old
-
-
-def _moved(apart: Identification, old: dict[str, str]) -> dict[str, str]:
-    """How far each point that is moved significantly is from where the session before has it [mm], along the directions
-    in which it is: the heights of a SCARA's reflectors, say, are hardly known."""
-    chain = apart.model.arm.chain
-    places = standing_in(chain, apart.model.parameters.mapping(apart.parameters)).tools
-    index = {name: k for k, name in enumerate(apart.names)}
-    distances: dict[str, str] = {}
+    # how far each point that is moved significantly is from where the session before has it [mm], along the directions
+    # in which it is: the heights of a SCARA's reflectors, say, are hardly known
+    places = standing_in(apart.model.arm.chain, apart.model.parameters.mapping(apart.parameters)).tools
+    index, moved = {name: k for k, name in enumerate(apart.names)}, list[str]()
     for new, name in old.items():
-        names = [f"{TOOL}[{each}].{axis}" for each in (new, name) for axis in "xyz"]
-        if not {*names} <= {*index}:  # of a minimal set of parameters
+        axes_of = [f"{TOOL}[{each}].{axis}" for each in (new, name) for axis in "xyz"]
+        if not {*axes_of} <= {*index}:  # of a minimal set of parameters
             continue
-        columns = np.array([index[each] for each in names])
-        difference = np.kron([[1.0, -1.0]], np.eye(3))
-        covariance = difference @ apart.covariance[np.ix_(columns, columns)] @ difference.T
-        variances, axes = np.linalg.eigh(covariance)
+        columns, difference = [index[each] for each in axes_of], np.kron([[1.0, -1.0]], np.eye(3))
+        variances, axes = np.linalg.eigh(difference @ apart.covariance[np.ix_(columns, columns)] @ difference.T)
         along = axes.T @ (places[new] - places[name])
-        statistics = along**2 / np.maximum(variances, np.finfo(float).tiny)
-        told = fdtrc(1, apart.dof, statistics) <= LEVEL / (3 * len(old))
+        told = fdtrc(1, apart.dof, along**2 / np.maximum(variances, np.finfo(float).tiny)) <= LEVEL / (3 * len(old))
         if told.any():
             told |= variances < HARDLY**2 * np.sum(along[told] ** 2)
-            distances[new] = f"{'' if told.all() else 'at least '}{np.linalg.norm(along[told]):.3g}"
-    return distances
+            size = f"{'' if told.all() else 'at least '}{np.linalg.norm(along[told]):.3g} mm away"
+            moved.append(f"{new.replace(' of ', ' in session ', 1)}: {size}")
+    if not moved:
+        return together
+    doubt = f"reflectors are mounted elsewhere than in the session before ({'; '.join(moved)}): {fall}"
+    own = "where each has a name of its own; name them otherwise there, in the column marker"
+    return replace(together, doubts=(f"{doubt} {own}", *together.doubts))

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array, rows_in_words
-from identification.effects import build, build_all
+from identification.effects import build_all
 from identification.effects.noise import Scene
 from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.kinematics.frames import turned
 from identification.kinematics.parameters import REVOLUTE
-from identification.measurements import Conditions, Measurements, directions_from_order
+from identification.measurements import Measurements, directions_from_order
 from identification.model import Model
 from identification.model.placed import led_to_contact, of_positions
 
 TOUCHES = 1e-6  # [mm] how near to a target is in it
+SERVO = "servo_error"
 
 
 def simulate(
@@ -49,7 +50,14 @@ def simulate(
     if truth.chain.instrument.contact and not seated:
         kind = f"kind {truth.chain.instrument.kind}: at which postures a surface is touched no plan says"
         raise InputError(f"instrument: found {kind}, allowed: distance, or no [instrument]")
-    noise, model, order = _noise(truth, sigma), Model(truth), np.arange(len(q), dtype=float)
+    model, order, effects = Model(truth), np.arange(len(q), dtype=float), build_all(truth.effects, truth.chain)
+    noise = truth.sigma if sigma is None else sigma
+    if noise is None or not 0.0 <= noise < np.inf:
+        raise InputError(f"sigma: found {noise}, allowed: a number >= 0 [mm], given here or with the arm")
+    for effect, spec in zip(effects, truth.effects, strict=True):  # an effect on the scatter would be none
+        missing = [p.toml_key for p in effect.parameters if p.short not in spec.values]
+        if effect.scatter and missing:
+            raise InputError(f"effects: {spec.key}: no value of {', '.join(missing)}, allowed: a number for each")
     if "temperature" in model.needs and temperature is None:
         raise InputError(
             "temperature_C: an effect of the truth needs a temperature per row, none is given, allowed: a plan with it"
@@ -67,8 +75,12 @@ def simulate(
     q = session.postures
     exact = model.position(q, conditions=session.conditions)
     errors = noise * generator.standard_normal(exact.shape)
-    session = replace(session, positions=exact)
-    errors = disturbed(errors, truth, session, session.conditions, noise, generator)
+    if noisy := [(effect, spec) for effect, spec in zip(effects, truth.effects, strict=True) if effect.scatter]:
+        levers = Model(replace(truth, effects=(), calibration=None)).joint_levers(q, None, session.conditions)
+        time = np.zeros(len(q)) if session.conditions.time is None else session.conditions.time
+        scene = Scene(exact[:, : truth.dimension], levers, time, noise)
+        for effect, spec in noisy:  # in the order of the arm file
+            errors = effect.disturb(errors, scene, dict(spec.values), generator)
     if (scale := truth.chain.angle_scale) is None:
         return replace(session, positions=exact + errors)
     seen = turned(errors[:, 3:] / scale) @ model.orientations(q, session.conditions)
@@ -98,51 +110,10 @@ def _seated(model: Model, session: Measurements, noise: float, generator: np.ran
     return replace(session, postures=q, marker=names, marker_names=tuple(targets))
 
 
-def _noise(truth: Arm, sigma: float | None) -> float:
-    """Standard deviation per axis [mm]. Raises `InputError` without one, and where an effect on the scatter lacks its
-    values."""
-    noise = truth.sigma if sigma is None else sigma
-    if noise is None or not 0.0 <= noise < np.inf:
-        raise InputError(f"sigma: found {noise}, allowed: a number >= 0 [mm], given here or with the arm")
-    _check_scatter(truth)
-    return noise
-
-
-def _check_scatter(truth: Arm) -> None:
-    """Raises `InputError` for an effect on the scatter without its values: it would be none."""
-    for effect, spec in zip(build_all(truth.effects, truth.chain), truth.effects, strict=True):
-        missing = [p.toml_key for p in effect.parameters if p.short not in spec.values]
-        if effect.scatter and missing:
-            raise InputError(f"effects: {spec.key}: no value of {', '.join(missing)}, allowed: a number for each")
-
-
-def disturbed(
-    errors: Array,
-    truth: Arm,
-    exact: Measurements,
-    conditions: Conditions,
-    sigma: float,
-    generator: np.random.Generator,
-) -> Array:
-    """(m, d) errors with the truth's effects on the scatter applied, in the order of the arm file."""
-    built = [(build(spec, truth.chain), spec) for spec in truth.effects]
-    noisy = [(effect, spec) for effect, spec in built if effect.scatter]
-    if not noisy:
-        return errors
-    levers = Model(replace(truth, effects=(), calibration=None)).joint_levers(exact.postures, None, conditions)
-    time = np.zeros(len(exact)) if conditions.time is None else conditions.time
-    scene = Scene(exact.positions[:, : truth.dimension], levers, time, sigma)
-    for effect, spec in noisy:
-        errors = effect.disturb(errors, scene, dict(spec.values), generator)
-    return errors
-
-
 # -- servo errors ------------------------------------------------------------------------------------------------------
-SERVO = "servo_error"
 
 
-@dataclass(frozen=True)
-class FollowingError:
+class FollowingError(NamedTuple):
     """Read less commanded position of one joint [rad, mm]: offset + reversal s + rest, s the sign of the last motion.
 
     joint : from 1;  rms, largest : of all of it;  rest : RMS of the rest
@@ -156,17 +127,11 @@ class FollowingError:
     largest: float
     rest: float
 
-    @property
-    def spec(self) -> EffectSpec:
-        """As it stands in an arm file."""
-        return EffectSpec(SERVO, self.joint, {"b": self.offset, "h": self.reversal})
-
     def to_json(self) -> dict[str, Any]:
         """An entry of `servo_error` (identification/files/README.md, "JSON keys")."""
-        names = ("offset", "reversal", "rms", "largest", "rest")
-        factor = 180.0 / np.pi if self.kind == REVOLUTE else 1.0
-        figures = {name: getattr(self, name) * factor for name in names}
-        return {"joint": self.joint, "unit": "deg" if self.kind == REVOLUTE else "mm", **figures}
+        factor, unit = (180.0 / np.pi, "deg") if self.kind == REVOLUTE else (1.0, "mm")
+        figures = {name: value * factor for name, value in zip(self._fields[2:], self[2:], strict=True)}
+        return {"joint": self.joint, "unit": unit, **figures}
 
 
 def following_errors(measurements: Measurements, kinds: Sequence[str]) -> tuple[FollowingError, ...]:
@@ -192,8 +157,9 @@ def with_servo_errors(arm: Arm, measurements: Measurements) -> Arm:
     """The arm with the servo errors that the measurements show, instead of its own, where they have commands."""
     if not (errors := following_errors(measurements, arm.joint_types)):
         return arm
-    others = (spec for spec in arm.effects if spec.name != SERVO)
-    return arm.with_effects(*others, *(error.spec for error in errors if error.largest > 0.0))
+    specs = [spec for spec in arm.effects if spec.name != SERVO]
+    specs += [EffectSpec(SERVO, e.joint, {"b": e.offset, "h": e.reversal}) for e in errors if e.largest > 0.0]
+    return arm.with_effects(*specs)
 
 
 def servo_shift(arm: Arm, directions: Array) -> Array:

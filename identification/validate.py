@@ -1,9 +1,5 @@
-"""Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands.
-
-Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with. Where
-the arm stands is found by the closed form on its calibrated geometry, composed into the chain, and then, with the
-effects of the arm, by least squares. So a model is judged, too, before it is offered for use: does it predict what it
-has not seen better than the geometry alone?
+"""Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands,
+beside the drawing refitted in the same way. So a model is judged, too, before it is offered for use.
 """
 
 from __future__ import annotations
@@ -25,7 +21,7 @@ from identification.estimation.doubts import left_out_residuals
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, gained_squares
 from identification.information import spectrum
-from identification.kinematics.chain import BASE, TOOL, KinematicChain
+from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.corrected import corrected, errors_between, standing_in
 from identification.kinematics.frames import displaced_by, pose
 from identification.kinematics.parameters import JOINT_OFFSET, error_names, of_effects
@@ -37,7 +33,6 @@ from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import placing, start_at_bases, with_base_offset, with_sessions, without_sessions
 
 if TYPE_CHECKING:  # a diagnosis imports this package
-    from identification.gap.confirmation import Confirmation
     from identification.gap.result import Diagnosis
 
 REFITS = (*DRAWN,)
@@ -45,43 +40,19 @@ QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
 FEWEST = 3 * QUARTERS  # rows from which groups are formed
 
 
-@dataclass(frozen=True)
-class Figures:
-    """Of the distances between model and measurement [mm], over rows."""
+class Figures(NamedTuple):
+    """Of the distances between model and measurement [mm], over rows; `p95` is their 95th percentile."""
 
     rms: float
     mean: float
     p95: float
     max: float
 
-    @classmethod
-    def of(cls, distances: Array) -> Figures:
-        """Of (m,) distances; `p95` is their 95th percentile."""
-        rms, p95 = np.sqrt(np.mean(distances**2)), np.percentile(distances, 95.0)
-        return cls(float(rms), float(np.mean(distances)), float(p95), float(np.max(distances)))
 
-    def to_json(self) -> dict[str, float]:
-        """`rms_mm, mean_mm, p95_mm, max_mm`."""
-        return {f"{name}_mm": value for name, value in vars(self).items()}
-
-
-class RowBlock(NamedTuple):
-    """Some of the rows: a session, a quarter of the time, a quadrant of the workspace, or the postures inside or
-    outside the range of angles that the model was identified on.
-
-    kind : `session`, `time`, `workspace` or `range`;  nominal : the drawing, refitted in the same way
-    """
-
-    kind: str
-    name: str
-    rows: int
-    model: Figures
-    nominal: Figures
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of `blocks` (identification/files/README.md, "JSON keys")."""
-        figures = self.model.to_json() | {"rms_nominal_mm": self.nominal.rms}
-        return {"kind": self.kind, "name": self.name, "rows": self.rows, **figures}
+def figures_of(residuals: Array) -> Figures:
+    """Of residuals (m, d) [mm]."""
+    off = distances(residuals)
+    return Figures(rms_distance(residuals), float(np.mean(off)), float(np.percentile(off, 95.0)), float(np.max(off)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +79,12 @@ class Validation:
     @property
     def model(self) -> Figures:
         """Of the calibrated model, over all rows."""
-        return Figures.of(distances(self.residuals))
+        return figures_of(self.residuals)
 
     @property
     def nominal(self) -> Figures:
         """Of the drawing, refitted in the same way, over all rows."""
-        return Figures.of(distances(self.nominal_residuals))
+        return figures_of(self.nominal_residuals)
 
     @property
     def rms_angles(self) -> tuple[float, ...]:
@@ -123,17 +94,9 @@ class Validation:
         angles = [residuals[:, POINT.stop :] for residuals in (self.residuals, self.nominal_residuals)]
         return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
 
-    @property
-    def blocks(self) -> tuple[RowBlock, ...]:
-        """The rows by session, time, workspace, and range of the identification."""
-        blocks = []
-        for kind, name, rows in row_groups(self.arm, self.measurements):
-            figures = (Figures.of(distances(r[rows])) for r in (self.residuals, self.nominal_residuals))
-            blocks.append(RowBlock(kind, name, len(rows), *figures))
-        return tuple(blocks)
-
     def to_json(self) -> dict[str, Any]:
-        """Keys of `validate` (identification/files/README.md, "JSON keys")."""
+        """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks` are the rows by session, time,
+        workspace, and range of the identification."""
         if self.arm.chain.instrument.own_targets:
             every = placed_model(Model(self.arm), self.measurements).arm.chain.every_parameter
         elif self.arm.chain.planar:
@@ -146,13 +109,22 @@ class Validation:
             for session, values in zip(self.measurements.sessions or (None,), self.refitted, strict=True)
             for name, value in values.items()
         ]
+
+        def millimetres(figures: Figures) -> dict[str, float]:
+            return {f"{name}_mm": value for name, value in figures._asdict().items()}
+
+        blocks = [
+            {"kind": kind, "name": name, "rows": len(rows), **millimetres(figures_of(self.residuals[rows]))}
+            | {"rms_nominal_mm": rms_distance(self.nominal_residuals[rows])}
+            for kind, name, rows in row_groups(self.arm, self.measurements)
+        ]
         return {
             "rows": len(self.residuals),
             "refit": self.refit,
-            **self.model.to_json(),
-            **{f"{name}_nominal_mm": value for name, value in vars(self.nominal).items()},
+            **millimetres(self.model),
+            **{f"{name}_nominal_mm": value for name, value in self.nominal._asdict().items()},
             **dict(zip(("rms_deg", "rms_nominal_deg"), self.rms_angles, strict=False)),
-            "blocks": [block.to_json() for block in self.blocks],
+            "blocks": blocks,
             "refitted": refitted,
             "notes": list(self.notes),
         }
@@ -186,10 +158,9 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     if refit not in REFITS:
         raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
     check_calibrated(arm)
-    check_validation(Model(arm), measurements)
-    conditions = conditions_of(arm, measurements, refit)
-    refitted, residuals, left_open = _refitted(arm, measurements, conditions, refit)
-    nominal = _refitted(replace(arm, effects=(), calibration=None), measurements, conditions, refit)[1]
+    refitted, residuals, left_open = _refitted(arm, measurements, refit)
+    drawing = replace(arm, effects=(), calibration=None)
+    nominal = _refitted(drawing, measurements, refit, arm)[1]
     validation = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
     return replace(validation, notes=tuple(_notes(validation, left_open)))
 
@@ -199,64 +170,58 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
     drawing = replace(arm, effects=(), calibration=None)
     if arm.chain.planar or len(measurements.sessions) < 2:
-        return _refitted(drawing, measurements, conditions_of(arm, measurements, "base"), "base")[1]
-    check_validation(Model(drawing), measurements)
-    drawing = replace(drawing, chain=replace(arm.chain, settled=frozenset()))
-    model = Model(with_sessions(drawing, measurements))
+        return _refitted(drawing, measurements, "base", arm)[1]
+    model = Model(with_sessions(replace(drawing, chain=replace(arm.chain, settled=frozenset())), measurements))
     free = {model.names[k] for k in placing(model.parameters)}
     held = {name: value for name, value in model.best_known.items() if name not in free}
     return estimate(replace(model, held=held), measurements).residuals_after
 
 
-def check_validation(model: Model, measurements: Measurements) -> None:
-    """Raises `InputError` for measurements of another arm, and for effects without gravity."""
+def _refitted(
+    arm: Arm, measurements: Measurements, refit: str, calibrated: Arm | None = None
+) -> tuple[list[dict[str, float]], Array, int]:
+    """Values of the refitted parameters by session, (m, d) residuals [mm], and how many combinations the data leave
+    open;  calibrated : the arm whose conditions hold, None: this one
+
+    The temperature is counted from the mean of the data of the identification, where it is known. Where the arm was set
+    up again, what happened once in the session of the identification is over: a drift or a step has come to its end.
+    """
+    model, origin = Model(arm), calibrated or arm
     for what, counted, needed in (
         ("joints", measurements.links, model.joints),
         ("coordinates", measurements.dimension, model.dimension),
     ):
         if counted != needed and (what == "joints" or counted not in model.dimensions):
             raise InputError(f"measurements: found {counted} {what}, allowed: {needed}, as the arm has")
-    if "gravity" in model.needs and model.arm.gravity is None:
+    if "gravity" in model.needs and arm.gravity is None:
         raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
-
-
-# -- refitting where the arm stands ------------------------------------------------------------------------------------
-def _refitted(
-    arm: Arm, measurements: Measurements, conditions: Conditions, refit: str
-) -> tuple[list[dict[str, float]], Array, int]:
-    """Values of the refitted parameters by session, (m, d) residuals [mm], and how many combinations the data leave
-    open."""
+    conditions, mean = measurements.conditions, identified(origin).get("mean_temperature_C")
+    if refit != "none" and any(effect.once for effect in Model(origin).effects):
+        conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
+    if measurements.temperature is not None and mean is not None:
+        conditions = replace(conditions, temperature=measurements.temperature - float(mean))
     refitted, residuals, left_open = [], np.empty_like(measurements.positions), 0
     for rows in measurements.session_rows:
         session, session_conditions = measurements.rows(rows), conditions.rows(rows)
-        model, start = refit_model(arm, session, session_conditions, refit)
+        model, values = refit_model(arm, session, session_conditions, refit)
         weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
         problem = Problem(model, session.postures, session_conditions, session.positions[None], weights)
-        values = start
         if refit != "none":
-            if session.positions.size < (p := len(start)):
+            if session.positions.size < (p := len(values)):
                 file = measurements.provenance.get("file", "measurements")
                 allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
                 raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
-            values = problem.minimized(start[None]).parameters[0]
+            values = problem.minimized(values[None]).parameters[0]
             left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
         residuals[rows] = problem.residuals(values)[0]
-        refitted.append(placed_values(model.arm.chain, model.parameters.mapping(values)))
+        # where base and measured points are, by the names of their parameters, in place of their corrections
+        named = model.parameters.mapping(values)
+        stands, placed = standing_in(model.arm.chain, named), dict[str, float]()
+        points = {f"{TOOL}[{name}]": pose(place, stands.tool_axes.get(name)) for name, place in stands.tools.items()}
+        for name, frame in {BASE: stands.base, **points}.items():
+            placed |= displaced_by(np.eye(4), frame, error_names(name))
+        refitted.append({name: placed.get(name, value) for name, value in named.items()})
     return refitted, residuals, left_open
-
-
-def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Conditions:
-    """Conditions with the temperature counted from the mean of the data of the identification, where it is known.
-
-    Where the arm was set up again (`refit`), what happened once in the session of the identification is over: a drift
-    or a step has come to its end.
-    """
-    conditions, mean = measurements.conditions, identified(arm).get("mean_temperature_C")
-    if refit != "none" and any(effect.once for effect in Model(arm).effects):
-        conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
-    if measurements.temperature is None or mean is None:
-        return conditions
-    return replace(conditions, temperature=measurements.temperature - float(mean))
 
 
 def _notes(validation: Validation, left_open: int) -> Iterator[str]:
@@ -329,16 +294,9 @@ class Offered:
     @classmethod
     def of(cls, by: str, geometry: Array, model: Array, measurements: Measurements) -> Offered:
         """From residuals (m, d) [mm] of the same rows."""
-        before, after = distances(geometry), distances(model)
-        rms, rms_geometry = rms_distance(model), rms_distance(geometry)
-        p_value = gained_squares(before, after, measurements).p_above()
-        return cls(by, len(after), rms, float(after.max()), rms_geometry, float(before.max()), p_value)
-
-    @classmethod
-    def of_test(cls, test: Confirmation) -> Offered:
-        """From a test of a model against the base model."""
-        figures = (test.after, test.largest_after, test.before, test.largest_before)
-        return cls(test.by, test.rows, *figures, 1.0 if test.p_shrinks is None else test.p_shrinks)
+        before, after = figures_of(geometry), figures_of(model)
+        p_value = gained_squares(distances(geometry), distances(model), measurements).p_above()
+        return cls(by, len(model), after.rms, after.max, before.rms, before.max, p_value)
 
     @property
     def better(self) -> bool:
@@ -365,20 +323,21 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
         return diagnosis
     if holdout is None:
         tests = [test for test in diagnosis.cross_validation if test.transfer == "other postures"]
-        return replace(diagnosis, offered=Offered.of_test(tests[0])) if tests else diagnosis
+        if not tests:
+            return diagnosis
+        test, *_ = tests
+        figures = (test.after, test.largest_after, test.before, test.largest_before)
+        p_value = 1.0 if test.p_shrinks is None else test.p_shrinks
+        return replace(diagnosis, offered=Offered(test.by, test.rows, *figures, p_value))
     kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
-    geometry = identified_geometry(arm, kept)
+    # as `identify` calibrates it, where it stands in the first session
+    fit = estimate(Model(with_sessions(arm, kept)), kept)
+    geometry = replace(arm, calibration=without_sessions(fit.calibration()))
     try:
         alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
     except InputError:  # too few rows to place the arm
         return diagnosis
     return replace(diagnosis, offered=Offered.of("holdout", alone, extended, holdout))
-
-
-def identified_geometry(arm: Arm, measurements: Measurements) -> Arm:
-    """The arm as `identify` calibrates it, where it stands in the first session."""
-    fit = estimate(Model(with_sessions(arm, measurements)), measurements)
-    return replace(arm, calibration=without_sessions(fit.calibration()))
 
 
 def prior_judged(
@@ -466,18 +425,6 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
     return replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
 
 
-def placed_values(chain: KinematicChain, values: Mapping[str, float]) -> dict[str, float]:
-    """Where base and measured points are, by the names of their parameters [mm, rad]; other values as they are.
-
-    values : corrections of base and points
-    """
-    stands, placed = standing_in(chain, values), dict[str, float]()
-    points = {f"{TOOL}[{name}]": pose(place, stands.tool_axes.get(name)) for name, place in stands.tools.items()}
-    for name, frame in {BASE: stands.base, **points}.items():
-        placed |= displaced_by(np.eye(4), frame, error_names(name))
-    return {name: placed.get(name, value) for name, value in values.items()}
-
-
 def extrapolation(arm: Arm, postures: Array) -> str | None:
     """How many postures (m, n) of rows are outside the angles of the identification, in a clause; None: none, or not
     known."""
@@ -501,9 +448,9 @@ def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str,
     if not measurements.sessions:
         for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
             yield "time", f"quarter {k}", rows
-    # of lengths the places computed, in the frame of the base
-    measures_places = measurements.dimension > 1
-    places = (measurements.positions if measures_places else Model(arm).points(measurements.postures)[:, -1])[:, :2]
+    # of lengths and contacts the places computed, in the frame of the base
+    seen = arm.chain.instrument.places
+    places = (measurements.positions if seen else Model(arm).points(measurements.postures)[:, -1])[:, :2]
     x, y = np.median(places, axis=0)
     right, above = (places > [x, y]).T
     for name, inside in (

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
 
 from identification.document import Answer, Document
 from identification.errors import InputError
-from identification.progress import Progress, silent
+from identification.running import Progress, silent
 
 if TYPE_CHECKING:
     from identification.arm import Arm, Calibration, EffectSpec
@@ -250,9 +250,9 @@ def identify_files(
     from identification.origin import diagnosed
     from identification.reuse import at_reference, earlier, with_base_doubt, with_mounting_doubt, words_of
     from identification.reuse import only as only_these
+    from identification.running import Status
     from identification.sessions import with_sessions
     from identification.simulate import following_errors, with_servo_errors
-    from identification.status import Status
     from identification.validate import drawing_residuals, prior_judged
 
     loaded, words, minimal = load_arm(arm), words_of(only), parameters == "minimal"
@@ -325,7 +325,7 @@ def identify_files(
         held = {*identified.prior.names, *identified.model.prior}
         keys["prior_from"] = {
             "file": str(prior_from),
-            "parameters": list(known.names),
+            "parameters": list(known.parameter_names),
             "anew": [name for name in identified.names if name not in held],
             "contradicted": [one._asdict() for one in identified.contradictions],
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
 
 from doe.cli.plans import with_collisions
@@ -33,45 +33,10 @@ def command(
     out : Directory for the files; left out: the next free armcal-demo.
     force : Overwrite existing files.
     """
-    from doe.demo.run import run_demo
-    from doe.demo.scenarios import planar
-    from doe.demo.scenarios import spatial as six_axes
-    from doe.report.demo import demo_document, overview_figure
+    from doe.demo.run import demo_document, overview_figure, planar, run_demo
+    from doe.demo.run import spatial as six_axes
 
     directory = next_free(Path("armcal-demo")) if out is None else out
-    make_directory(directory, force)
-    try:
-        demo = run_demo(directory, six_axes() if spatial else planar(), seed, progress, force)
-        document = demo_document(demo)
-        text = page(document, [directory / name for name in demo.files])
-        picture = directory / "overview.png"
-        write_together(
-            {directory / "report.html": text, picture: picture_bytes(overview_figure(demo), picture)}, force=True
-        )
-    except KeyboardInterrupt as error:
-        raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
-    look = f"Look at {directory / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
-    return with_collisions(Answer(demo.to_json(directory), [document.plus(look)]), demo.arm)
-
-
-def next_free(path: Path) -> Path:
-    """Create and return the first of `path`, `path-2`, `path-3`, ... that does not exist; two runs never share one."""
-    others = (path.with_name(f"{path.name}-{number}") for number in count(2))
-    return next(free for free in chain([path], others) if _claimed(free))
-
-
-def _claimed(directory: Path) -> bool:
-    try:
-        directory.mkdir()
-    except FileExistsError:
-        return False
-    except OSError:  # said by `make_directory`
-        pass
-    return True
-
-
-def make_directory(directory: Path, force: bool) -> None:
-    """Create the directory; one with files in it needs --force."""
     try:
         if directory.is_file():
             raise InputError(f"{directory}: is a file, allowed: a directory")
@@ -80,3 +45,27 @@ def make_directory(directory: Path, force: bool) -> None:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:  # a name that is too long, links that lead in a circle, no right to look or to write
         raise InputError(f"{directory}: cannot be created ({error.strerror}), allowed: a writable place") from None
+    try:
+        demo = run_demo(directory, six_axes() if spatial else planar(), seed, progress, force)
+        document, picture = demo_document(demo), directory / "overview.png"
+        text = page(document, [directory / name for name in demo.files])
+        shown: dict[Path, str | bytes] = {picture: picture_bytes(overview_figure(demo), picture)}
+        write_together(shown | {directory / "report.html": text}, force=True)
+    except KeyboardInterrupt as error:
+        raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
+    look = f"Look at {directory / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
+    return with_collisions(Answer(demo.to_json(directory), [document.plus(look)]), demo.arm)
+
+
+def next_free(path: Path) -> Path:
+    """Create and return the first of `path`, `path-2`, `path-3`, ... that does not exist; two runs never share one."""
+    for number in count(1):
+        free = path if number == 1 else path.with_name(f"{path.name}-{number}")
+        try:
+            free.mkdir()
+        except FileExistsError:
+            continue
+        except OSError:  # said by the caller
+            pass
+        return free
+    raise AssertionError

@@ -1,59 +1,152 @@
-"""The whole loop: plan, certificate, measurements, identification, what is still missing, commands for the real arm."""
+"""The whole loop on a simulated arm: plan, certificate, measurements, identification, what is still missing, commands
+for the real arm; the paper's 4-link arm, or a six-axis arm before a laser tracker. And its page and picture."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomlkit
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from doe.design import Design
+from doe.design import Design, optimality_in_words
 from doe.plan.plan import Plan, plan_text
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
+from doe.report.design import design_verdict, plan_section
+from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm, draw_side
 from doe.solvers import solve
-from identification import Arm, Array, Measurements, Model, Progress, load_arm, load_measurements, silent, with_effects
-from identification.document import Answer
+from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
+from identification import (
+    Arm,
+    Array,
+    Measurements,
+    Model,
+    Progress,
+    arm_from_tables,
+    load_arm,
+    load_measurements,
+    rms_distance,
+    silent,
+    with_effects,
+)
+from identification.document import Action, Answer, Document, Pictures, Section, Sheet, number
+from identification.documents.pictures import Compared
 from identification.files.io import write_together
 from identification.workflow import Written, compensate_files, diagnose_files, identify_files
+
+PLANAR_ARM, TRUTH, SIX_AXES, URDF = (
+    Path(__file__).with_name(name).read_text()
+    for name in ("planar_arm.toml", "planar_truth.toml", "six_axes.toml", "robot.urdf")
+)
+# axes at home as robot.urdf has them, stretched out along x: point [mm] and direction of each, then the flange
+POINTS = np.array(
+    [[0, 0, 130], [0, 190, 130], [610, 60, 130], [1180, 60, 130], [1180, 170, 130], [1180, 170, 20]], dtype=float
+)
+AXES = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [0, 1, 0], [0, 0, -1], [0, 1, 0]], dtype=float)
+FLANGE = np.array([1180.0, 260.0, 20.0])
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+LIMITS = np.radians([180.0, 180.0, 150.0, 180.0, 180.0, 180.0])
+REFLECTOR = FLANGE + np.array([55.0, 60.0, -50.0])  # [mm] at home
+HIDDEN_JOINT, HIDDEN_WAVE = 2, {"a": 0.03, "b": -0.025}  # encoder off centre: joint from 1; cosine, sine [deg]
+SEED = 2026  # of the errors of the real arm
+STEPS = ("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "commands", "page")
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """An arm, and what its simulation hides.
-
-    title : in words;  files : name -> text of what is there first, `arm.toml` among it
-    real : postures (m, n) -> (m, d) positions without noise [mm], of an arm that the fits do not know
-    hidden : parameter name -> value [file units]; what is not in it is zero
-    every_parameter : the fit's parameters are those of `real`; False: only those of effects
-    runs : of the plan;  effort : of the search, arguments of `solve`
-    """
+    """An arm, and what its simulation hides."""
 
     title: str
-    files: Mapping[str, str]
-    real: Callable[[Array], Array]
-    hidden: Mapping[str, float]
-    every_parameter: bool
-    runs: int
-    effort: Mapping[str, Any] = field(default_factory=dict)
+    files: Mapping[str, str]  # name -> text of what is there first, `arm.toml` among it
+    real: Callable[[Array], Array]  # postures (m, n) -> (m, d) exact positions [mm], of an arm that fits do not know
+    hidden: Mapping[str, float]  # parameter name -> value [file units]; what is not in it is zero
+    every_parameter: bool  # the fit's parameters are those of `real`; False: only those of effects
+    runs: int  # of the plan
+    effort: Mapping[str, Any] = field(default_factory=dict)  # of the search, arguments of `solve`
 
 
+def planar() -> Scenario:
+    """The paper's arm, with the paper's errors and an encoder that sits off centre."""
+    truth = f"{PLANAR_ARM}\n{TRUTH}"
+    model = Model(arm_from_tables(tomllib.loads(truth)))
+    hidden = {p.name: model.best_known[p.name] * p.to_file for p in model.all_parameters}
+    files = {"arm.toml": PLANAR_ARM, "truth.toml": truth}
+    return Scenario("the paper's 4-link arm", files, model.position, hidden, every_parameter=True, runs=20)
+
+
+def hidden_arm() -> TrueArm:
+    """The real arm, its lines in space a little off and its encoder off centre: errors that the fits do not know."""
+    generator = np.random.default_rng(SEED)
+    points = POINTS + 0.4 * generator.standard_normal(POINTS.shape)  # [mm], as machined
+    axes = AXES + 1.5e-3 * generator.standard_normal(AXES.shape)  # [rad]
+    offsets = 4e-3 * generator.standard_normal(len(POINTS))  # of the joints' zeros [rad]
+    base = np.eye(4)
+    base[:3, :3] = turn(np.array([0.0, 0.0, np.radians(160.0)]))
+    base = base @ shift(np.array([-2590.0, -410.0, -495.0]))  # about where arm.toml has the tracker
+    zero, wave = np.zeros((6, 3)), {name: float(np.radians(value)) for name, value in HIDDEN_WAVE.items()}
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    weightless = TrueArm(zero, axes, points, offsets, base, REFLECTOR[None], zero[:, 0], 0.0, -LIMITS, LIMITS, 0.05)
+    return replace(weightless, effects=[("encoder_eccentricity", HIDDEN_JOINT, wave)])
+
+
+def spatial(runs: int = 36) -> Scenario:
+    """The scenario of the six-axis demo. What is hidden is written down to look at: no arm file can say it, since the
+    fitted model has other parameters."""
+    real, generator = hidden_arm(), np.random.default_rng(SEED)
+    joints = [
+        {"name": name, "point_mm": point, "drawn_mm": drawn, "axis": axis, "drawn_axis": drawn_axis, "offset_deg": zero}
+        for name, point, drawn, axis, drawn_axis, zero in zip(
+            NAMES,
+            np.round(real.points, 4).tolist(),
+            POINTS.tolist(),
+            np.round(real.axes, 6).tolist(),
+            AXES.tolist(),
+            np.round(np.degrees(real.offsets), 5).tolist(),
+            strict=True,
+        )
+    ]
+    tables = {
+        "joint": joints,
+        "encoder_eccentricity": {"joint": HIDDEN_JOINT} | {f"{key}_deg": v for key, v in HIDDEN_WAVE.items()},
+        "reflector": {"at_home_mm": REFLECTOR.tolist()},
+        "base": {"in_the_tracker_mm": np.round(real.base[:3, 3], 4).tolist()},
+    }
+    head = "# What the demo hides. Joints as lines in space at home, in the frame of the base; drawn beside them.\n\n"
+    files = {"robot.urdf": URDF, "arm.toml": SIX_AXES, "hidden.toml": head + tomlkit.dumps(tables)}
+    hidden = {f"encoder_eccentricity:{HIDDEN_JOINT}.{key}": value for key, value in HIDDEN_WAVE.items()}
+
+    def positions(postures: Array) -> Array:
+        return position(real, session(real, postures, generator))
+
+    title = "a six-axis arm before a laser tracker"
+    return Scenario(title, files, positions, hidden, every_parameter=False, runs=runs, effort={"starts": 1})
+
+
+# -- the loop ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Demo:
-    """Everything the demo made, for tables, pictures and the page."""
+    """Everything the demo made."""
 
     scenario: Scenario
     arm: Arm
     problem: DesignProblem
     design: Design
-    data: Measurements
     fresh: Measurements  # random postures that no fit has seen
     identified: Answer
     diagnosed: Answer
     extended: Answer  # the named effect identified, from the drawing
-    compensated: Answer
+    gaps: Mapping[
+        str, float
+    ]  # `fresh_gap_mm` of the JSON object: RMS distances from `fresh`, `noise` of a perfect model
+    hidden: Mapping[
+        str, Any
+    ]  # `hidden` of it: what was found beside what was hidden, RMS distances from the hidden arm
     files: tuple[str, ...]
 
     @property
@@ -61,81 +154,17 @@ class Demo:
         """What is missing, a `Diagnosis`."""
         return self.diagnosed.result
 
-    @property
-    def noise(self) -> float:
-        """RMS distance that a perfect model would leave [mm]: sqrt(d) sigma."""
-        return float(np.sqrt(self.arm.dimension) * (self.arm.sigma or 0.0))
-
-    @property
-    def drawing_gap(self) -> float:
-        """RMS distance between the drawing, where the identification lets it stand, and the fresh measurements [mm]."""
-        return rms(self.identified.result.model.position(self.fresh.postures) - self.fresh.positions)
-
-    def gap(self, fitted: Answer) -> float:
-        """RMS distance [mm] between a fitted model and the fresh measurements."""
-        return rms(self.predicted(fitted) - self.fresh.positions)
-
-    @property
-    def model_error(self) -> float:
-        """RMS distance [mm] between the final model and the hidden arm, without noise, at the fresh postures."""
-        return rms(self.predicted(self.extended) - self.scenario.real(self.fresh.postures))
-
-    @property
-    def target_errors(self) -> tuple[float, float]:
-        """RMS distance [mm] by which the hidden arm misses its targets, sent there as drawn and with the commands."""
-        sent = self.compensated.result
-        near = sent.reached
-        drawn, corrected = (
-            rms(self.scenario.real(q[near]) - sent.targets[near]) for q in (sent.nominal, sent.commands)
-        )
-        return drawn, corrected
-
-    @property
-    def checked(self) -> list[dict[str, Any]]:
-        """Rows of `identify` of the parameters whose hidden value is known, with that value as `hidden`."""
-        hidden, effects = self.scenario.hidden, [f"{label}." for label in self.diagnosis.effects]
-        rows = self.extended.data["parameters"]
-        return [
-            row | {"hidden": hidden.get(row["name"], 0.0)}
-            for row in rows
-            if self.scenario.every_parameter or any(row["name"].startswith(label) for label in effects)
-        ]
-
-    def predicted(self, fitted: Answer) -> Array:
-        """(m, d) positions [mm] of a fitted model at the fresh postures."""
-        fit = fitted.result
-        return np.asarray(fit.model.position(self.fresh.postures, fit.parameters, self.fresh.conditions))
-
     def to_json(self, directory: Path) -> dict[str, Any]:
         """The JSON object of `armcal demo`."""
-        return {
-            "directory": directory,
-            "design": self.design.to_json(),
-            "identify": self.identified.data,
-            "diagnose": self.diagnosed.data,
-            "fresh_gap_mm": {
-                "drawing": self.drawing_gap,
-                "identified": self.gap(self.identified),
-                "extended": self.gap(self.extended),
-                "noise": self.noise,
-            },
-            "hidden": {
-                "parameters": self.checked,
-                "model_error_mm": self.model_error,
-                "targets_reached": int(self.compensated.result.reached.sum()),
-                "targets_as_drawn_mm": self.target_errors[0],
-                "targets_corrected_mm": self.target_errors[1],
-            },
-            "files": list(self.files),
-        }
+        steps = {"design": self.design.to_json(), "identify": self.identified.data, "diagnose": self.diagnosed.data}
+        others = {"fresh_gap_mm": dict(self.gaps), "hidden": dict(self.hidden), "files": list(self.files)}
+        return {"directory": directory, **steps, **others}
 
 
-def rms(residuals: Array) -> float:
-    """Root mean square over rows (m, d) of the distance [mm]."""
-    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
-
-
-STEPS = ("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "commands", "page")
+def predicted(fitted: Answer, rows: Measurements) -> Array:
+    """(m, d) positions [mm] of a fitted model at measured postures."""
+    fit = fitted.result
+    return np.asarray(fit.model.position(rows.postures, fit.parameters, rows.conditions))
 
 
 def run_demo(
@@ -174,7 +203,7 @@ def run_demo(
     write("plan.csv", plan_text(design.plan))
     begin()
     generator = np.random.default_rng(seed)
-    data = measured("data.csv", design.plan.postures)
+    measured("data.csv", design.plan.postures)
     fresh = measured("fresh.csv", random_postures(problem, 200, generator))
     begin()
     path, rows = directory / "arm.toml", directory / "data.csv"
@@ -189,7 +218,158 @@ def run_demo(
     begin()
     targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
     write("targets.csv", plan_text(Plan(targets), arm.joint_types))
-    compensated = compensate_files(named, directory / "targets.csv", out=to_write("commands.csv"), force=force)
+    sent = compensate_files(named, directory / "targets.csv", out=to_write("commands.csv"), force=force).result
     begin()
-    answers = identified, diagnosed, extended, compensated
-    return Demo(scenario, arm, problem, design, data, fresh, *answers, tuple(files))
+    gaps = {
+        "drawing": rms_distance(identified.result.model.position(fresh.postures) - fresh.positions),
+        "identified": rms_distance(predicted(identified, fresh) - fresh.positions),
+        "extended": rms_distance(predicted(extended, fresh) - fresh.positions),
+        "noise": float(np.sqrt(arm.dimension) * (arm.sigma or 0.0)),
+    }
+    near, effects = sent.reached, [f"{label}." for label in diagnosed.result.effects]
+    drawn, corrected = (scenario.real(q[near]) - sent.targets[near] for q in (sent.nominal, sent.commands))
+    hidden = {
+        "parameters": [
+            row | {"hidden": scenario.hidden.get(row["name"], 0.0)}
+            for row in extended.data["parameters"]
+            if scenario.every_parameter or any(row["name"].startswith(label) for label in effects)
+        ],
+        "model_error_mm": rms_distance(predicted(extended, fresh) - scenario.real(fresh.postures)),
+        "targets_reached": int(near.sum()),
+        "targets_as_drawn_mm": rms_distance(drawn),
+        "targets_corrected_mm": rms_distance(corrected),
+    }
+    answers = identified, diagnosed, extended
+    return Demo(scenario, arm, problem, design, fresh, *answers, gaps, hidden, tuple(files))
+
+
+# -- its page ----------------------------------------------------------------------------------------------------------
+def demo_document(demo: Demo) -> Document:
+    """Plan, certificate, identification, gap, and what was hidden."""
+    diagnosed = demo.diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
+    postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain.planar else (128, 25)
+    certificate = (
+        "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
+        "the largest d found at each angle of a joint; dots are the plan's postures."
+    )
+    picture = Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])
+    within = " and the tracker's view" if demo.arm.constraints else ""
+    chosen = f"Chosen within the joint limits{within}. {design_verdict(demo.design.to_json())}"
+    sections = [
+        identified_section(demo),
+        *diagnosed.parts,
+        truth_section(demo),
+        plan_section(demo.arm, demo.design.plan, lead=chosen),
+        Section("The certificate", [picture]),
+    ]
+    report = "armcal report arm.toml plan.csv extended.toml fresh.csv --out page.html"
+    actions = [
+        Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
+        Action("Make a page of any of them:", report),
+        Action("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
+    ]
+    gaps, test = demo.gaps, demo.diagnosis.confirmation
+    average = f", {test.after:.3f} mm where the diagnosis averages over all that may be missing" if test else ""
+    summary = (
+        f"A plan of {len(postures)} runs ({optimality(demo, 4)}). The RMS error on 200 fresh postures falls "
+        f"from {gaps['drawing']:.2f} mm (nominal) to {gaps['identified']:.3f} mm (calibrated) and "
+        f"{gaps['extended']:.3f} mm ({last_model(demo)} alone{average}); "
+        f"measurement noise alone gives {gaps['noise']:.3f} mm. "
+        f"Commands corrected with this model miss their targets by {demo.hidden['targets_corrected_mm']:.3f} mm, "
+        f"uncorrected ones by {demo.hidden['targets_as_drawn_mm']:.2f} mm."
+    )
+    return Document(f"armcal demo: {demo.scenario.title}", [*diagnosed.verdict, summary], sections, actions)
+
+
+def last_model(demo: Demo) -> str:
+    """The model that the diagnosis leads to."""
+    return f"with {' + '.join(demo.diagnosis.effects)}" if demo.diagnosis.effects else "nothing named"
+
+
+def optimality(demo: Demo, digits: int) -> str:
+    """How sure the plan is, or its efficiency."""
+    bound = None if demo.design.bound is None else demo.design.bound.as_dict()
+    sure = optimality_in_words(demo.design.optimality, bound) if demo.design.certified_optimal else None
+    return sure or f"efficiency {demo.design.efficiency:.{digits}f}"
+
+
+def identified_section(demo: Demo) -> Section:
+    """How the gap closes, step by step, on the data and on fresh random postures that no step has seen."""
+    named, arm, fresh, gaps = demo.diagnosis.effects, demo.extended.result.calibrated_arm(), demo.fresh, demo.gaps
+    base, extended = demo.identified.data, demo.extended.data
+    errors = {
+        "nominal (from the drawing)": (base["rms_before_mm"], gaps["drawing"]),
+        "geometry identified": (base["rms_after_mm"], gaps["identified"]),
+        last_model(demo): (extended["rms_after_mm"], gaps["extended"]),
+    }
+    rows = [[name, *map(number, figures)] for name, figures in errors.items()]
+    before, after = (fresh.positions - predicted(fit, fresh) for fit in (demo.identified, demo.extended))
+    compared = Compared(arm, fresh.postures, before, after, fresh.conditions, Model(arm), named)
+    model = f"the model {last_model(demo)}" if named else "the same model"
+    lead = "From simulated measurements of an arm whose true errors the fit does not know."
+    table = Sheet(("RMS error [mm]", "on the data", "on 200 fresh postures"), rows)
+    return Section("Identification", [table, lead, compared.pictures("the geometry identified", model)])
+
+
+def truth_section(demo: Demo) -> Section:
+    """Estimates with intervals beside the hidden truth; the last model and its commands against the hidden arm."""
+    rows = []
+    for row in demo.hidden["parameters"]:
+        figures = [f"{row[key]:.4g}" for key in ("value", "low_95", "high_95")]
+        rows.append([row["name"], *figures, number(row["hidden"]), row["unit"]])
+    errors = {
+        "last model: where the tip is, at the fresh postures": "model_error_mm",
+        f"hidden arm from {demo.hidden['targets_reached']} targets, sent there as drawn": "targets_as_drawn_mm",
+        "... sent there with the corrected commands": "targets_corrected_mm",
+    }
+    misses = [[name, number(demo.hidden[key])] for name, key in errors.items()]
+    lead = (
+        "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only."
+    )
+    found = Sheet(("parameter", "value", "low 95 %", "high 95 %", "truth", "unit"), rows)
+    checked = Sheet(("checked against the hidden arm, without noise", "RMS [mm]"), misses)
+    return Section("Against the truth", [lead, found, checked])
+
+
+def overview_figure(demo: Demo) -> Figure:
+    """Plan, gap step by step, and residuals against the joint at fault."""
+    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), not demo.arm.chain.planar
+    places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
+    postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection="3d" if space else None)
+    if space:
+        draw_side(axes, demo.arm, postures, zoom=1.1)
+        axes.set(zlabel="")  # it would stand in the next picture
+    else:
+        draw_arm(axes, demo.arm, postures)
+    within = "in the tracker's view" if space else "within the limits"
+    axes.set_title(f"1. plan: {len(postures)} postures {within},\n{optimality(demo, 3)}", fontsize=10)
+    draw_gap(figure.add_subplot(places[1]), demo)
+    draw_cause(figure.add_subplot(places[2]), demo)
+    return figure
+
+
+def draw_gap(axes: Axes, demo: Demo) -> None:
+    """RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names."""
+    *heights, noise = (demo.gaps[name] for name in ("drawing", "identified", "extended", "noise"))
+    names = ["drawing", "identified", "effect\nadded"]
+    axes.plot(names, heights, color="0.8", lw=1, zorder=1)
+    axes.scatter(names, heights, color=[LIMIT, BEFORE, AFTER], s=90, zorder=2)
+    for name, height in zip(names, heights, strict=True):
+        axes.annotate(f"{height:.2f} mm", (name, height), (0, 9), textcoords="offset points", ha="center", fontsize=10)
+    axes.axhline(noise, color="k", ls="--", lw=1, zorder=0)
+    axes.set(yscale="log", xlim=(-0.5, 2.5), ylim=(0.57 * noise, 2.4 * heights[0]), ylabel="RMS distance [mm]")
+    axes.text(-0.42, noise * 1.07, f"noise {noise:.2f} mm", fontsize=9)
+    axes.set_title("2. gap between model and reality,\non 200 postures no fit has seen", fontsize=10)
+
+
+def draw_cause(axes: Axes, demo: Demo) -> None:
+    """Residuals turned into the joint angle error they mean, against the joint that the diagnosis names."""
+    joint = next((spec.joint for spec in demo.diagnosis.named.specs if spec.joint), 1)
+    fresh, q = demo.fresh, np.degrees(demo.fresh.postures[:, joint - 1])
+    before, after = (fresh.positions - predicted(fit, fresh) for fit in (demo.identified, demo.extended))
+    errors = Compared(demo.arm, fresh.postures, before, after, fresh.conditions).errors
+    for each, color, name in zip(errors, (BEFORE, AFTER), ("identified", "effect added"), strict=True):
+        axes.plot(q, np.degrees(each[:, joint - 1]), ".", color=color, ms=4, label=name)
+    axes.set(xlabel=f"joint {joint} [deg]", ylabel="joint angle error [deg]")
+    axes.legend(frameon=False, fontsize=9)
+    axes.set_title(f"3. diagnosis:\n{' + '.join(demo.diagnosis.effects) or demo.diagnosis.verdict}", fontsize=10)

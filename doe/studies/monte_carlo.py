@@ -55,7 +55,7 @@ from identification import (
 from identification.estimation.estimate import sessions
 from identification.files.io import named_file, read_toml, write_together
 from identification.files.schema import StrictTable, validated
-from identification.information import covariance, covariances
+from identification.information import covariances, spectrum
 from identification.kinematics.counting import in_columns, in_joints
 from identification.kinematics.parameters import orientation_transform
 
@@ -232,15 +232,11 @@ def load_study(path: Path | str, replications: int | None = None) -> Study:
 # -- the run -----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class StudyResult:
-    """What a study found.
+    """What a study found."""
 
-    cells : one row per cell and parameter, see `pooled_rows`;  blocks : one row per block of replications and parameter
-    plans : one row per plan that a solver made
-    """
-
-    cells: pl.DataFrame
-    blocks: pl.DataFrame
-    plans: pl.DataFrame
+    cells: pl.DataFrame  # one row per cell and parameter, see `pooled_rows`
+    blocks: pl.DataFrame  # one row per block of replications and parameter
+    plans: pl.DataFrame  # one row per plan that a solver made
 
     def __str__(self) -> str:
         done = self.blocks.filter(self.blocks["status"] == "done")
@@ -457,7 +453,8 @@ def fits_of(cell: Cell, generator: np.random.Generator, total: int) -> tuple[Arr
     if given is not None:
         plan = plan_of(truth, given)
         exact = truth.position(plan.postures, conditions=plan.conditions)
-        matrices = covariance(model.jacobian(plan.postures, values, plan.conditions), model.scales, sigma)[None]
+        jacobian = model.jacobian(plan.postures, values, plan.conditions)
+        matrices = sigma**2 * spectrum(jacobian, model.scales).covariance[None]
     for count in (min(size, total - start) for start in range(0, total, size)):
         if given is not None:
             positions = sigma * generator.standard_normal((count, rows, model.dimension))

@@ -16,9 +16,9 @@ from identification.effects import formulas, noise  # noqa: F401  (they fill the
 from identification.effects.base import _LIBRARY, Effect, Scope, Setting, register
 from identification.effects.chain import Chain, measured_position
 from identification.errors import InputError, close_names, nearest, suggestion
-from identification.installed import additions
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
+from identification.running import additions
 
 __all__ = [
     "Chain",

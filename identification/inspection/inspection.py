@@ -61,8 +61,8 @@ from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REV
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import placed_model
+from identification.running import Status
 from identification.sessions import with_sessions
-from identification.status import Status
 from identification.validate import drawing_residuals
 from identification.workspace import ColumnLimits
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.row_digests import BYTES, KEPT, digests, rows_shared, union
+from identification.measurements import BYTES, KEPT, digests, rows_shared, union
 
 POSTURES, POSITIONS = np.random.default_rng(1).uniform(-3.0, 3.0, (12_000, 9)).round(6), 3
 ROWS = POSTURES[:, :6], 1000.0 * POSTURES[:, 6:]

@@ -14,7 +14,7 @@ from doe.bounds.planar_theorem import closed_form_log_det
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import ECCENTRICITY, FOUR, problem
 from tests.doe.bounds.test_planar_theorem import factorial
 

@@ -19,7 +19,7 @@ from doe.problem.problem import PriorInformation
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError, JobError
-from identification.status import Status
+from identification.running import Status
 from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem, random_box
 from tests.doe.regression import regression

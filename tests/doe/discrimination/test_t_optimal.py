@@ -16,7 +16,7 @@ from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 from identification.workspace import WorkspaceBox
 
 ARM = Arm(

@@ -14,7 +14,7 @@ from doe.solvers import Ipopt, solve
 from doe.solvers.ipopt import Climber
 from doe.solvers.solver import Budget
 from identification.errors import InputError
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
 
 UNKNOWN = Bound(np.inf, "grid")  # spares the time to find one

@@ -12,7 +12,7 @@ from doe.solvers import Analytic, Random, solve
 from doe.solvers.solver import Budget
 from identification.arm import Arm, EffectSpec
 from identification.errors import JobError
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem, random_box
 from tests.doe.bounds.test_planar_theorem import complex_log_det
 

@@ -13,7 +13,7 @@ from doe.bounds.certificate import Bound
 from doe.solvers import Offer, solve
 from doe.solvers.solving import AGREEMENT
 from identification.errors import JobError
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import FOUR, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 

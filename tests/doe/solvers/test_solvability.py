@@ -10,7 +10,7 @@ import pytest
 from doe.solvers import solve
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError, JobError
-from identification.status import Status
+from identification.running import Status
 from tests.doe.arms import FOUR, problem
 
 

@@ -103,7 +103,7 @@ def test_tables_and_picture() -> None:
         "16 rows, refitted in each of 2 sessions: position and rotation of the base; everything else as in the file"
         in text
     )
-    for figure in (*vars(found.model).values(), *vars(found.nominal).values()):
+    for figure in (*found.model, *found.nominal):
         assert f"{figure:.4f}" in text
     assert "monday" in text
     assert "no better than the drawing" not in text

@@ -12,7 +12,7 @@ from identification.estimation.doubts import FAR, another_frame, copied_rows, ou
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan
 
 

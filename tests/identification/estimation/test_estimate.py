@@ -19,7 +19,7 @@ from identification.estimation import estimate, without_outliers
 from identification.information import information_matrix
 from identification.measurements import Measurements, load_measurements
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit
 
 UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"

@@ -17,19 +17,12 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.problem import (
-    WIDTHS,
-    ZERO_WIDTHS,
-    Prior,
-    Problem,
-    likeliest,
-    likeliest_noise,
-)
+from identification.estimation.problem import WIDTHS, ZERO_WIDTHS, Prior, Problem, likeliest, likeliest_noise
 from identification.gap.library_prior import library_prior
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 
 ARM = Arm([300.0, 200.0], sigma=0.1)
 LIBRARY = library_prior(ARM, names=["encoder_eccentricity", "gear_ratio"])

@@ -17,7 +17,7 @@ from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.status import Status
+from identification.running import Status
 from tests.identification.estimation.cases import arm, data, plan, scipy_fit, truth
 
 ROWS = [

@@ -13,8 +13,8 @@ from identification.gap.diagnose import diagnose
 from identification.instruments import Coordinate, Instrument
 from identification.kinematics.frames import from_own_axes, pose
 from identification.model import Model
+from identification.running import Status
 from identification.simulate import simulate
-from identification.status import Status
 from tests.doe.six_axis import CHAIN
 
 

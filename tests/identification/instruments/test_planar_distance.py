@@ -16,9 +16,9 @@ from identification.instruments import PlanarDistance
 from identification.kinematics.chain import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.running import Status
 from identification.sessions import with_sessions
 from identification.simulate import simulate
-from identification.status import Status
 from identification.validate import validate
 
 LENGTHS = np.array([300.0, 250.0, 150.0])

@@ -17,8 +17,8 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.reuse import with_mounting_doubt
+from identification.running import Status
 from identification.sessions import pooled_sessions, with_sessions
-from identification.status import Status
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials

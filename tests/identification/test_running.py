@@ -1,21 +1,27 @@
-"""Code of installed packages: named before it runs, refused in one line where it fails."""
+"""Code of installed packages: named before it runs, refused in one line where it fails. Threads: limited inside the
+context only."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import warnings
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import numpy as np  # noqa: F401  (loads the BLAS that is limited)
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from identification.errors import InputError
-from identification.installed import additions
+from identification.running import additions, single_thread
 
 
 def install(monkeypatch: pytest.MonkeyPatch, folder: Path, source: str) -> None:
     (folder / "addition_for_test.py").write_text(source)
     monkeypatch.syspath_prepend(str(folder))
-    monkeypatch.delitem(__import__("sys").modules, "addition_for_test", raising=False)
+    monkeypatch.delitem(sys.modules, "addition_for_test", raising=False)
     point = EntryPoint("mine", "addition_for_test:thing", "armcal.effects")
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
 
@@ -38,3 +44,31 @@ def test_one_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         InputError, match=r"^entry point armcal.effects: mine = addition_for_test:thing: .*, allowed: ."
     ):
         list(additions("armcal.effects"))
+
+
+def blas_threads() -> list[int]:
+    return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+
+def test_one_thread_inside_and_as_before_outside() -> None:
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        with single_thread():
+            assert set(blas_threads()) == {1}
+        assert blas_threads() == before
+
+
+def test_a_library_that_is_loaded_later_is_limited_too() -> None:
+    """In a process of its own: SciPy brings a BLAS besides numpy's."""
+    code = (
+        "import numpy\n"
+        "from threadpoolctl import threadpool_info\n"
+        "from identification.running import single_thread\n"
+        "with single_thread(): pass\n"
+        "import scipy.linalg\n"
+        "with single_thread(): print(*(found['num_threads'] for found in threadpool_info()))\n"
+    )
+    system = {**os.environ, "OPENBLAS_NUM_THREADS": "2"}
+    done = subprocess.run([sys.executable, "-c", code], env=system, capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == {"1"}
+    assert len(done.stdout.split()) > 1

@@ -10,8 +10,8 @@ import pytest
 
 from doe.plan.plan import Plan
 from identification.arm import Arm, Calibration, EffectSpec
+from identification.arrays import frame_of_columns, frame_of_rows
 from identification.compensate import compensate
-from identification.data_frames import frame_of_columns, frame_of_rows
 from identification.errors import InputError
 from identification.estimation import estimate
 from identification.model import Model

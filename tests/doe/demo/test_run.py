@@ -1,0 +1,79 @@
+"""The simulator of the spatial demo against the chain of its drawing, and the loop on what it hides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doe.demo.run import (
+    AXES,
+    FLANGE,
+    POINTS,
+    REFLECTOR,
+    SIX_AXES,
+    URDF,
+    Demo,
+    demo_document,
+    hidden_arm,
+    overview_figure,
+    run_demo,
+    spatial,
+)
+from doe.studies.blind.simulator import position, session
+from identification.files.arm import load_arm
+from identification.files.urdf import read_urdf
+from identification.model import Model
+
+
+def test_lines_without_errors_are_the_chain_that_is_drawn(tmp_path: Path) -> None:
+    real = hidden_arm()
+    turned = np.degrees(np.arctan2(real.base[1, 0], real.base[0, 0]))
+    place = "".join(f"{axis}_mm = {value!r}\n" for axis, value in zip("xyz", real.base[:3, 3].tolist(), strict=True))
+    tool = "".join(f"{axis}_mm = {v}\n" for axis, v in zip("xyz", (REFLECTOR - FLANGE).tolist(), strict=True))
+    (tmp_path / "robot.urdf").write_text(URDF)
+    (tmp_path / "arm.toml").write_text(f"{SIX_AXES}\n[base]\n{place}rz_deg = {float(turned)!r}\n[tool]\n{tool}")
+    arm = load_arm(tmp_path / "arm.toml")
+    rng = np.random.default_rng(1)
+    postures = rng.uniform(arm.lower, arm.upper, (20, 6))
+    run = session(real, postures, rng)
+    drawn = replace(real, points=POINTS, axes=AXES, offsets=np.zeros(6), effects=[])
+    np.testing.assert_allclose(position(drawn, run), Model(arm).position(postures), atol=1e-9)
+    wave = ("encoder_eccentricity", 2, {"a": 0.002, "b": 0.003})
+    wrong = replace(drawn, offsets=np.eye(6)[1] * 0.01, effects=[wave])
+    shown = postures[:, 1]
+    moved = postures + np.eye(6)[1] * (0.01 + 0.002 * np.cos(shown) + 0.003 * np.sin(shown))[:, None]
+    np.testing.assert_allclose(position(wrong, run), Model(arm).position(moved), atol=1e-9)
+
+
+def test_the_hidden_effect_is_named_the_gap_closes_and_all_is_shown(tmp_path: Path) -> None:
+    """With random postures: the search for better ones takes a quarter of a minute."""
+    with pytest.warns(UserWarning, match="the measured point is not known"):
+        demo: Demo = run_demo(tmp_path, replace(spatial(), effort={"solver": "random", "starts": 1}))
+    gaps, hidden = demo.gaps, demo.hidden
+    assert demo.diagnosis.effects == ("encoder_eccentricity:2",)
+    assert demo.diagnosis.confirmed is True
+    assert gaps["drawing"] > 2.0 > 4.0 * gaps["identified"] > 4.0 * gaps["extended"]
+    # 27 combinations of geometry and 2 parameters of the effect, from 108 equations at postures of this efficiency
+    share = 29.0 / 108.0 / (demo.design.efficiency or np.nan)
+    spread = 1.0 + 3.0 / np.sqrt(2.0 * 29.0)  # three standard deviations of the root of 29 squares
+    assert hidden["model_error_mm"] < gaps["noise"] * np.sqrt(share) * spread
+    assert gaps["extended"] < gaps["noise"] * np.sqrt(1.0 + share * spread**2) * (1.0 + 3.0 / np.sqrt(1200.0))
+    assert (
+        hidden["targets_corrected_mm"] < gaps["noise"] * np.sqrt(share) * spread < 2.0 < hidden["targets_as_drawn_mm"]
+    )
+    assert hidden["targets_reached"] == 50
+    assert [row["name"] for row in hidden["parameters"]] == ["encoder_eccentricity:2.a", "encoder_eccentricity:2.b"]
+    assert all(abs(row["value"] - row["hidden"]) < 4.0 * row["std"] for row in hidden["parameters"])
+    assert "corrected.urdf" in demo.to_json(tmp_path)["files"]
+    assert all((tmp_path / name).stat().st_size for name in demo.files)
+    written = read_urdf(tmp_path / "corrected.urdf").chain("base_link", "flange")
+    assert demo.identified.result.geometry is not None
+    for joint, real in zip(written.joints, demo.identified.result.geometry.real.joints, strict=True):
+        np.testing.assert_allclose(joint.origin, real.origin, atol=1e-9)
+    assert len(load_arm(tmp_path / "extended.toml").effects) == 1
+    with pytest.warns(UserWarning, match="beside the last axis is assumed"):  # of the plan
+        assert "with encoder_eccentricity:2" in str(demo_document(demo))
+    assert [axes.name for axes in overview_figure(demo).axes] == ["3d", "rectilinear", "rectilinear"]
