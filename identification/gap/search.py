@@ -26,7 +26,7 @@ from math import lgamma
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, zeta
+from scipy.special import logsumexp, softmax, zeta
 
 from identification.arrays import Array
 from identification.gap.likelihood import SIZES, Key, Products, State
@@ -43,8 +43,8 @@ LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
 
 _OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
-_NEAR = np.exp(-0.5 * np.square(_OCTAVES / SPREAD))
-AROUND: Array = (1.0 - STRAY) * _NEAR / np.sum(_NEAR, axis=1, keepdims=True) + STRAY / len(SIZES)  # p(s | c), row c
+# derived: (S, S) p(s | c) of a size, by column, around a common one
+AROUND: Array = (1.0 - STRAY) * softmax(-0.5 * np.square(_OCTAVES / SPREAD), axis=1) + STRAY / len(SIZES)
 
 Weighed = tuple[Key, float]  # a set with its likeliest sizes, and its log posterior odds against nothing
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.special import logsumexp, softmax, zeta
 from scipy.stats import norm
 
+from identification.arrays import Array
 from identification.gap import search as search_module
 from identification.gap.likelihood import SIZES, Products
 from identification.gap.search import (
@@ -52,14 +53,18 @@ def products(seed: int, sizes: dict[int, float]) -> Products:
     return products_of(z, y, 36, STARTS, np.zeros(COUNT, dtype=bool), np.full(COUNT, SIZES_OF_EACH))
 
 
+def around() -> Array:
+    """(S, S) chance of each size, by column, around each common one."""
+    near = norm.pdf(*np.meshgrid(np.arange(len(SIZES)), np.arange(len(SIZES))), SPREAD)
+    return np.asarray((1.0 - STRAY) * near / near.sum(axis=1, keepdims=True) + STRAY / len(SIZES))
+
+
+CHANCES = around()
+
+
 def log_of_sizes(sizes: Sequence[int]) -> float:
     """Log probability of sizes around a common one, that is any with equal probability."""
-    every, total = np.arange(len(SIZES)), 0.0
-    for common in every:
-        near = norm.pdf(every, common, SPREAD)
-        chances = (1.0 - STRAY) * near / near.sum() + STRAY / len(SIZES)
-        total += float(np.prod([chances[s] for s in sizes])) / len(SIZES)
-    return float(np.log(total))
+    return float(np.log(np.mean(np.prod(CHANCES[:, list(sizes)], axis=1))))
 
 
 def exact(search: Search) -> dict[tuple[int, ...], float]:
