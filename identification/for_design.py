@@ -286,8 +286,8 @@ class ArmModel:
 
         An effect that acts at every joint alike has one size for all of them: that is what is seen first.
         """
+        from identification.gap.blocks import hypotheses
         from identification.gap.detectability import detectability
-        from identification.gap.hypotheses import hypotheses
 
         arm = without_prior(self.arm)
         members = hypotheses(arm, frozenset()).members

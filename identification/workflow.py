@@ -325,7 +325,7 @@ def identify_files(
         held = {*identified.prior.names, *identified.model.prior}
         keys["prior_from"] = {
             "file": str(prior_from),
-            "parameters": list(known.names),
+            "parameters": list(known.parameter_names),
             "anew": [name for name in identified.names if name not in held],
             "contradicted": [one._asdict() for one in identified.contradictions],
         }

@@ -304,7 +304,7 @@ def score_files(
     try:
         sees = detectability(without_prior(loaded), judged.postures)
         tables: list[Any] = [*sees.document().parts]
-        pictures[aliases] = sees.figure
+        pictures[aliases] = drawing("alias_figure", sees)
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
         if aliases is not None:
             raise InputError(f"--aliases: {plan}: {reason}") from reason

@@ -22,11 +22,10 @@ from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.gap.blocks import WAVES, Linearized, curve_waves
+from identification.gap.blocks import WAVES, Block, Linearized, curve_waves
 from identification.gap.fit import At, Fit
-from identification.gap.hypotheses import Block
-from identification.gap.likelihood import Index
-from identification.gap.posterior import Posterior
+from identification.gap.likelihood import Index, mixed
+from identification.gap.search import Posterior
 from identification.information import VISIBLE
 from identification.model import Model
 from identification.sessions import SESSIONS
@@ -75,10 +74,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     members = [(block, at) for block, at in places.values() if block.spec is not None]
     specs = tuple(block.spec for block, _ in members if block.spec is not None)
     plain = Model(arm.with_effects(*arm.effects, *specs))
-    names = [p.name for e in library.base.effects for p in e.parameters]
-    longer = [p.name for e in plain.effects for p in e.parameters]
-    renamed = dict(zip(names, longer[: len(names)], strict=True))
-    place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
+    place = {name: k for k, name in enumerate(library.base_names(plain))}
     for (_, at), effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
         place |= {p.name: k for p, k in zip(effect.parameters, at.tolist(), strict=True)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
@@ -171,15 +167,10 @@ def _mixed(posterior: Posterior) -> tuple[dict[str, tuple[Block, Index]], Array,
         if not draws or weight == 0.0:
             continue
         products, turn = problem.products, _to_parameters(problem, places, g, count)
-        first, of_two = np.zeros(turn.shape[1]), np.zeros((turn.shape[1], turn.shape[1]))
-        noise = 0.0
-        for key, n in draws.items():
-            state, share = products.state(key), n / sum(draws.values())
-            noise += share * state.variance
-            effective += weight * share * float(np.sum(1.0 - np.diag(state.covariance) / np.square(state.sizes)))
-            first[state.places] += share * state.mean
-            moment = state.variance * state.covariance + np.outer(state.mean, state.mean)
-            of_two[np.ix_(state.places, state.places)] += share * moment
+        states, counts = [products.state(key) for key in draws], np.array([*draws.values()])
+        first, of_two, noise = mixed(states, counts / counts.sum())
+        used = [float(np.sum(1.0 - np.diag(state.covariance) / np.square(state.sizes))) for state in states]
+        effective += weight * float(np.average(used, weights=counts))
         moved = np.concatenate([problem.base - base, np.zeros(count - g)])
         across = np.outer(turn @ first, moved)
         mean += weight * (turn @ first + moved)
@@ -242,11 +233,6 @@ class Wave(NamedTuple):
     phase_deg: float
     share: float
 
-    def __str__(self) -> str:
-        lowest, highest = self.orders
-        span = f" ({lowest:.3g} to {highest:.3g})" if highest - lowest >= 0.5 else ""
-        return f"{self.order:g}{span} per turn, {self.amplitude_deg:.2g} deg"
-
 
 @dataclass(frozen=True)
 class Curve:
@@ -281,14 +267,9 @@ class Curve:
         return self.spec.key
 
     @cached_property
-    def waves(self) -> tuple[Wave, ...]:
-        """The waves that it consists of, strongest first."""
-        return waves(self.angles, self.error, self.std)
-
-    @property
-    def shape(self) -> str:
-        """Description of its shape."""
-        return shape_text(self.angles, self.error, self.std, self.waves)
+    def described(self) -> tuple[str, tuple[Wave, ...]]:
+        """Description of its shape, and the waves that it consists of, strongest first."""
+        return shape_and_waves(self.angles, self.error, self.std)
 
     def table_rows(self) -> list[tuple[float, ...]]:
         """Rows of `--curves`: joint, then angle, correction, standard deviation and error [deg]; with the correction
@@ -301,11 +282,11 @@ class Curve:
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `curves` (identification/files/README.md, "JSON keys")."""
-        columns = list(zip(*self.table_rows(), strict=True))[1:]
+        columns, (shape, waves) = list(zip(*self.table_rows(), strict=True))[1:], self.described
         start, stop, length = np.degrees([self.table.start, self.table.stop, self.table.spacing]).tolist()
-        head = {"joint": self.joint, "from_deg": start, "to_deg": stop, "length_deg": length, "shape": self.shape}
+        head = {"joint": self.joint, "from_deg": start, "to_deg": stop, "length_deg": length, "shape": shape}
         tables = {name: list(column) for name, column in zip(COLUMNS, columns, strict=True)}
-        return {**head, "waves": [wave._asdict() for wave in self.waves], **tables}
+        return {**head, "waves": [wave._asdict() for wave in waves], **tables}
 
 
 def curves_text(curves: Sequence[Curve]) -> str:
@@ -314,8 +295,9 @@ def curves_text(curves: Sequence[Curve]) -> str:
     return "".join(",".join(map(str, line)) + "\n" for line in (("joint", *COLUMNS), *rows))
 
 
-def waves(angles: Array, error: Array, std: Array) -> tuple[Wave, ...]:
-    """The waves that make up most of a curve, strongest first: added one by one, all refitted after each.
+def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, tuple[Wave, ...]]:
+    """Description of a curve in words, by name or by its waves; and the waves that make up most of it, strongest first:
+    added one by one, all refitted after each.
 
     angles, error, std : (a,) of the curve [rad]
 
@@ -324,50 +306,48 @@ def waves(angles: Array, error: Array, std: Array) -> tuple[Wave, ...]:
     """
     half = np.pi / float(np.ptp(angles))  # orders that differ by less part by less than half a period over the range
     tried = np.arange(max(1.0, np.ceil(half)), half * (len(angles) - 1) / 2.0)
+    weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-150)
 
-    def fitted(orders: Sequence[float]) -> tuple[float, Array]:
-        return _fitted([wave(k * angles) for k in orders for wave in (np.cos, np.sin)], error, std)
+    def fitted(columns: Sequence[Array]) -> tuple[float, Array]:
+        """Weighted squares that a fit of functions (a,) beside a constant leaves, and their coefficients."""
+        table = np.column_stack([np.ones(len(error)), *columns]) * weights[:, None]
+        values = np.linalg.lstsq(table, error * weights, rcond=VISIBLE)[0]
+        return float(np.sum((error * weights - table @ values) ** 2)), np.asarray(values[1:])
 
-    chosen: list[float] = []
-    left = [fitted(())[0]]
+    def of_orders(orders: Sequence[float]) -> tuple[float, Array]:
+        return fitted([wave(k * angles) for k in orders for wave in (np.cos, np.sin)])
+
+    chosen, left = list[float](), [fitted(())[0]]
     while left[0] > 0.0 and len(tried) and len(chosen) < MOST_WAVES:
-        trials = [fitted((*chosen, k))[0] for k in tried]
+        trials = [of_orders((*chosen, k))[0] for k in tried]
         best = int(np.argmin(trials))
         if left[-1] - trials[best] < (1.0 - SHAPED) / MOST_WAVES * left[0]:
             break
         chosen.append(float(tried[best]))
         left.append(trials[best])
         tried = tried[np.abs(tried - chosen[-1]) >= 2.0 * half]
-    listed = []
-    for k, (a, b), gain in zip(chosen, fitted(chosen)[1].reshape(-1, 2), -np.diff(left), strict=True):
+    waves = []
+    for k, (a, b), gain in zip(chosen, of_orders(chosen)[1].reshape(-1, 2), -np.diff(left), strict=True):
         amplitude, phase = np.degrees([np.hypot(a, b), np.arctan2(b, a)]).tolist()
-        listed.append(Wave(k, (max(k - half, 0.0), k + half), amplitude, phase, float(gain / left[0])))
-    return tuple(listed)
+        waves.append(Wave(k, (max(k - half, 0.0), k + half), amplitude, phase, float(gain / left[0])))
 
-
-def shape_text(angles: Array, error: Array, std: Array, parts: Sequence[Wave]) -> str:
-    """Description of a curve in words, by name or by its waves."""
-    where = f"over {np.degrees(angles[0]):.0f} to {np.degrees(angles[-1]):.0f} deg"
-    share, whole = sum(wave.share for wave in parts), _fitted([], error, std)[0]
-    steps = [_fitted([np.sign(angles - at)], error, std) for at in (angles[1:] + angles[:-1]) / 2.0]
+    where, share = f"over {np.degrees(angles[0]):.0f} to {np.degrees(angles[-1]):.0f} deg", sum(w.share for w in waves)
+    steps = [fitted([np.sign(angles - at)]) for at in (angles[1:] + angles[:-1]) / 2.0]
     best = min(range(len(steps)), key=lambda k: steps[k][0])
-    if whole > 0.0 and 1.0 - steps[best][0] / whole >= max(SHAPED, share):
+    shape = f"smooth curve {where}"
+    if left[0] > 0.0 and 1.0 - steps[best][0] / left[0] >= max(SHAPED, share):
         at, size = np.degrees([angles[best : best + 2].mean(), 2.0 * steps[best][1][0]])
-        return f"step of {size:.2g} deg at {at:.0f} deg {where}"
-    if not parts:
-        return f"smooth curve {where}"
-    amplitudes = {wave.order: wave.amplitude_deg for wave in parts}
-    first = min(amplitudes)  # a sawtooth has waves of orders k, 2k, 3k with amplitudes as 1, 1/2, 1/3
-    ratios = [amplitudes.get(n * first, 0.0) * n / amplitudes[first] for n in (2, 3)]
-    if share >= SHAPED and np.allclose(ratios, 1.0, atol=1.0 / 3.0):
-        return f"sawtooth, {first:g} per turn, {where}"
-    listed = "; ".join(map(str, parts))
-    return f"{'waves' if share >= SHAPED else 'in part waves'}: {listed} ({100.0 * share:.0f} %) {where}"
-
-
-def _fitted(columns: Sequence[Array], error: Array, std: Array) -> tuple[float, Array]:
-    """Weighted squares that a fit of functions (a,) beside a constant leaves of a curve, and their coefficients."""
-    weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-150)
-    table = np.column_stack([np.ones(len(error)), *columns]) * weights[:, None]
-    values = np.linalg.lstsq(table, error * weights, rcond=VISIBLE)[0]
-    return float(np.sum((error * weights - table @ values) ** 2)), np.asarray(values[1:])
+        shape = f"step of {size:.2g} deg at {at:.0f} deg {where}"
+    elif waves:
+        amplitudes = {wave.order: wave.amplitude_deg for wave in waves}
+        first = min(amplitudes)  # a sawtooth has waves of orders k, 2k, 3k with amplitudes as 1, 1/2, 1/3
+        ratios = [amplitudes.get(n * first, 0.0) * n / amplitudes[first] for n in (2, 3)]
+        listed = []
+        for order, (low, high), amplitude, *_ in waves:
+            between = f" ({low:.3g} to {high:.3g})" if high - low >= 0.5 else ""
+            listed.append(f"{order:g}{between} per turn, {amplitude:.2g} deg")
+        kind = "waves" if share >= SHAPED else "in part waves"
+        shape = f"{kind}: {'; '.join(listed)} ({100.0 * share:.0f} %) {where}"
+        if share >= SHAPED and np.allclose(ratios, 1.0, atol=1.0 / 3.0):
+            shape = f"sawtooth, {first:g} per turn, {where}"
+    return shape, tuple(waves)

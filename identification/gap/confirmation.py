@@ -37,11 +37,11 @@ from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.average import PredictingModel
 from identification.gap.detectability import POWER
 from identification.gap.fit import At
+from identification.gap.likelihood import mixed
 from identification.gap.noise import NoiseFloor
-from identification.gap.posterior import Posterior
-from identification.gap.search import MOST
+from identification.gap.search import MOST, Posterior
 from identification.information import RANK_TOLERANCE, column_space_of
-from identification.instruments.registration import registered
+from identification.instruments.search import registered
 from identification.measurements import POINT, Conditions, Measurements, distances
 
 SESSION, OTHER_ROWS = "another session", "other rows"
@@ -184,14 +184,6 @@ class Gap(NamedTuple):
     held_out_before: float | None = None
     held_out_after: float | None = None
     predicted: float | None = None
-
-    @property
-    def noise_floor(self) -> float | None:
-        """Noise floor [mm] from repeats or the instrument's sigma; None where neither is available."""
-        return self.floor.value
-
-    def __str__(self) -> str:
-        return f"gap: {self.rms_before:.4g} mm before, {self.rms_after:.4g} mm after, {self.floor}"
 
     def to_json(self) -> dict[str, float | str | None]:
         """Keys of `gap` (identification/files/README.md, "JSON keys")."""
@@ -446,7 +438,7 @@ def predicted_from_others(posterior: Posterior, kept: NDArray[np.bool_], folds: 
     """
     number = posterior.best.noise
     problem, rows, model = posterior.problems[number], posterior.noises[number].rows.pick(kept), posterior.at.model
-    y, jacobian, base = posterior.library.as_base(At(model, posterior.at.values, rows))
+    y, jacobian, base = posterior.library.as_base(posterior.at.on(rows))
     sets = [one for one in posterior.explanations if one.noise == number][:MOST]
     blocks = sorted({b for one in sets for b, _ in one.key if problem.blocks[b].row is None})
     part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
@@ -460,7 +452,7 @@ def predicted_from_others(posterior: Posterior, kept: NDArray[np.bool_], folds: 
     columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
     table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)
     white = rows.whiten(table.reshape(m, d, -1))
-    every, count, points = white.T @ white, table.shape[1] - rank - 1, np.zeros((m, d), dtype=bool)
+    every, points = white.T @ white, np.zeros((m, d), dtype=bool)
     points[:, POINT] = True
     # expected square of the noise of a row, for unit sigma
     spread = np.eye(d)[None] if rows.spread is None else rows.spread
@@ -478,19 +470,13 @@ def predicted_from_others(posterior: Posterior, kept: NDArray[np.bool_], folds: 
         parts = {"gram": rest[:-1, :-1], "right": rest[:-1, -1], "squares": float(rest[-1, -1]), "freedom": freedom}
         states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
         shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
-        means, covariance, variance = np.zeros((len(sets), count)), np.zeros((count, count)), 0.0
-        for share, mean, state in zip(shares, means, states, strict=True):
-            mean[state.places] = state.mean
-            covariance[np.ix_(state.places, state.places)] += share * state.covariance * state.variance
-            variance += share * state.variance
-        mean = shares @ means
-        covariance += (means - mean).T @ (shares[:, None] * (means - mean))
+        mean, second, variance = mixed(states, shares)
         turned = table[test, :rank] @ turn
         moved = table[test, rank:] - turned @ inside
         before[test] = moved[:, -1]
         after[test] = before[test] - moved[:, :-1] @ mean
         at = points.ravel()[test]
-        expected += float(np.sum((moved[at, :-1].T @ moved[at, :-1]) * covariance))
+        expected += float(np.sum((moved[at, :-1].T @ moved[at, :-1]) * (second - np.outer(mean, mean))))
         expected += variance * (float(np.sum(np.square(turned[at]))) + noise * np.count_nonzero(test) / d)
     before, after = before.reshape(m, d), after.reshape(m, d)
     return before[:, POINT], after[:, POINT], expected / m

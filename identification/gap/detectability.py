@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -21,18 +21,14 @@ from identification.document import Document
 from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.gap.blocks import Linearized, linearized
+from identification.gap.blocks import Block, Library, Linearized, hypotheses, linearized
 from identification.gap.fit import Fit, Rows, fit
-from identification.gap.hypotheses import Block, Library, hypotheses
 from identification.gap.likelihood import Index, Products, orthonormal
 from identification.gap.noise import SPARE
 from identification.information import VISIBLE, product_inverse
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.running import single_thread
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 POWER = 0.9  # convention: what is "excluded" would have been found in nine cases of ten
 # derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6
@@ -49,10 +45,6 @@ class Size(NamedTuple):
     value: float | None
     unit: str
     tip_mm: float | None = None
-
-    def order(self) -> float:
-        """Sort key: the value, infinite where no size can be detected."""
-        return np.inf if self.value is None else self.value
 
     def __str__(self) -> str:
         if self.value is None:
@@ -99,12 +91,6 @@ class Detectability:
     def document(self) -> Document:
         """Visible fraction, smallest size and look-alikes of every effect, and what cannot be tested."""
         return detectability_document(self)
-
-    def figure(self) -> Figure:
-        """Heat map of the likeness of effects."""
-        from identification.documents.pictures import alias_figure  # deferred: matplotlib takes long to load
-
-        return alias_figure(self)
 
     def __str__(self) -> str:
         return str(self.document())
@@ -172,7 +158,8 @@ def assess(library: Library, problem: Linearized, products: Products, rows: Rows
                     value = needed * sigma / least * parameter.to_file
                     size = Size(float(value), parameter.file_unit, float(moved))
         # of several settings the one that is hardest to see
-        detectable[block.key] = max(detectable.get(block.key, size), size, key=Size.order)
+        both = detectable.get(block.key, size), size
+        detectable[block.key] = max(both, key=lambda one: np.inf if one.value is None else one.value)
         if not block.effect.chosen:
             plain.append((block.key, fraction, places))
     return Detectability(

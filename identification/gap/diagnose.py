@@ -17,16 +17,23 @@ from identification.estimation.doubts import another_frame, copied_rows, far_off
 from identification.estimation.problem import check_measurements
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.average import averaged, geometry
-from identification.gap.blocks import REST
+from identification.gap.blocks import REST, hypotheses
 from identification.gap.confirmation import Gap, check_same_arm, confirmed_on, cross_validation
 from identification.gap.detectability import assess, look_alikes, order_ranges, require_spare
-from identification.gap.fit import At, Fit, Rows, fit
-from identification.gap.hypotheses import hypotheses
+from identification.gap.fit import Fit, Rows, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
-from identification.gap.posterior import MOST_ROWS, NOISES, PASSES, Explanation, Posterior, posterior_of
 from identification.gap.replication import replications
-from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, candidate_of, trials
-from identification.gap.verdict import likeliest_with, probabilities
+from identification.gap.result import (
+    Candidate,
+    Diagnosis,
+    Residuals,
+    as_calibration,
+    candidate_of,
+    keys_of,
+    probabilities,
+    trials,
+)
+from identification.gap.search import MOST_ROWS, NOISES, PASSES, Explanation, Posterior, posterior_of
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, distances, rms_distance
 from identification.model import Model
@@ -158,8 +165,11 @@ def diagnosis_of(
     if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < 1e-3:
         likely = likely.not_none(p)
     unknown, something = likely.verdict == "unknown", likely.verdict != "none"
-    sets = [likeliest_with(posterior, names) for names in likely.rivals]
-    sets = sets or [likeliest_with(posterior, (), outside=unknown and likely.place is not None)]
+    known = [one for one in posterior.explanations if not one.outside]
+    sets = [next(one for one in known if keys_of(one) == names) for names in likely.rivals]
+    if not sets and unknown and likely.place is not None:
+        sets = [next(one for one in posterior.explanations if one.outside)]
+    sets = sets or [next(one for one in known if not one.effects)]
     fits, candidates = [], list[Candidate]()
     for one in sets:
         noise = posterior.noises[one.noise]
@@ -188,7 +198,7 @@ def diagnosis_of(
     sees = assess(library, whole, products, posterior.noises[0].rows, predicting.sigma)
     place = likely.place if unknown and likely.place != REST else None
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})
-    here = At(fitted.model, fitted.values, rows)
+    here = fitted.on(rows)
     error, jacobian = rows.whiten(here.left).reshape(before.shape), here.linearized[1] / fitted.model.scales
     far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
     of_curves = {
@@ -212,7 +222,7 @@ def diagnosis_of(
         predicting=replace(named, specs=predicting.specs, calibration=average, freedom=tuple(freedom.tolist())),
         aliases=look_alikes(whole, sees, {label for one in candidates for label in one.effects}),
         where=place,
-        shape=shape_of(place, {c.joint: c.shape for c in curves}, shown),
+        shape=shape_of(place, {c.joint: c.described[0] for c in curves}, shown),
         scatter=noise_findings(posterior, repeats),
         outlier_rows=tuple(numbers[~kept].tolist()),
         unexplained_rows=tuple(numbers[far].tolist()),

@@ -19,7 +19,7 @@ from identification.estimation.doubts import FAR
 from identification.estimation.levenberg_marquardt import Index
 from identification.estimation.problem import Problem, starts
 from identification.information import column_space, spectrum
-from identification.measurements import Conditions, Measurements, repeats_of, rms_distance
+from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
 from identification.running import Status
 
@@ -86,11 +86,6 @@ class Rows:
         """(m,) row numbers in the order of measurement."""
         return np.argsort(self.order, kind="stable")
 
-    @property
-    def repeat_numbers(self) -> NDArray[np.int64]:
-        """(m,) equal numbers mark repeats: rows of one posture, marker and session."""
-        return repeats_of(self.posture_numbers, self.conditions.marker, self.conditions.session)
-
     @cached_property
     def _inverse(self) -> Array:
         """(m, d, d) inverse of `spread`."""
@@ -134,6 +129,10 @@ class At:
     values: Array
     rows: Rows
 
+    def on(self, rows: Rows) -> At:
+        """The same model at other rows, or with another noise."""
+        return At(self.model, self.values, rows)
+
     @property
     def by_name(self) -> dict[str, float]:
         """Parameter name -> value."""
@@ -164,12 +163,10 @@ class At:
 class Fit(At):
     """A model fitted to m rows, in N = m d whitened coordinates.
 
-    residual : (N,) whitened;  triangle : (p, p) or (N, p) matrix R with R^T R = J^T J for the whitened Jacobian J
-    free : (p,) False where a bound is active
+    residual : (N,) whitened;  free : (p,) False where a bound is active
     """
 
     residual: Array
-    triangle: Array
     free: NDArray[np.bool_]
     status: Status
 
@@ -178,7 +175,7 @@ class Fit(At):
         """Sum of squared whitened residuals."""
         return float(self.residual @ self.residual)
 
-    @property
+    @cached_property
     def jacobian(self) -> Array:
         """(N, p) derivative of the whitened positions with respect to the parameters."""
         return self.rows.whiten(self.linearized[1])
@@ -186,7 +183,7 @@ class Fit(At):
     @cached_property
     def rank(self) -> int:
         """Number of parameter combinations that the data determine."""
-        return int(column_space(self.triangle, self.model.scales).shape[1])
+        return int(column_space(self.jacobian, self.model.scales).shape[1])
 
     @property
     def freedom(self) -> int:
@@ -202,7 +199,7 @@ class Fit(At):
     def covariance(self) -> Array:
         """(p, p) of the estimates [unit of row x unit of column]; a parameter with an active bound counts as known."""
         full, free = np.zeros((len(self.values), len(self.values))), np.flatnonzero(self.free)
-        spread = spectrum(self.triangle[:, free], self.model.scales[free]).covariance
+        spread = spectrum(self.jacobian[:, free], self.model.scales[free]).covariance
         full[np.ix_(free, free)] = self.sigma**2 * spread
         return full
 
@@ -234,6 +231,5 @@ def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> F
         values = closed if values is None or left(closed) < left(values) else values
     solution = problem.minimized(values[None], linearize)
     values = solution.parameters[0]
-    residual, jacobian = linearize(values[None], np.arange(1))
-    triangle = np.asarray(np.linalg.qr(jacobian[0], mode="r"))
-    return Fit(model, values, rows, residual[0], triangle, ~solution.active[0], solution.status[0])
+    residual = linearize(values[None], np.arange(1))[0][0]
+    return Fit(model, values, rows, residual, ~solution.active[0], solution.status[0])

@@ -30,7 +30,7 @@ from identification.effects import Effect, library, unknown_effect
 from identification.effects.chain import contribution
 from identification.errors import InputError
 from identification.estimation.problem import Prior
-from identification.gap.hypotheses import EFFECT, ORDER, hypotheses
+from identification.gap.blocks import EFFECT, ORDER, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 

@@ -125,6 +125,19 @@ class Products:
         return np.where(np.arange(len(SIZES)) < self.limits[:, None], ratios.T, -np.inf)
 
 
+def mixed(states: Sequence[State], shares: Sequence[float]) -> tuple[Array, Array, float]:
+    """Mean (P,) and second moment (P, P) of the coefficients of all columns, zero where a block is not in the set, and
+    the variance of the noise, over states with these shares."""
+    size, variance = len(states[0].products.right), 0.0
+    first, second = np.zeros(size), np.zeros((size, size))
+    for state, share in zip(states, shares, strict=True):
+        first[state.places] += share * state.mean
+        moment = state.variance * state.covariance + np.outer(state.mean, state.mean)
+        second[np.ix_(state.places, state.places)] += share * moment
+        variance += share * state.variance
+    return first, second, variance
+
+
 @dataclass(frozen=True, eq=False)
 class State:
     """A set of blocks with their sizes, and k columns.

@@ -15,7 +15,7 @@ the rows and repeats have a say in the verdict.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,37 +40,18 @@ APART = 0.1  # convention: of the session, between two rows that share no slow e
 # uncertain by more than 35 %. At the level 0.005 an effect of one parameter needs lambda = 11 with 4, 22 with 3
 SPARE = 4
 
-Groups = NDArray[np.int64]
+Kept = NDArray[np.bool_]  # (m,) rows that are no outliers
 
 
 # -- components --------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Finding:
-    """A property of the noise.
-
-    name : `joint_noise:j`, `reach_noise`, `time_noise`, `serial_correlation`, `repeats`;  p : probability that it is
-    not there
-    size : ratio of the additional to the common variance (at the mean posture), or the correlation
-    """
-
-    name: str
-    p: float
-    size: float
-
-    def __str__(self) -> str:
-        kind, _, joint = self.name.partition(":")
-        what = {
-            "joint_noise": f"larger the farther joint {joint} moves the point, by a relative variance of",
-            "reach_noise": "larger far from the base, by a relative variance of",
-            "time_noise": f"larger {'early' if self.size < 0.0 else 'late'} in the session, by a relative variance of",
-            "serial_correlation": "rows measured one after the other err alike, lag-1 correlation",
-            "repeats": "rows of one posture err alike, by a relative variance of",
-        }[kind]
-        return f"{self.name} ({what} {abs(self.size):.2g}, probability {1.0 - self.p:.2f})"
-
-
 class NoiseModel(NamedTuple):
-    """A covariance of the rows;  name, size : as of `Finding`, empty: white;  prior : log probability"""
+    """A covariance of the rows.
+
+    name : `joint_noise:j`, `reach_noise`, `time_noise`, `serial_correlation`, `repeats`, empty: white
+    size : ratio of the additional to the common variance (at the mean posture), negative where it falls with time; or
+        the correlation
+    prior : log probability
+    """
 
     name: str
     size: float
@@ -78,11 +59,19 @@ class NoiseModel(NamedTuple):
     prior: float
 
 
+class Finding(NamedTuple):
+    """A property of the noise, as of `NoiseModel`;  p : probability that it is not there"""
+
+    name: str
+    p: float
+    size: float
+
+
 def noises(at: At) -> Iterator[NoiseModel]:
     """White noise, and every other that these rows can have, at a fitted model."""
     rows, (position, _) = at.rows, at.linearized
     m, d = position.shape
-    # name of a finding -> (m, d, d) shape of the additional covariance, with mean trace d
+    # name -> (m, d, d) shape of the additional covariance, with mean trace d
     levers = enumerate(np.moveaxis(at.levers, 2, 0), start=1)
     shapes = {f"joint_noise:{j}": lever[:, :, None] * lever[:, None, :] for j, lever in levers}
     if not at.model.arm.chain.instrument.contact:  # else nothing says how far away the point is
@@ -150,12 +139,6 @@ class NoiseFloor(NamedTuple):
         """The noise floor [mm] from `source`."""
         return next((value for value in self if value is not None), None)
 
-    def __str__(self) -> str:
-        where = {"repeats": "repeats far apart in time", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
-        if self.source is None:
-            return "noise floor unknown (no repeats, no sigma_mm)"
-        return f"noise floor {self.value:.4g} mm ({where[self.source]})"
-
     def to_json(self) -> dict[str, float | str | None]:
         """Keys of `gap` (identification/files/README.md, "JSON keys")."""
         repeats = {"repeats_mm": self.repeats, "close_repeats_mm": self.close_repeats}
@@ -182,12 +165,10 @@ class Misfit(NamedTuple):
         return self.p_value <= LEVEL
 
 
-def misfit(
-    residual: Array, rank: int, measurements: Measurements, sigma: float | None, kept: NDArray[np.bool_]
-) -> Misfit | None:
+def misfit(residual: Array, rank: int, measurements: Measurements, sigma: float | None, kept: Kept) -> Misfit | None:
     """Test residuals (m, d) [mm] of a model of this rank; None where neither the rows nor the arm file give a sigma.
 
-    sigma : of the arm file [mm];  kept : (m,) rows that are no outliers
+    sigma : of the arm file [mm]
     """
     given = sigma if measurements.sigma is None else measurements.sigma[kept, None]
     freedom = residual[kept].size - rank
@@ -197,52 +178,41 @@ def misfit(
     return Misfit(chi2, freedom, float(chdtrc(freedom, chi2)), float(np.sqrt(chi2 / freedom)))
 
 
-def noise_floor(
-    residual: Array, measurements: Measurements, kept: NDArray[np.bool_], sigma: float | None
-) -> NoiseFloor:
+def noise_floor(residual: Array, measurements: Measurements, kept: Kept, sigma: float | None) -> NoiseFloor:
     """Noise floor from repeats and from the instrument.
 
     residual : (m, d) [mm] of a fitted model, which removes the effect of small differences between repeated postures
-    kept : (m,) rows that are no outliers;  sigma : of the arm file [mm], None: unknown
+    sigma : of the arm file [mm], None: unknown
     """
     groups, time, far = _repeats_in_time(measurements, kept)
-    points = residual[kept, POINT]
-    stretch = np.floor(time / APART).astype(np.int64)
+    points, stretch = residual[kept, POINT], np.floor(time / APART).astype(np.int64)
     if measurements.sigma is not None:
         sigma = float(np.sqrt(np.mean(measurements.sigma[kept] ** 2)))
-
-    def rms(left: Array, repeats: Groups) -> float | None:
+    floors: list[float | None] = []
+    for left, repeats in (points[far], groups[far]), (points, groups * (stretch.max() + 1) + stretch):
         squares, freedom = pure_error(left, repeats)
-        return float(np.sqrt(left.shape[1] * squares / freedom)) if freedom >= SPARE else None
-
-    return NoiseFloor(
-        rms(points[far], groups[far]),
-        rms(points, groups * (stretch.max() + 1) + stretch),
-        None if sigma is None else sigma * float(np.sqrt(points.shape[1])),
-    )
+        floors.append(float(np.sqrt(left.shape[1] * squares / freedom)) if freedom >= SPARE else None)
+    return NoiseFloor(floors[0], floors[1], None if sigma is None else sigma * float(np.sqrt(points.shape[1])))
 
 
-def _repeats_in_time(measurements: Measurements, kept: NDArray[np.bool_]) -> tuple[Groups, Array, NDArray[np.bool_]]:
+def _repeats_in_time(measurements: Measurements, kept: Kept) -> tuple[NDArray[np.int64], Array, Kept]:
     """Of the kept rows (m,) their `repeat_numbers`, the time from 0 to 1 over the session, and which of them remain
     when each repeat within `APART` of the last one that remains is removed."""
     assert measurements.conditions.time is not None  # measurements know it
     groups, time = measurements.repeat_numbers[kept], measurements.conditions.time[kept] + 0.5
-    far = np.zeros(len(groups), dtype=bool)
-    last: dict[int, float] = {}
+    far, last = np.zeros(len(groups), dtype=bool), dict[int, float]()
     for row in np.argsort(time, kind="stable").tolist():
         if time[row] - last.get(groups[row], -np.inf) >= APART:
             far[row], last[groups[row]] = True, time[row]
     return groups, time, far
 
 
-def repeat_finding(
-    residual: Array, rank: int, measurements: Measurements, kept: NDArray[np.bool_]
-) -> tuple[Finding, ...]:
+def repeat_finding(residual: Array, rank: int, measurements: Measurements, kept: Kept) -> tuple[Finding, ...]:
     """F test of lack of fit against the scatter of repeats: a fast ripple resembles noise, but it repeats.
 
     It is over repeats far apart in time if there are enough. Empty if not significant at `LEVEL`.
 
-    residual : (m, d) [mm] of a fitted model of this rank;  kept : (m,) rows that are no outliers
+    residual : (m, d) [mm] of a fitted model of this rank
     """
     groups, _, far = _repeats_in_time(measurements, kept)
     left = residual[kept]
@@ -256,20 +226,15 @@ def repeat_finding(
 def with_repeats_doubted(identified: Identification, measurements: Measurements) -> Identification:
     """The fit with a first doubt if its residuals scatter more than repeats of one posture: the same where nothing is
     repeated, and where chi2 says it already or the data have no noise."""
-    left = identified.residuals_after
-    if identified.misfit is not None or identified.dof <= 0 or only_rounding(left, measurements):
+    left, known = identified.residuals_after, identified.scatter
+    if identified.misfit is not None or identified.dof <= 0 or known is None or only_rounding(left, measurements):
         return identified
     kept = ~np.isin(np.arange(len(left)) + 1, identified.outlier_rows)
     floor = noise_floor(left, measurements, kept, None).value
-    if (
-        not repeat_finding(left, left.size - identified.dof, measurements, kept)
-        or floor is None
-        or identified.scatter is None
-    ):
+    if floor is None or not repeat_finding(left, left.size - identified.dof, measurements, kept):
         return identified
     repeats = floor / float(np.sqrt(left[:, POINT].shape[1]))
-    figures = f"{identified.scatter:.3g} mm per axis, not {repeats:.3g} mm"
-    scatter = f"{MISFIT} {identified.scatter / repeats:.2g} times as much as repeats of one posture ({figures})"
+    scatter = f"{MISFIT} {known / repeats:.2g} times as much as repeats of one posture ({known:.3g} mm per axis, not "
     hidden = "what that does to the parameters is not in their intervals"
-    doubt = f"{scatter}: the model misses an effect, and {hidden}; armcal diagnose looks for it"
+    doubt = f"{scatter}{repeats:.3g} mm): the model misses an effect, and {hidden}; armcal diagnose looks for it"
     return replace(identified, doubts=(doubt, *identified.doubts))

@@ -25,7 +25,7 @@ from scipy.special import logsumexp, softmax
 from identification.arrays import Array
 from identification.gap.fit import Fit
 from identification.gap.likelihood import SIZES, Index, Products, orthonormal
-from identification.gap.verdict import CREDIBLE
+from identification.gap.search import CREDIBLE
 from identification.information import PRODUCT_TOLERANCE, VISIBLE
 from identification.kinematics.parameters import Parameter
 
@@ -61,17 +61,6 @@ class Replication:
         """False if the effect fails to replicate in one session, True if it does in each; None: undecided."""
         answers = {session.replicates for session in self.sessions}
         return False if False in answers else True if answers == {True} else None
-
-    def __str__(self) -> str:
-        says = {True: "replicates", False: "does not replicate", None: "is open"}[self.replicates]
-        parts = "; ".join(f"{s.session}: {self.figures(s)}" for s in self.sessions)
-        return f"{self.effect} {says} across sessions ({parts})"
-
-    def figures(self, there: InSession) -> str:
-        """Its values in a session, as text."""
-        figures = zip(self.parameters, there.values, there.deviations, strict=False)
-        listed = [f"{p.name.rpartition('.')[2]} = {v:.3g} +- {d:.1g} {p.file_unit}" for p, v, d in figures]
-        return ", ".join(listed) if 0 < len(listed) <= 3 else f"the same with probability {there.probability:.2f}"
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `replication` (identification/files/README.md, "JSON keys")."""

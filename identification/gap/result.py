@@ -1,13 +1,19 @@
-"""`Diagnosis`: the result of `diagnose`, with its JSON keys and its extended arm.
+"""`Diagnosis`: the result of `diagnose`, with its JSON keys and its extended arm; and the verdict, which follows from
+the probabilities of explanations.
 
-Its effects are `Candidate`, a set of them with estimates and intervals, and `Trial`, one of them alone.
+An explanation is nothing missing, a set of effects of the library (settings left out), or something outside the
+library. A verdict that is wrong costs 1, and so it is the likeliest of these three: nothing, some effects of the
+library, something outside. To name a wrong set costs 1, to leave it open which one it is 1/2: a set is `named` where
+it has half of the probability, else the verdict is `ambiguous`, and candidates are the sets that have at least
+`LEVEL` of the probability of the best.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,6 +26,7 @@ from identification.arrays import Array, frame_of_rows, readonly
 from identification.conditions import Conditions
 from identification.document import Document, html
 from identification.documents import diagnosis as words
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.average import Curve, PredictingModel
 from identification.gap.confirmation import Confirmation, Gap
@@ -27,20 +34,113 @@ from identification.gap.detectability import Detectability, OrderRange, Size
 from identification.gap.fit import Fit
 from identification.gap.likelihood import Products
 from identification.gap.noise import Finding, Misfit
-from identification.gap.posterior import Posterior
 from identification.gap.replication import Replication
-from identification.gap.search import log_odds_of_sizes
-from identification.gap.verdict import Probabilities
+from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, Posterior, log_odds_of_sizes
 from identification.information import spectrum
 from identification.kinematics.counting import joint_range
-from identification.measurements import Measurements
+from identification.measurements import Measurements, repeats_of
 from identification.model import Model
 from identification.model.minimal import placed_calibration
 
 if TYPE_CHECKING:
     from identification.validate import Offered
 
+Names = tuple[str, ...]
 
+
+# -- probabilities and verdict -----------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Probabilities:
+    """Posterior probabilities of all explanations, with sum 1.
+
+    none : nothing is missing;  sets : sorted keys of a set of effects -> its probability
+    places : place -> probability of something outside the library there, as part of the likeliest explanation
+    titles : sorted keys -> title with the most probable settings, `base_offset + transmission_ripple:2[k=17]`
+    outside : something outside the library
+    """
+
+    none: float
+    sets: Mapping[Names, float]
+    places: Mapping[str, float]
+    titles: Mapping[Names, str] = field(default_factory=dict)
+    outside: float = 0.0
+
+    def title(self, names: Names | None) -> str:
+        """Title of an explanation: of a set of effects by its sorted keys, () of nothing, None of something outside."""
+        return "unknown" if names is None else self.titles.get(names) or " + ".join(names) or "none"
+
+    def of(self, keys: Iterable[str]) -> float:
+        """Probability that exactly the effects with these keys are missing."""
+        names = tuple(sorted(keys))
+        return self.sets.get(names, 0.0) if names else self.none
+
+    @property
+    def credible(self) -> dict[Names | None, float]:
+        """Credible set: explanations with a total probability of about `CREDIBLE`, most probable first.
+
+        The last one is included if more than half of its probability is needed, so that over many data sets the set
+        contains the truth about as often as stated. () is nothing missing, None something outside the library.
+        """
+        every: list[tuple[Names | None, float]] = [((), self.none), *self.sets.items(), (None, self.outside)]
+        credible_sets: dict[Names | None, float] = {}
+        for names, p in sorted(every, key=lambda pair: -pair[1]):
+            if credible_sets and sum(credible_sets.values()) + 0.5 * p >= CREDIBLE:
+                break
+            credible_sets[names] = p
+        return credible_sets
+
+    @cached_property
+    def best(self) -> Names:
+        """The likeliest set of names, empty without any."""
+        return max(self.sets, key=lambda n: (round(self.sets[n], 9), n), default=())
+
+    @property
+    def verdict(self) -> str:
+        """`none`, `named`, `ambiguous` or `unknown`."""
+        totals = {"none": self.none, "named": sum(self.sets.values()), "unknown": self.outside}
+        likeliest = max(totals, key=lambda kind: round(totals[kind], 9))
+        return "ambiguous" if likeliest == "named" and self.sets[self.best] < 0.5 else likeliest
+
+    @cached_property
+    def rivals(self) -> list[Names]:
+        """Candidates: sets of names that are not much less likely than the likeliest, this first."""
+        if self.verdict not in ("named", "ambiguous"):
+            return []
+        order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != self.best, n))
+        least = self.sets[self.best] * LEVEL
+        many = min(MOST, sum(self.sets[names] >= least for names in order))
+        return order[: max(2 if self.verdict == "ambiguous" else 1, many)]
+
+    @property
+    def place(self) -> str | None:
+        """Where something outside the library is likeliest."""
+        return max(self.places, key=lambda p: (round(self.places[p], 9), p), default=None)
+
+    def not_none(self, p: float) -> Probabilities:
+        """Where noise cannot leave so much with more than probability p: nothing is as much less likely."""
+        return replace(self, none=self.none * p, outside=self.outside + self.none * (1.0 - p))
+
+
+def keys_of(one: Explanation) -> Names:
+    """Sorted keys of an explanation's effects."""
+    return tuple(sorted(b.key for b in one.effects))
+
+
+def probabilities(posterior: Posterior) -> Probabilities:
+    """Probabilities of explanations, noise models and settings summed over."""
+    totals, places, titles = defaultdict[Names | None, float](float), defaultdict[str, float](float), dict[Names, str]()
+    for one in posterior.explanations:
+        names = keys_of(one)
+        totals[None if one.outside else names] += one.probability
+        for place in {block.place for block in one.outside}:
+            places[place] += one.probability
+        if not one.outside:
+            titles.setdefault(names, " + ".join(b.label for b in one.effects))
+    none, outside = totals.pop((), 0.0), totals.pop(None, 0.0)
+    return Probabilities(none, {n: p for n, p in totals.items() if n}, dict(places), titles, outside)
+
+
+# -- estimates of named effects ----------------------------------------------------------------------------------------
 class Estimate(NamedTuple):
     """Estimate of one parameter with its 95 % interval; all figures in `unit`, the unit of files and tables."""
 
@@ -50,15 +150,6 @@ class Estimate(NamedTuple):
     std: float
     low_95: float
     high_95: float
-
-    @property
-    def short(self) -> str:
-        """Parameter name without its effect: `a`."""
-        return self.name.rpartition(".")[2]
-
-    def __str__(self) -> str:
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.short} = {self.value:.4g} +- {self.high_95 - self.value:.2g}{unit}"
 
 
 @dataclass(frozen=True)
@@ -75,8 +166,8 @@ class Candidate:
     delta_bic : -2 log odds to the best set
     """
 
-    effects: tuple[str, ...]
-    classes: tuple[str, ...]
+    effects: Names
+    classes: Names
     specs: tuple[EffectSpec, ...]
     calibration: Calibration
     parameters: tuple[Estimate, ...]
@@ -93,51 +184,25 @@ class Candidate:
         return " + ".join(self.effects)
 
     @property
-    def keys(self) -> tuple[str, ...]:
+    def keys(self) -> Names:
         """Names and joints without settings: `transmission_ripple:2`."""
         return tuple(spec.key for spec in self.specs)
 
-    @property
-    def estimates(self) -> Mapping[str, tuple[Estimate, ...]]:
-        """Label of each effect -> estimates of its parameters."""
-        named = zip(self.effects, self.keys, strict=True)
-        return {
-            label: tuple(p for p in self.parameters if p.name.rpartition(".")[0] in (label, key))
-            for label, key in named
-        }
-
     def to_json(self) -> dict[str, Any]:
         """An entry of `candidates` (identification/files/README.md, "JSON keys")."""
-        owners = {p.name.rpartition(".")[0] for p in self.parameters}
-        named = [
-            (label if label in owners else spec.key, spec) for label, spec in zip(self.effects, self.specs, strict=True)
-        ]
-        return {
+        entry = {name: getattr(self, name) for name in ("probability", "delta_bic", "f", "intervals")}
+        owners, settings = {p.name.rpartition(".")[0] for p in self.parameters}, dict[str, float]()
+        for label, spec in zip(self.effects, self.specs, strict=True):
+            # `transmission_ripple:2.k` -> 17: under the name that the effect's parameters have
+            owner = label if label in owners else spec.key
+            settings |= {f"{owner}.{name}": value for name, value in spec.values.items()}
+        return entry | {
             "effects": list(self.effects),
             "classes": list(self.classes),
-            "probability": self.probability,
-            "delta_bic": self.delta_bic,
-            "f": self.f,
             "p_adjusted": 1.0 - (self.probability or 0.0),
             "parameters": [p._asdict() for p in self.parameters],
-            # `transmission_ripple:2.k` -> 17: under the name that the effect's parameters have
-            "settings": {f"{owner}.{name}": value for owner, spec in named for name, value in spec.values.items()},
-            "intervals": self.intervals,
+            "settings": settings,
         }
-
-
-class Trial(NamedTuple):
-    """One effect alone against the base model, an entry of `trials` (identification/files/README.md, "JSON keys").
-
-    f, p : F statistic and its p-value;  p_adjusted : 1 less the probability that it is missing
-    delta_bic : -2 log posterior odds against nothing
-    """
-
-    effect: str
-    f: float
-    p: float
-    p_adjusted: float
-    delta_bic: float
 
 
 def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: bool = False) -> Candidate:
@@ -148,7 +213,8 @@ def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: 
     model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
     jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
     tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
-    table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, rows.repeat_numbers)
+    repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
+    table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
     sure = uncertainty(table, spectrum(jacobian, model.scales), sigma_given=sigma is not None, doubtful=doubtful)
     effects = model.effects[len(model.effects) - added :]  # the arm's own come first
     names = {p.name for effect in effects for p in effect.parameters}
@@ -174,6 +240,20 @@ def as_calibration(fitted: Fit | PredictingModel, covariance: Array, freedom: Ar
     return Calibration(fitted.by_name, names, covariance, MappingProxyType(origin))
 
 
+class Trial(NamedTuple):
+    """One effect alone against the base model, an entry of `trials` (identification/files/README.md, "JSON keys").
+
+    f, p : F statistic and its p-value;  p_adjusted : 1 less the probability that it is missing
+    delta_bic : -2 log posterior odds against nothing
+    """
+
+    effect: str
+    f: float
+    p: float
+    p_adjusted: float
+    delta_bic: float
+
+
 def trials(posterior: Posterior, products: Products) -> tuple[Trial, ...]:
     """Every effect alone against the base model, likeliest first; of a scanned setting only the best value.
 
@@ -194,8 +274,8 @@ def trials(posterior: Posterior, products: Products) -> tuple[Trial, ...]:
     return tuple(sorted(best.values(), key=lambda one: (round(one.delta_bic, 9), one.effect)))
 
 
-@dataclass(frozen=True)
-class Residuals:
+# -- everything together -----------------------------------------------------------------------------------------------
+class Residuals(NamedTuple):
     """Residuals (m, d) [mm] of base and named model in all rows, and quantities (m,) to plot them against, by name."""
 
     before: Array
@@ -235,7 +315,7 @@ class Diagnosis:
     shapes : named waves whose order the range of their joint does not determine
     replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
-    offered : the extended model beside the geometry alone, None where it was not judged (`validate.validation.judged`)
+    offered : the extended model beside the geometry alone, None where it was not judged (`validate.judged`)
     data : `file` and `sha256` of the rows, if known
     """
 
@@ -268,14 +348,9 @@ class Diagnosis:
     offered: Offered | None = None
 
     @property
-    def effects(self) -> tuple[str, ...]:
+    def effects(self) -> Names:
         """Labels of the best set; empty if nothing is named."""
         return self.named.effects
-
-    @property
-    def classes(self) -> tuple[str, ...]:
-        """Classes of the best set."""
-        return self.named.classes
 
     @property
     def excluded(self) -> Mapping[str, Size]:
@@ -298,28 +373,11 @@ class Diagnosis:
         return shares | ({"other sets": rest} if rest > 1e-9 else {})
 
     @property
-    def likely(self) -> str:
-        """The probabilities in one line, including `other_sets`."""
-        return words.likely(self.to_json())
-
-    @property
     def other_sets(self) -> dict[str, float]:
-        """Title -> probability of further sets of effects that are not negligible."""
-        beside = self.probabilities.beside(c.keys for c in self.candidates)
-        return {self.probabilities.title(names): p for names, p in beside.items()}
-
-    @property
-    def credible_set(self) -> dict[str, float]:
-        """Title -> probability of the explanations in the 90 % credible set, most probable first."""
-        titles = {tuple(sorted(c.keys)): c.title for c in self.candidates}
-        titles |= {(): "none"}
-        shares = self.probabilities.credible.items()
-        return {"unknown" if n is None else titles.get(n) or self.probabilities.title(n): p for n, p in shares}
-
-    @property
-    def tests(self) -> tuple[Confirmation, ...]:
-        """All tests on rows that were not used for the fits: hold-out, and cross-validation."""
-        return (() if self.confirmation is None else (self.confirmation,)) + self.cross_validation
+        """Title -> probability of further sets of effects that are not negligible, most probable first."""
+        listed = {tuple(sorted(c.keys)) for c in self.candidates}
+        rest = [(n, p) for n, p in self.probabilities.sets.items() if p >= NEGLIGIBLE and n not in listed]
+        return {self.probabilities.title(names): p for names, p in sorted(rest, key=lambda pair: -pair[1])}
 
     @property
     def confirmed(self) -> bool | None:
@@ -344,11 +402,9 @@ class Diagnosis:
     def calibration_of(self, chosen: Candidate) -> Calibration:
         """All estimates of a model, with the verdict, its rivals and its confirmation as provenance."""
         entries: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
-        if self.confirmed is not None:
-            entries["confirmed"] = self.confirmed
-        if self.offered is not None:
-            entries["better_than_geometry"] = self.offered.better
-        entries |= {name: value for name, value in self.gap.to_json().items() if value is not None}
+        better = None if self.offered is None else self.offered.better
+        optional = {"confirmed": self.confirmed, "better_than_geometry": better, **self.gap.to_json()}
+        entries |= {name: value for name, value in optional.items() if value is not None}
         entries["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
         entries["probability"] = self.probability
         named = chosen.calibration
@@ -357,30 +413,25 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""
-        data: dict[str, Any] = {
-            "verdict": self.verdict,
-            "warnings": list(self.warnings),
-            "effects": list(self.effects),
+        lists = ("warnings", "effects", "outlier_rows", "unexplained_rows", "notes")
+        data: dict[str, Any] = {name: list(getattr(self, name)) for name in lists}
+        data |= {name: getattr(self, name) for name in ("verdict", "where", "shape", "confirmed")}
+        data |= {
             "named": self.named.to_json(),
             "candidates": [c.to_json() for c in self.candidates],
             "probabilities": self.probability,
-            "credible_set": list(self.credible_set),
+            "credible_set": [self.probabilities.title(names) for names in self.probabilities.credible],
             "other_sets": [{"effects": name.split(" + "), "probability": p} for name, p in self.other_sets.items()],
-            "classes": list(self.classes),
+            "classes": list(self.named.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
-            "where": self.where,
-            "shape": self.shape,
             "shapes": [shape._asdict() for shape in self.shapes],
             "replication": [effect.to_json() for effect in self.replication],
             "curves": [curve.to_json() for curve in self.curves],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
-            "outlier_rows": list(self.outlier_rows),
-            "unexplained_rows": list(self.unexplained_rows),
             "excluded": {name: size._asdict() for name, size in self.excluded.items()},
             "gap": self.gap.to_json(),
-            "confirmed": self.confirmed,
-            "offered": None if self.offered is None else self.offered.to_json(),
-            "confirmation": None if self.confirmation is None else self.confirmation.to_json(),
+            "offered": self.offered and self.offered.to_json(),
+            "confirmation": self.confirmation and self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
             "misfit": self.misfit and self.misfit._asdict() | {"significant": self.misfit.significant},
             "rows": len(self.residuals.before),
@@ -388,7 +439,6 @@ class Diagnosis:
             "degrees_of_freedom": self.detectability.freedom,
             "trials": [trial._asdict() for trial in self.trials],
             "predicting": [spec.key for spec in self.predicting.specs],
-            "notes": list(self.notes),
         }
         return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
 

@@ -1,4 +1,4 @@
-"""Posterior over sets of blocks: a climb to a likely set, and a Gibbs walk from there.
+"""Posterior over sets of blocks: a climb to a likely set, and a Gibbs walk from there, under each likely noise.
 
 The number K of missing blocks has the prior p(0) = 1/2 and p(K) ~ K^-`TAIL`: one effect is likelier than
 two, but where many are seen further ones are expected (a beta mixture of binomials has such a tail). Which ones they
@@ -21,7 +21,7 @@ from __future__ import annotations
 from bisect import bisect
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from math import lgamma
 
 import numpy as np
@@ -29,7 +29,13 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax, zeta
 
 from identification.arrays import Array
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
+from identification.estimation.uncertainty import together
+from identification.gap.blocks import Block, Library, Linearized, linearized, with_further_orders
+from identification.gap.fit import At, Rows, fit
 from identification.gap.likelihood import SIZES, Key, Products, State
+from identification.gap.noise import NoiseModel, log_likelihoods, noises
+from identification.running import Tell, say_nothing
 
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
@@ -39,8 +45,12 @@ STRAY = 0.2  # prior: share of blocks whose size has nothing to do with the othe
 NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out, and of a set not listed
 MOVES = 700  # effort: of the walk
 MOST = 10  # effort: pairs of blocks, candidates, and explanations cross-validated
+CREDIBLE = 0.9  # convention: probability of the credible set
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
+MOST_ROWS = 1250  # effort: rows that are searched for any effect
+PASSES = 3  # effort: linearizations
+NOISES = 3  # effort: noise models that are searched
 
 _OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
 # derived: (S, S) p(s | c) of a size, by column, around a common one
@@ -49,35 +59,27 @@ AROUND: Array = (1.0 - STRAY) * softmax(-0.5 * np.square(_OCTAVES / SPREAD), axi
 Weighed = tuple[Key, float]  # a set with its likeliest sizes, and its log posterior odds against nothing
 
 
-@dataclass(eq=False)
 class Search:
-    """The sets of blocks of one linearized problem.
+    """The sets of blocks of one linearized problem;  total : weight of all blocks, where these are some of them"""
 
-    weights : (B,) prior weights;  rows : (B,) True for shifts of single rows
-    rest : numbers of blocks that explain a part of many others: the climb starts without them
-    apart : pairs of blocks of which one contains the other
-    needy : blocks that show only through one of the `givers`, beside which alone they may be
-    total : weight of all blocks, where these are some of them
-    """
-
-    products: Products
-    weights: Array
-    rows: NDArray[np.bool_]
-    rest: frozenset[int] = frozenset()
-    apart: frozenset[tuple[int, int]] = frozenset()
-    needy: frozenset[int] = frozenset()
-    givers: frozenset[int] = frozenset()
-    total: float = 0.0
-    _tables: dict[Key, Array] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.counted = ~self.rows  # (B,) blocks that count among the K
-        self.counted[list(self.rest)] = False
-        self.total = self.total or max(float(np.sum(self.weights[self.counted])), 1e-300)
+    def __init__(self, products: Products, blocks: Sequence[Block], total: float = 0.0) -> None:
+        self.products, self._tables = products, dict[Key, Array]()
+        rows = np.array([b.row is not None for b in blocks], dtype=bool)
+        many = np.array([bool(b.parts) for b in blocks], dtype=bool)
+        self.plain = ~many  # (B,) False for blocks that explain a part of many others: the climb starts without them
+        self.counted = ~(rows | many)  # (B,) blocks that count among the K
+        weights = np.array([b.weight for b in blocks])
+        self.total = total or max(float(np.sum(weights[self.counted])), 1e-300)
         with np.errstate(divide="ignore"):
-            self._log_weights = np.log(self.weights / self.total)
-        self._log_weights[self.rows] = np.log(WRONG)
-        self._log_weights[list(self.rest)] = np.log(REST_ODDS)
+            self._log_weights = np.log(np.select([rows, many], [WRONG, REST_ODDS], weights / self.total))
+        # pairs of blocks of which one contains the other: a family, and the same effect at one joint
+        families = {b.key: k for k, b in enumerate(blocks) if b.family}
+        pairs = {(families.get(b.key.partition(":")[0], k), k) for k, b in enumerate(blocks)}
+        self.apart = {(family, k) for family, k in pairs if family != k}
+        # blocks that show only through one of others, beside which alone they may be
+        self.needy = {k for k, b in enumerate(blocks) if b.through}
+        kinds = {blocks[k].through for k in self.needy}
+        self.givers = {k for k, b in enumerate(blocks) if b.effect and b.effect.needs & kinds} - self.needy
 
     def log_prior(self, blocks: Sequence[int]) -> float:
         """Log prior odds of a set against nothing missing; -inf where it may not be."""
@@ -98,8 +100,7 @@ class Search:
 
     def climb(self, start: Sequence[int] = ()) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
-        nothing, others = self.products.state(), np.ones(len(self.weights), dtype=bool)
-        others[list(self.rest)] = False
+        nothing, others = self.products.state(), self.plain
         tops = [nothing, self._up(self.products.state([(block, 2) for block in start]), others)]
         table = self._each(nothing)
         for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
@@ -230,3 +231,174 @@ def log_odds_of_sizes(sizes: Sequence[int]) -> tuple[float, Array]:
     common = np.sum(np.log(AROUND[:, list(sizes)]), axis=1)
     total = float(logsumexp(common))
     return total - float(np.log(len(SIZES))), np.log(np.exp(common - total) @ AROUND)
+
+
+# -- of a data set -----------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Explanation:
+    """One set of blocks, in the order of the dictionary, under one noise model.
+
+    key : numbers of the blocks and of their sizes in the problem of that noise;  noise : number of the noise model
+    """
+
+    blocks: tuple[Block, ...]
+    key: Key
+    noise: int
+    probability: float
+
+    @property
+    def effects(self) -> tuple[Block, ...]:
+        """Its effects of the library."""
+        return tuple(b for b in self.blocks if b.effect is not None)
+
+    @property
+    def outside(self) -> tuple[Block, ...]:
+        """Its blocks outside the library."""
+        rest = tuple(b for b in self.blocks if b.effect is None and b.row is None)
+        return () if self.effects and all(b.parts for b in rest) else rest
+
+    @property
+    def wrong(self) -> list[int]:
+        """Rows (from 0) that it takes for outlying."""
+        return [b.row for b in self.blocks if b.row is not None]
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """explanations : likeliest first, with sum 1
+    noises, problems, draws : searched, with the blocks that are not negligible, and the sets drawn by the walk there
+    whole : problem of the likeliest noise, with all blocks;  at : fit where it is linearized, with all rows
+    writable : the posterior if nothing is missing but what an arm file can have; None where that is the same
+    """
+
+    explanations: tuple[Explanation, ...]
+    noises: tuple[NoiseModel, ...]
+    problems: tuple[Linearized, ...]
+    draws: tuple[Counter[Key], ...]
+    whole: Linearized
+    library: Library
+    at: At
+    writable: Posterior | None = None
+
+    @property
+    def best(self) -> Explanation:
+        """The likeliest."""
+        return self.explanations[0]
+
+
+Walked = tuple[NoiseModel, Linearized, list[Weighed], Counter[Key], float]  # the last: log odds of the noise, for none
+
+
+def posterior_of(library: Library, rows: Rows, generator: np.random.Generator, tell: Tell = say_nothing) -> Posterior:
+    """The posterior of these rows, around a likely set, under each noise that is not unlikely.
+
+    Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same
+    angle); the last pass has all of them, with the set and the noises that are not unlikely in the sample.
+    """
+    few = rows if len(rows) <= MOST_ROWS else rows.pick(np.sort(generator.permutation(len(rows))[:MOST_ROWS]))
+    at, noise, names, chosen = fit(library.base, few), ("", 0.0), set[str](), dict[str, int]()
+    for turn in range(1, PASSES + 1):
+        tell(f"pass {turn}")
+        here = at.on(few)
+        wrong, every = _striking(here), [n for n in noises(here) if not names or n.name in names]
+        number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)
+        problem = linearized(library, at.on(every[number].rows), wrong)
+        search, before = Search(problem.products, problem.blocks), [*chosen]
+        top = _same_set(problem, chosen)
+        top = top if names else search.climb(top.blocks)
+        chosen = {problem.blocks[b].label: size for b, size in top.key}
+        effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].effect is not None]
+        # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
+        # with the outlying rows of the set alone, which noise of another kind may need, too
+        y, jacobian, base = library.as_base(here)
+        plain, prior, each = jacobian[:, :, base] / at.model.scales[base], np.array([n.prior for n in every]), []
+        rows_only = [pair for pair in top.key if problem.blocks[pair[0]].row is not None]
+        for key in dict.fromkeys([(), top.key, tuple(rows_only)]):
+            one = search.products.state(key)
+            free = np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2)
+            likelihoods = log_likelihoods(every, y, free)
+            each.append(likelihoods - likelihoods[number] + search.log_odds(one) + prior)
+        scores = np.max(each, axis=0)
+        order = np.argsort(-scores, kind="stable").tolist()
+        likely = [k for k in order if scores[k] > scores.max() + np.log(LEVEL)]
+        best = int(np.argmax(np.where(np.arange(len(every)) == number, scores + ROUNDING, scores)))
+        settled = [*chosen] == before and best == number
+        if turn == PASSES:
+            break
+        if not settled:
+            noise, kept = (every[best].name, every[best].size), np.ones(len(few), dtype=bool)
+            kept[[k for k in (problem.blocks[b].row for b, _ in rows_only) if k is not None]] = False
+            at = fit(library.model(effects), every[best].rows.pick(kept), at.by_name)
+        wider = with_further_orders(library, at.on(every[best].rows), effects)
+        if few is not rows and turn == PASSES - 1:
+            few, at = rows, fit(at.model, rows, at.by_name)
+            names = {noise[0], *(every[k].name for k in likely)}
+        elif settled and wider is library and few is rows:
+            break
+        library = wider
+
+    walked, end = [], at.on(rows)
+    for k in [number, *(k for k in likely if k != number)][:NOISES]:
+        tell(f"sets of effects{', noise: ' + every[k].name if every[k].name else ''}")
+        under = problem if k == number else linearized(library, at.on(every[k].rows), wrong)
+        walked.append((every[k], *_walked(under, _same_set(under, chosen), generator), float(each[0][k])))
+    mixture = _mixture(walked, problem, library, end)
+    if sum(one.probability for one in mixture.explanations if not all(map(_holds, one.blocks))) < LEVEL:
+        return mixture
+    tell("what an arm file can have")
+    problem = problem.of([k for k, block in enumerate(problem.blocks) if _holds(block)])
+    start = sorted(problem.numbers[label] for label in chosen if label in problem.numbers)
+    top = Search(problem.products, problem.blocks).climb(start)
+    alone = [(every[number], *_walked(problem, top, generator), 0.0)]
+    return replace(mixture, writable=_mixture(alone, problem, library, end))
+
+
+def _same_set(problem: Linearized, chosen: dict[str, int]) -> State:
+    """A set, label -> number of the size, as far as a problem has its blocks."""
+    return problem.products.state([(problem.numbers[x], size) for x, size in chosen.items() if x in problem.numbers])
+
+
+def _holds(block: Block) -> bool:
+    """Whether an arm file can have a block, or its row be left out."""
+    return bool(block.effect or block.span or block.parts or block.row is not None)
+
+
+def _walked(
+    problem: Linearized, top: State, generator: np.random.Generator
+) -> tuple[Linearized, list[Weighed], Counter[Key]]:
+    """The problem with the blocks alone that are not negligible, and the walk there."""
+    search = Search(problem.products, problem.blocks)
+    near = search.near(top)
+    few, place = problem.of(near), {b: i for i, b in enumerate(near)}
+    start = few.products.state([(place[b], size) for b, size in top.key])
+    return few, *Search(few.products, few.blocks, search.total).walk(start, generator)
+
+
+def _mixture(models: Sequence[Walked], whole: Linearized, library: Library, at: At) -> Posterior:
+    """All explanations of all noise models together."""
+    problems = tuple(problem for _, problem, *_ in models)
+    listed = [
+        (number, key, of_noise + log_odds)
+        for number, (_, _, sets, _, of_noise) in enumerate(models)
+        for key, log_odds in sets
+    ]
+    odds = np.array([one for *_, one in listed])
+    probabilities = np.exp(odds - logsumexp(odds))
+    explanations = []
+    for k in np.argsort(-np.round(probabilities, 9), kind="stable").tolist():
+        number, key, _ = listed[k]
+        blocks = tuple(problems[number].blocks[b] for b, _ in key)
+        explanations.append(Explanation(blocks, key, number, float(probabilities[k])))
+    every, draws = tuple(noise for noise, *_ in models), tuple(counted for *_, counted, _ in models)
+    return Posterior(tuple(explanations), every, problems, draws, whole, library, at)
+
+
+def _striking(at: At) -> list[int]:
+    """Rows whose residual is large, and that do not come together as whole postures or neighbors do."""
+    rows = at.rows
+    left = rows.whiten(at.left).reshape(len(rows), -1)
+    sizes = np.sqrt(np.mean(np.square(left), axis=1))
+    limit = 3.0 * float(np.median(sizes)) / 0.83  # robust standard deviations
+    far = np.zeros(len(rows), dtype=bool)
+    far[[k for k in np.argsort(-sizes, kind="stable")[:30] if sizes[k] > limit]] = True  # 30, as 3 above: effort
+    return np.flatnonzero(far & ~together(far, rows.postures, rows.posture_numbers)).tolist()

@@ -1,4 +1,4 @@
-"""A folder with the files of a small loop, and a way to call `armcal` as a user does."""
+"""A folder with the files of a small loop, and ways to call `armcal` as a user does."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,18 +14,18 @@ from click.testing import CliRunner
 
 from doe.cli import main
 
-ARM = """\
+LOWER, UPPER = [-180.0, -120.0, -100.0, -90.0], [180.0, 120.0, 60.0, 90.0]
+ARM = f"""\
 name = "paper-4-link"
 links_mm = [260.0, 180.0, 120.0, 100.0]
 
 [joint_limits_deg]
-lower = [-180.0, -120.0, -100.0, -90.0]
-upper = [180.0, 120.0, 60.0, 90.0]
+lower = {LOWER}
+upper = {UPPER}
 
 [measurement]
 sigma_mm = 0.1
 """
-
 CALIBRATION = """
 [calibration]
 length_errors_mm = [1.5, -0.6, -0.4, 0.7]
@@ -49,10 +50,21 @@ class Outcome:
 
         return json.loads(self.out, parse_constant=refuse)
 
+    @property
+    def flat(self) -> str:
+        """Standard output in one line."""
+        return " ".join(self.out.split())
+
 
 def without_progress(text: str) -> str:
     """Standard error without the line every ten seconds, which only slow machines see."""
     return "".join(line for line in text.splitlines(keepends=True) if not re.match(r"armcal \w+: \d{2,} s\b", line))
+
+
+def table(columns: dict[str, Any]) -> str:
+    """A CSV file of these columns."""
+    rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
+    return "".join(f"{','.join(map(str, row))}\n" for row in [list(columns), *rows])
 
 
 class Folder:
@@ -62,10 +74,7 @@ class Folder:
         self.path = path
         self.write("arm.toml", ARM)
         self.write("truth.toml", ARM + CALIBRATION)
-        generator = np.random.default_rng(7)
-        postures = generator.uniform([-180, -120, -100, -90], [180, 120, 60, 90], (12, 4))
-        rows = [",".join([str(k + 1), *(f"{a:.6f}" for a in posture)]) for k, posture in enumerate(postures)]
-        self.write("plan.csv", "\n".join(["run,q1_deg,q2_deg,q3_deg,q4_deg", *rows]) + "\n")
+        self.plan(12, 7)
 
     def write(self, name: str, text: str) -> Path:
         (self.path / name).write_text(text)
@@ -74,16 +83,39 @@ class Folder:
     def read(self, name: str) -> str:
         return (self.path / name).read_text()
 
+    def plan(self, rows: int, seed: int, name: str = "plan.csv", times: int = 1) -> None:
+        """Write a plan of random postures within the limits, each so many times."""
+        postures = np.random.default_rng(seed).uniform(LOWER, UPPER, (rows, 4)).round(6).repeat(times, axis=0)
+        angles = {f"q{j}_deg": column for j, column in enumerate(postures.T, start=1)}
+        self.write(name, table({"run": range(1, len(postures) + 1), **angles}))
+
     def armcal(self, *words: str) -> Outcome:
-        """Run the command in this folder."""
-        done = CliRunner().invoke(main, list(words), catch_exceptions=False)
+        """Run the command in this folder, with these words, or those of one line."""
+        line = words[0].split() if len(words) == 1 and " " in words[0] else [*words]
+        done = CliRunner().invoke(main, line, catch_exceptions=False)
         return Outcome(done.exit_code, done.stdout, without_progress(done.stderr))
 
-    def simulated(self, name: str = "data.csv", seed: int = 0) -> None:
-        """Write data.csv, or another file: the truth measured at plan.csv."""
-        words = ["simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", name, "--seed", str(seed)]
-        done = self.armcal(*words)
+    def said(self, line: str) -> dict:
+        """The JSON object of a command that is done."""
+        done = self.armcal(f"{line} --json")
         assert done.code == 0, done.err
+        return done.data
+
+    def simulated(
+        self, name: str = "data.csv", seed: int = 0, truth: str = "truth.toml", plan: str = "plan.csv"
+    ) -> None:
+        """Write data.csv, or another file: the truth measured at plan.csv, or at another plan."""
+        self.said(f"simulate arm.toml {plan} --truth {truth} --out {name} --seed {seed} --force")
+
+    def refused(self, words: str | list[str], *named: str, code: int = 2) -> None:
+        """One line on standard error that names all of this, nothing on standard output, and every file as it was."""
+        before = {path: path.read_bytes() for path in self.path.rglob("*") if path.is_file()}
+        done = self.armcal(*([words] if isinstance(words, str) else words))
+        assert (done.code, done.out) == (code, ""), (done.code, done.out, done.err)
+        (line,) = (line for line in done.err.splitlines() if not line.startswith("armcal: warning:"))
+        assert line.isprintable()
+        assert [text for text in named if text not in line] == [], line
+        assert {path: path.read_bytes() for path in self.path.rglob("*") if path.is_file()} == before
 
 
 @pytest.fixture

@@ -1,92 +1,78 @@
-"""`armcal diagnose`: what is confirmed, what is not, and what is written."""
+"""`armcal diagnose`: what is confirmed, what is not, what is written; and several sessions of one arm."""
 
 from __future__ import annotations
 
 import json
 
 import numpy as np
+import polars as pl
 import pytest
 
 from identification.errors import InputError
-from identification.files import arm as arm_files
+from identification.files import arm as arm_file
 from identification.files.arm import load_arm
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 
 ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.06\nb_deg = -0.05\n'
-WORDS = ("diagnose", "arm.toml", "data.csv")
-
-
-def postures(rows: int, seed: int) -> str:
-    drawn = np.random.default_rng(seed).uniform([-180, -120, -100, -90], [180, 120, 60, 90], (rows, 4))
-    return "\n".join(
-        ["run,q1_deg,q2_deg,q3_deg,q4_deg", *(f"{k},{','.join(map(str, q))}" for k, q in enumerate(drawn))]
-    )
+RIPPLE = '\n[[effects]]\nname = "transmission_ripple"\njoint = 2\nk = 5\na_deg = 0.08\nb_deg = 0.05\n'
+DIAGNOSE = "diagnose arm.toml data.csv"
 
 
 @pytest.fixture
 def sessions(folder: Folder) -> Folder:
     """data.csv: 60 rows of an arm with an eccentric encoder; same.csv: 150 more; without.csv: 150 rows without it."""
-    truth, plain = (
-        folder.write("truth.toml", ARM + ECCENTRIC + CALIBRATION),
-        folder.write("plain.toml", ARM + CALIBRATION),
-    )
-    for name, rows, seed, file in (("data", 60, 1, truth), ("same", 150, 2, truth), ("without", 150, 3, plain)):
-        folder.write("plan.csv", postures(rows, seed) + "\n")
-        words = ("simulate", "arm.toml", "plan.csv", "--truth", str(file), "--out", f"{name}.csv", "--seed", str(seed))
-        assert folder.armcal(*words).code == 0
+    folder.write("plain.toml", ARM + CALIBRATION)
+    folder.write("truth.toml", ARM + ECCENTRIC + CALIBRATION)
+    for name, rows, seed, truth in (("data", 60, 1, "truth"), ("same", 150, 2, "truth"), ("without", 150, 3, "plain")):
+        folder.plan(rows, seed)
+        folder.simulated(f"{name}.csv", seed, f"{truth}.toml")
     return folder
 
 
 def test_what_is_not_confirmed_is_said_and_not_written(sessions: Folder) -> None:
-    words = (*WORDS, "--holdout", "without.csv", "--out", "extended.toml")
-    done = sessions.armcal(*words)
+    line = f"{DIAGNOSE} --holdout without.csv --out extended.toml"
+    done = sessions.armcal(line)
     assert done.code == 0
-    assert sum("extended.toml was not written" in line and "--force" in line for line in done.err.splitlines()) == 1
+    assert sum("extended.toml was not written" in one and "--force" in one for one in done.err.splitlines()) == 1
     assert not (sessions.path / "extended.toml").exists()
-    forced = sessions.armcal(*words, "--force", "--json")
+    forced = sessions.armcal(f"{line} --force --json")
     assert "armcal: warning: not confirmed: " in forced.err
-    assert forced.data["confirmed"] is False
-    assert forced.data["confirmation"]["shrinks"] is False
+    assert (forced.data["confirmed"], forced.data["confirmation"]["shrinks"]) == (False, False)
     kept = load_arm(sessions.path / "extended.toml").calibration
     assert kept is not None
-    assert kept.provenance["confirmed"] is False
-    assert kept.provenance["verdict"] == "named"
-    assert kept.provenance["better_than_geometry"] is False
+    said = [kept.provenance[key] for key in ("confirmed", "verdict", "better_than_geometry")]
+    assert said == [False, "named", False]
     offered = forced.data["offered"]
     assert offered["better"] is False
-    validated = sessions.armcal("validate", "extended.toml", "without.csv", "--json").data
-    assert (validated["rms_mm"], validated["max_mm"]) == pytest.approx((offered["rms_mm"], offered["max_mm"]), rel=1e-6)
-    sessions.armcal("identify", "arm.toml", "data.csv", "--out", "geometry.toml")
-    geometry = sessions.armcal("validate", "geometry.toml", "without.csv", "--json").data
-    expected = offered["rms_geometry_mm"], offered["max_geometry_mm"]
-    assert (geometry["rms_mm"], geometry["max_mm"]) == pytest.approx(expected, rel=1e-6)
+    sessions.said("identify arm.toml data.csv --out geometry.toml")
+    for model, of in (("extended", ""), ("geometry", "_geometry")):
+        validated = sessions.said(f"validate {model}.toml without.csv")
+        expected = offered[f"rms{of}_mm"], offered[f"max{of}_mm"]
+        assert (validated["rms_mm"], validated["max_mm"]) == pytest.approx(expected, rel=1e-6)
 
 
 def test_what_is_confirmed_is_written(sessions: Folder) -> None:
-    done = sessions.armcal(*WORDS, "--holdout", "same.csv", "--out", "extended.toml", "--json")
+    done = sessions.armcal(f"{DIAGNOSE} --holdout same.csv --out extended.toml --json")
     assert done.data["confirmed"] is True
     assert "not confirmed" not in done.err
-    fitted = sessions.armcal("identify", "arm.toml", "data.csv", "--json").data
+    fitted = sessions.said("identify arm.toml data.csv")
     assert done.data["gap"]["rms_before_mm"] == pytest.approx(fitted["rms_after_mm"], rel=1e-9)
-    again = sessions.armcal("identify", "extended.toml", "same.csv", "--json").data
+    again = sessions.said("identify extended.toml same.csv")
     assert again["rms_before_mm"] == pytest.approx(done.data["gap"]["held_out_after_mm"], rel=1e-9)
 
 
 def test_a_share_of_the_data_is_held_out_by_posture(sessions: Folder) -> None:
-    header, *rows = postures(60, 1).splitlines()
-    sessions.write("plan.csv", "\n".join([header, *(row for row in rows for _ in range(2))]) + "\n")  # each twice
-    words = ("simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv", "--force")
-    assert sessions.armcal(*words).code == 0
-    found = sessions.armcal(*WORDS, "--holdout", "0.3", "--json").data
+    sessions.plan(60, 1, times=2)
+    sessions.simulated()
+    found = sessions.said(f"{DIAGNOSE} --holdout 0.3")
     assert found["confirmation"]["rows"] == pytest.approx(36, abs=2)
     assert found["confirmation"]["rows"] % 2 == 0  # both rows of a posture
     assert found["confirmation"]["transfer"] == "other postures"
-    assert sessions.armcal(*WORDS, "--holdout", "0.3", "--json", "--seed", "4").data["gap"] != found["gap"]
+    assert sessions.said(f"{DIAGNOSE} --holdout 0.3 --seed 4")["gap"] != found["gap"]
 
 
 def test_rivals_and_their_probabilities_are_kept_in_the_file(sessions: Folder) -> None:
-    sessions.armcal(*WORDS, "--out", "extended.toml")
-    said = sessions.armcal(*WORDS, "--json").data
+    said = sessions.said(f"{DIAGNOSE} --out extended.toml")
     kept = load_arm(sessions.path / "extended.toml").calibration
     assert kept is not None
     chances = kept.provenance["probability"]
@@ -95,11 +81,10 @@ def test_rivals_and_their_probabilities_are_kept_in_the_file(sessions: Folder) -
     assert kept.provenance["delta_bic"] == {" + ".join(c["effects"]): c["delta_bic"] for c in said["candidates"]}
     json.dumps(dict(kept.provenance))
     # of the posterior, within the standard error of a fit by least squares: all that `advise` needs
-    rows = len(sessions.read("data.csv").splitlines()) - 1
-    free = 2 * rows - len(kept.parameter_names)
-    scatter = said["gap"]["rms_after_mm"] * np.sqrt(rows / free)
+    free = 2 * 60 - len(kept.parameter_names)
+    scatter = said["gap"]["rms_after_mm"] * np.sqrt(60 / free)
     assert kept.provenance["scatter_mm"] == pytest.approx(scatter, rel=1.0 / np.sqrt(2.0 * free))
-    assert sessions.armcal("advise", "extended.toml", "--only", "base", "--runs", "3").code == 0
+    assert sessions.armcal("advise extended.toml --only base --runs 3").code == 0
 
 
 def test_the_diagnosis_is_shown_where_the_file_cannot_be_written(
@@ -108,8 +93,8 @@ def test_the_diagnosis_is_shown_where_the_file_cannot_be_written(
     def refuse(*_: object) -> str:
         raise InputError("length_errors_mm: found -231.6 for link 3, allowed: a positive length")
 
-    monkeypatch.setattr(arm_files, "with_calibration", refuse)
-    done = sessions.armcal(*WORDS, "--out", "extended.toml")
+    monkeypatch.setattr(arm_file, "with_calibration", refuse)
+    done = sessions.armcal(f"{DIAGNOSE} --out extended.toml")
     assert done.code == 2
     assert "(encoder_eccentricity:2)" in done.out.splitlines()[0]
     assert "next:" not in done.out
@@ -118,22 +103,64 @@ def test_the_diagnosis_is_shown_where_the_file_cannot_be_written(
 
 def test_a_hold_out_of_another_frame_is_judged_where_it_stands(sessions: Folder) -> None:
     """The instrument moved by 300 mm: the base is refitted to these rows, and the verdict is as if it had not."""
-    rows = (sessions.path / "same.csv").read_text().splitlines()
-    column = rows[0].split(",").index("x_mm")
-    cells = [row.split(",") for row in rows[1:]]
-    moved = [",".join([*row[:column], str(float(row[column]) + 300.0), *row[column + 1 :]]) for row in cells]
-    sessions.write("moved.csv", "\n".join([rows[0], *moved]) + "\n")
-    still, there = (sessions.armcal(*WORDS, "--holdout", name, "--json").data for name in ("same.csv", "moved.csv"))
-    assert still["confirmation"]["refitted"] == []
-    assert there["confirmation"]["refitted"] == ["base"]
+    rows = pl.read_csv(sessions.path / "same.csv")
+    rows.with_columns(pl.col("x_mm") + 300.0).write_csv(sessions.path / "moved.csv")
+    rows.with_columns(pl.col("x_mm") * 2.0).write_csv(sessions.path / "scaled.csv")
+    still, there = (sessions.said(f"{DIAGNOSE} --holdout {name}") for name in ("same.csv", "moved.csv"))
+    assert (still["confirmation"]["refitted"], there["confirmation"]["refitted"]) == ([], ["base"])
     assert there["confirmed"] is True
     for key in ("held_out_before_mm", "held_out_after_mm"):
         assert there["gap"][key] == pytest.approx(still["gap"][key], rel=0.05)
     said = "the hold-out is of another set-up: base refitted to its rows, for both models"
     assert said in there["warnings"]
-    assert said in " ".join(sessions.armcal(*WORDS, "--holdout", "moved.csv").out.split())
-    other = [",".join([*row[:column], str(2.0 * float(row[column])), *row[column + 1 :]]) for row in cells]
-    sessions.write("scaled.csv", "\n".join([rows[0], *other]) + "\n")
-    refused = sessions.armcal(*WORDS, "--holdout", "scaled.csv")
-    assert refused.code == 2
-    assert "another arm or unit?" in refused.err
+    assert said in sessions.armcal(f"{DIAGNOSE} --holdout moved.csv").flat
+    sessions.refused(f"{DIAGNOSE} --holdout scaled.csv", "another arm or unit?")
+
+
+# -- several sessions --------------------------------------------------------------------------------------------------
+@pytest.fixture
+def days(folder: Folder) -> Folder:
+    """monday.csv and friday.csv of an arm with a ripple, set up anew in between; both.csv has them in one file."""
+    folder.write("real.toml", folder.read("truth.toml") + RIPPLE)
+    frames = []
+    for seed, (name, turn, shift) in enumerate((("monday", 0.0, 0.0), ("friday", 0.4, 150.0 - 80.0j))):
+        folder.plan(45, 20 + seed)
+        folder.simulated("one.csv", seed, "real.toml")
+        frame = pl.read_csv(folder.path / "one.csv")
+        z = np.exp(1j * turn) * (frame["x_mm"].to_numpy() + 1j * frame["y_mm"].to_numpy()) + shift
+        frame = frame.with_columns(x_mm=pl.Series(z.real), y_mm=pl.Series(z.imag))
+        frame.write_csv(folder.path / f"{name}.csv")
+        frames.append(frame.with_columns(session=pl.lit(name)))
+    pl.concat(frames).write_csv(folder.path / "both.csv")
+    return folder
+
+
+def test_files_are_sessions(days: Folder) -> None:
+    found = days.said("diagnose arm.toml monday.csv friday.csv --out extended.toml")
+    assert found["effects"] == ["transmission_ripple:2[k=5]"]
+    (effect,) = found["replication"]
+    assert effect["replicates"] is True
+    assert [there["session"] for there in effect["sessions"]] == ["monday", "friday"]
+    for there in effect["sessions"]:
+        for parameter, true in zip(there["parameters"], (0.08, 0.05), strict=True):
+            assert abs(parameter["value"] - true) < 5 * parameter["std"]
+    written = days.read("extended.toml")
+    assert ("base_offset" in written, "session_base" in written) == (True, False)
+    # the arm as it stands in the first session predicts both, the base of the second refitted
+    for name in ("monday", "friday", "both"):
+        checked = days.said(f"validate extended.toml {name}.csv")
+        assert checked["rms_mm"] < 0.2
+        assert checked["notes"] or name == "both"  # these are the measurements of the identification
+    # `discriminate` reads what `diagnose` reads, as its next step is given with the same files
+    done = days.armcal("discriminate arm.toml monday.csv friday.csv --runs 2")
+    assert done.code == 0, done.err
+    assert "gear ripple, k times per turn (transmission_ripple:2[k=5])" in done.flat
+
+
+def test_a_column_names_sessions(days: Folder) -> None:
+    found = days.said("identify real.toml both.csv --out calibrated.toml")
+    values = {p["name"]: p["value"] for p in found["parameters"]}
+    assert values["session_base.w2"] == pytest.approx(np.degrees(0.4), abs=0.02)
+    assert values["session_base.x2"] == pytest.approx(150.0, abs=0.5)
+    assert "session_base" not in days.read("calibrated.toml")
+    assert days.said("validate calibrated.toml monday.csv --refit none")["rms_mm"] < 0.2

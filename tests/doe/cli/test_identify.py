@@ -1,46 +1,117 @@
-"""What `armcal identify` says first: misfit, another frame, postures outside the limits; and `--sigma`."""
+"""`armcal check` and `armcal identify`: what is said first, priors, what stays as it was, rows that are left out."""
 
 from __future__ import annotations
 
-import csv
 import re
 import tomllib
+from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
-from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
+from tests.doe.cli.conftest import ARM, CALIBRATION, Folder, table
+from tests.small_arm import MASSES, OTHERS, as_csv, measured, random_postures, small_arm, urdf
 
+DATA = Path(__file__).parents[2] / "data/ur10"
 ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.2\nb_deg = 0.1\n'
+IDENTIFY = "identify arm.toml data.csv"
 
 
-def moved(folder: Folder) -> None:
-    """Write tracker.csv: data.csv in a frame that is turned by 70 degrees and shifted."""
-    with (folder.path / "data.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    turn, shift = np.exp(1j * np.radians(70.0)), 2500.0 - 800.0j
-    for row in rows:
-        place = turn * complex(float(row["x_mm"]), float(row["y_mm"])) + shift
-        row["x_mm"], row["y_mm"] = f"{place.real:.4f}", f"{place.imag:.4f}"
-    lines = [",".join(rows[0]), *(",".join(row.values()) for row in rows)]
-    folder.write("tracker.csv", "\n".join(lines) + "\n")
+def origin(folder: Folder, name: str) -> dict:
+    """Where a calibration comes from."""
+    return tomllib.loads(folder.read(name))["calibration"]["provenance"]
 
 
+def some(folder: Folder, **files: list[int]) -> None:
+    """Write some rows of data.csv, NAME -> numbers from 0."""
+    frame = pl.read_csv(folder.path / "data.csv")
+    for name, rows in files.items():
+        frame[rows].write_csv(folder.path / f"{name}.csv")
+
+
+# -- check -------------------------------------------------------------------------------------------------------------
+def test_simulated_data_are_fine(folder: Folder) -> None:
+    folder.simulated()
+    found = folder.said("check arm.toml data.csv")
+    assert set(found) >= {"rows", "postures", "rms_drawing_mm", "rms_fitted_mm", "better_reading", "notes"}
+    assert (found["problems"], found["ok"]) == ([], True)
+    assert [joint["limit_high"] for joint in found["joints"]] == pytest.approx([180.0, 120.0, 60.0, 90.0])
+    text = folder.armcal("check arm.toml data.csv").out
+    assert "No problems found in these data." in text
+    limits = [line.split()[3:5] for line in text.splitlines() if line.split()[5:6] == ["deg"]]
+    assert limits == [["none", "none"], ["-120.00", "120.00"], ["-100.00", "60.00"], ["-90.00", "90.00"]]
+    assert "armcal identify arm.toml data.csv --out" in text
+
+
+@pytest.mark.parametrize(
+    ("columns", "lines"),
+    [
+        ({"q3_deg": -pl.col("q3_deg")}, ["sign = [1, 1, -1, 1]"]),
+        ({"q3_deg": pl.col("q2_deg") + pl.col("q3_deg")}, ["coupled_to = [0, 0, 2, 0]"]),
+        ({"q2_deg": pl.col("q2_deg") + 90.0}, ["zero_deg = [0.0, 90.0, 0.0, 0.0]"]),
+        (
+            {f"q{j}_deg": pl.sum_horizontal(*(f"q{k}_deg" for k in range(1, j + 1))) for j in (2, 3, 4)},
+            ["coupled_to = [0, 1, 2, 3]"],
+        ),
+    ],
+)
+def test_a_controller_that_counts_otherwise(folder: Folder, columns: dict[str, pl.Expr], lines: list[str]) -> None:
+    """What check prints under [joints] makes the same data those of the arm, and the fit to them that of plain data."""
+    folder.simulated()
+    plain = folder.said(IDENTIFY)
+    pl.read_csv(folder.path / "data.csv").with_columns(**columns).write_csv(folder.path / "data.csv")
+    found = folder.said("check arm.toml data.csv")
+    assert not found["ok"]
+    assert found["better_reading"]["arm_file"].splitlines() == ["[joints]", *lines]
+    printed = [line.strip() for line in folder.armcal("check arm.toml data.csv").out.splitlines()]
+    assert printed[printed.index("[joints]") + 1] == lines[0]
+    head, _, rest = ARM.partition("[joint_limits_deg]")  # these are the controller's then: of another column here
+    folder.write("arm.toml", "\n".join([head, "[joints]", *lines, rest[rest.index("\n[") :]]))
+    assert folder.said("check arm.toml data.csv")["ok"]
+    values, usual = ([row["value"] for row in run["parameters"]] for run in (folder.said(IDENTIFY), plain))
+    assert values == pytest.approx(usual, abs=1e-6)
+
+
+def test_six_axes(folder: Folder) -> None:
+    found = folder.said(f"check {DATA / 'ur10.toml'} {DATA / 'series_A.csv'}")
+    assert (found["rows"], found["problems"]) == (596, [])
+    assert found["rms_fitted_mm"] < 0.5 < 0.8 < found["rms_drawing_mm"] < 0.9
+
+
+def test_an_arm_that_sags_is_told_what_to_add(folder: Folder) -> None:
+    """The lines printed, appended to the arm file, are what `diagnose` needs; with masses in the URDF file those."""
+    rng = np.random.default_rng(11)
+    data = measured(small_arm(rng, *OTHERS), random_postures(60, rng), rng)
+    folder.write("arm.urdf", urdf())
+    folder.write("data.csv", as_csv(data))
+    head = 'name = "small"\nkind = "spatial"\nurdf = "arm.urdf"\nbase_link = "base_link"\ntip_link = "tip"\n'
+    folder.write("arm.toml", head)
+    done = folder.armcal("check arm.toml data.csv")
+    found = folder.said("check arm.toml data.csv")["gravity"]
+    assert (found["recommended"], found["masses_from"], found["masses_kg"]) == (True, "urdf", MASSES.tolist())
+    assert found["rms_after_mm"] < 0.6 * found["rms_before_mm"]
+    assert "\n" + "\n".join(found["lines"]) + "\n" in re.sub(r" +\n", "\n", done.out)
+    assert "z of the base is taken to point up" in done.flat
+    folder.write("arm.toml", head + "\n".join(found["lines"]) + "\n")
+    again = folder.said("check arm.toml data.csv")
+    assert again["gravity"] is None
+    assert not any("gravity" in note for note in again["notes"])
+
+
+# -- identify ----------------------------------------------------------------------------------------------------------
 def test_misfit_is_the_first_line_a_warning_and_in_json(folder: Folder) -> None:
     folder.write("truth.toml", ARM + ECCENTRIC + CALIBRATION)
     folder.simulated()
-    done = folder.armcal("identify", "arm.toml", "data.csv")
-    assert done.code == 0
+    done = folder.armcal(IDENTIFY)
+    assert (done.code, done.err) == (0, "")  # said once
     assert done.out.startswith("misfit: the residuals scatter ")
-    assert done.err == ""  # said once
-    with_json = folder.armcal("identify", "arm.toml", "data.csv", "--json")
+    with_json = folder.armcal(f"{IDENTIFY} --json")
     assert "armcal: warning: misfit: " in with_json.err
-    found = with_json.data
-    assert found["intervals"] in ("sandwich", "scatter")
-    assert found["warnings"][0].startswith("misfit: ")
-    given = folder.armcal("identify", "arm.toml", "data.csv", "--sigma", "given", "--json").data
+    assert with_json.data["intervals"] in ("sandwich", "scatter")
+    assert with_json.data["warnings"][0].startswith("misfit: ")
+    given, free = (folder.said(f"{IDENTIFY} --sigma {sigma}") for sigma in ("given", "estimated"))
     assert (given["intervals"], given["sigma_mm"], given["clusters"]) == ("given", 0.1, None)
-    free = folder.armcal("identify", "arm.toml", "data.csv", "--sigma", "estimated", "--json").data
     assert (free["intervals"], free["chi2"], free["warnings"]) == ("scatter", None, [])
     assert free["sigma_mm"] == pytest.approx(given["scatter_mm"])
     widths = [[p["high_95"] - p["low_95"] for p in kind["parameters"]] for kind in (given, free)]
@@ -48,18 +119,21 @@ def test_misfit_is_the_first_line_a_warning_and_in_json(folder: Folder) -> None:
 
 
 def test_data_in_the_frame_of_a_tracker(folder: Folder) -> None:
+    """Turned by 70 degrees and shifted."""
     folder.simulated()
-    moved(folder)
-    words = ["identify", "arm.toml", "tracker.csv", "--out", "calibrated.toml"]
-    done = folder.armcal(*words)
+    frame = pl.read_csv(folder.path / "data.csv")
+    x, y = (frame[name].to_numpy() for name in ("x_mm", "y_mm"))
+    place = np.exp(1j * np.radians(70.0)) * (x + 1j * y) + 2500.0 - 800.0j
+    frame.with_columns(x_mm=pl.Series(place.real), y_mm=pl.Series(place.imag)).write_csv(folder.path / "data.csv")
+    done = folder.armcal(f"{IDENTIFY} --out calibrated.toml")
     assert done.code == 1
     assert done.out.startswith("implausible: the fit leaves ")
-    assert 'add [[effects]] name = "base_offset"' in " ".join(done.out.split())
+    assert 'add [[effects]] name = "base_offset"' in done.flat
     assert "calibrated.toml was not written: the fit is implausible" in done.out
     assert not (folder.path / "calibrated.toml").exists()
-    assert folder.armcal("identify", "arm.toml", "tracker.csv", "--json").data["status"] == "implausible"
+    assert folder.said(IDENTIFY)["status"] == "implausible"
     folder.write("arm.toml", ARM + '[[effects]]\nname = "base_offset"\n')
-    done = folder.armcal(*words)
+    done = folder.armcal(f"{IDENTIFY} --out calibrated.toml")
     assert (done.code, done.err) == (0, "")
 
 
@@ -68,35 +142,32 @@ def test_commands_beside_readings(folder: Folder) -> None:
     folder.write("truth.toml", ARM + CALIBRATION + '[[effects]]\nname = "servo_error"\njoint = 2\nb_deg = 0.02\n')
     folder.simulated()
     assert "commanded4_deg" in folder.read("data.csv").splitlines()[0]
-    done = folder.armcal("identify", "arm.toml", "data.csv", "--json", "--out", "calibrated.toml")
-    assert done.code == 0, done.err
-    offsets = [error["offset"] for error in done.data["servo_error"]]
-    assert offsets == pytest.approx([0.0, 0.02, 0.0, 0.0], abs=1e-9)
-    assert "Servo error" in folder.armcal("identify", "arm.toml", "data.csv").out
+    found = folder.said(f"{IDENTIFY} --out calibrated.toml")
+    assert [error["offset"] for error in found["servo_error"]] == pytest.approx([0.0, 0.02, 0.0, 0.0], abs=1e-9)
+    assert "Servo error" in folder.armcal(IDENTIFY).out
     folder.write("targets.csv", "x_mm,y_mm\n300,150\n")
-    commands = folder.armcal("compensate", "calibrated.toml", "targets.csv", "--json").data["commands_deg"]
-    text, count = re.subn(
-        r"^b_deg = 0.01999\d*|^b_deg = 0.02\d*", "b_deg = 0.05", folder.read("calibrated.toml"), flags=re.M
-    )
+    commands = folder.said("compensate calibrated.toml targets.csv")["commands_deg"]
+    written = re.compile(r"^b_deg = 0.01999\d*|^b_deg = 0.02\d*", flags=re.M)
+    text, count = written.subn("b_deg = 0.05", folder.read("calibrated.toml"))
     assert (count, text.count("servo_error")) == (1, 1)
     folder.write("calibrated.toml", text)
-    others = folder.armcal("compensate", "calibrated.toml", "targets.csv", "--json").data["commands_deg"]
+    others = folder.said("compensate calibrated.toml targets.csv")["commands_deg"]
     np.testing.assert_allclose(np.subtract(others, commands), [[0.0, -0.03, 0.0, 0.0]], atol=1e-6)
 
 
 def test_what_is_not_named_stays_and_keeps_its_covariance(folder: Folder) -> None:
     folder.simulated()
-    assert folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml").code == 0
-    words = ["identify", "calibrated.toml", "data.csv", "--only", "joint_offset:2,lengths", "--only", "joint_offset:3"]
-    done = folder.armcal(*words, "--out", "again.toml", "--json")
-    assert done.data["only"] == ["joint_offset:2", "lengths", "joint_offset:3"]
+    folder.said(f"{IDENTIFY} --out calibrated.toml")
+    line = "identify calibrated.toml data.csv --only joint_offset:2,lengths --only joint_offset:3"
+    found = folder.said(f"{line} --out again.toml")
+    assert found["only"] == ["joint_offset:2", "lengths", "joint_offset:3"]
     names = [f"length_error:{j}" for j in (1, 2, 3, 4)] + ["joint_offset:2", "joint_offset:3"]
-    assert [row["name"] for row in done.data["parameters"]] == names
+    assert [row["name"] for row in found["parameters"]] == names
     first, again = (tomllib.loads(folder.read(name))["calibration"] for name in ("calibrated.toml", "again.toml"))
     assert again["joint_offsets_deg"][::3] == pytest.approx(first["joint_offsets_deg"][::3], abs=1e-12)
     assert again["parameters"] == [*names, "joint_offset:1", "joint_offset:4"]
     assert again["covariance"][-1][-1] == pytest.approx(first["covariance"][-1][-1])
-    assert "Estimated: joint_offset:2, lengths, joint_offset:3; the others" in folder.armcal(*words).out
+    assert "Estimated: joint_offset:2, lengths, joint_offset:3; the others" in folder.armcal(line).out
 
 
 def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
@@ -104,27 +175,21 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
     prior of the other; with nothing kept it is that of the new rows. `validate` then knows the old rows, and finds none
     of them outside."""
     folder.simulated()
-    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
-    head, *rows = folder.read("data.csv").splitlines()
-    column = head.split(",").index("q1_deg")
-    old = np.array([float(row.split(",")[column]) for row in rows])
-    few = [row.split(",") for row in rows[:6]]
-    turned = [[*r[:column], str(float(r[column]) + 360.0), *r[column + 1 :]] for r in few]
-    folder.write("few.csv", "\n".join([head, *(",".join(r) for r in turned)]) + "\n")
-    prior = ["--prior", "calibrated.toml"]
-    for words, kept in ((["--only", "joint_offset:2"], True), (prior, True), ([], False)):
-        folder.armcal("identify", "calibrated.toml", "few.csv", *words, "--out", "again.toml", "--force")
-        found = tomllib.loads(folder.read("again.toml"))["calibration"]["provenance"]
+    folder.said(f"{IDENTIFY} --out calibrated.toml")
+    frame = pl.read_csv(folder.path / "data.csv")
+    frame[:6].with_columns(pl.col("q1_deg") + 360.0).write_csv(folder.path / "few.csv")
+    old = frame["q1_deg"].to_numpy()
+    for words, kept in (("--only joint_offset:2", True), ("--prior calibrated.toml", True), ("", False)):
+        folder.armcal(f"identify calibrated.toml few.csv {words} --out again.toml --force")
+        found = origin(folder, "again.toml")
         assert (found["file"], found["rows"]) == ("few.csv", 6)
         expected = [old.min(), old.max()] if kept else [old[:6].min() + 360.0, old[:6].max() + 360.0]
         np.testing.assert_allclose(found["joint_range_deg"][0], expected, atol=1e-6)
         assert ("held_from" in found) is kept
         if kept:
-            assert found["held_from"]["data.csv"]["rows"] == len(rows)
-            notes = folder.armcal("validate", "again.toml", "data.csv", "--json").data["notes"]
-            assert [note.partition(":")[0] for note in notes] == [
-                "these are the measurements that the model was identified from"
-            ]
+            assert found["held_from"]["data.csv"]["rows"] == len(old)
+            (note,) = folder.said("validate again.toml data.csv")["notes"]
+            assert note.startswith("these are the measurements that the model was identified from:")
 
 
 def test_what_is_held_counts_from_the_old_temperature(folder: Folder) -> None:
@@ -138,52 +203,46 @@ def test_what_is_held_counts_from_the_old_temperature(folder: Folder) -> None:
         turned = np.cumsum(q + zeros + moved * np.eye(4)[1], axis=1)
         tip = (1.0 + 1e-4 * (warm - 20.0)) * (np.exp(1j * turned) @ lengths)
         tip += 0.01 * (generator.standard_normal((2, rows)).T @ [1.0, 1.0j])
-        lines = np.column_stack([np.degrees(q), tip.real, tip.imag, warm])
-        head = "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm,temperature_C\n"
-        folder.write(name, head + "".join(",".join(f"{x:.6f}" for x in line) + "\n" for line in lines))
+        angles = {f"q{j}_deg": column for j, column in enumerate(np.degrees(q).T, start=1)}
+        folder.write(name, table({**angles, "x_mm": tip.real, "y_mm": tip.imag, "temperature_C": warm}))
     sure = ARM.replace("sigma_mm = 0.1", "sigma_mm = 0.01")
     folder.write("arm.toml", sure + '\n[[effects]]\nname = "thermal_growth"\n')
-    folder.armcal("identify", "arm.toml", "cold.csv", "--out", "calibrated.toml")
-    origin = tomllib.loads(folder.read("calibrated.toml"))["calibration"]["provenance"]
-    words = ["identify", "calibrated.toml", "warm.csv", "--only", "joint_offset:2"]
-    only = folder.armcal(*words, "--out", "only.toml", "--json").data
+    folder.said("identify arm.toml cold.csv --out calibrated.toml")
+    only = folder.said("identify calibrated.toml warm.csv --only joint_offset:2 --out only.toml")
     (zero,) = only["parameters"]
     assert zero["value"] == pytest.approx(-0.1, abs=0.005)
     assert only["rms_after_mm"] < 0.03  # 0.4 mm where temperatures count from the new mean
-    kept = tomllib.loads(folder.read("only.toml"))["calibration"]["provenance"]
-    assert kept["mean_temperature_C"] == origin["mean_temperature_C"]
-    prior = folder.armcal("identify", "arm.toml", "warm.csv", "--prior", "calibrated.toml", "--json").data
+    means = [origin(folder, name)["mean_temperature_C"] for name in ("only.toml", "calibrated.toml")]
+    assert means[0] == means[1]
+    prior = folder.said("identify arm.toml warm.csv --prior calibrated.toml")
     assert [one["name"] for one in prior["prior_from"]["contradicted"]] == ["joint_offset:2"]
-    folder.armcal("identify", "arm.toml", "warm.csv", "--out", "anew.toml")
-    anew = tomllib.loads(folder.read("anew.toml"))["calibration"]["provenance"]
-    assert anew["mean_temperature_C"] == pytest.approx(29.0, abs=1.0)
+    folder.said("identify arm.toml warm.csv --out anew.toml")
+    assert origin(folder, "anew.toml")["mean_temperature_C"] == pytest.approx(29.0, abs=1.0)
 
 
 def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     """`--prior` alone means the library, wherever it stands; before a file an earlier calibration."""
     folder.simulated()
-    folder.armcal("identify", "arm.toml", "data.csv", "--sigma", "given", "--out", "calibrated.toml")
-    flag = folder.armcal("identify", "--prior", "arm.toml", "data.csv", "--missing", "backlash", "--json").data
+    folder.said(f"{IDENTIFY} --sigma given --out calibrated.toml")
+    flag = folder.said("identify --prior arm.toml data.csv --missing backlash")
     assert flag["prior"]["effects"] == [f"backlash:{j}" for j in (1, 2, 3, 4)]
-    folder.simulated("again.csv", seed=1)
-    last = ["identify", "arm.toml", "again.csv", "--json", "--prior", "calibrated.toml"]
-    first = ["identify", "--prior=calibrated.toml", "arm.toml", "again.csv", "--json"]
-    named = ["identify", "arm.toml", "again.csv", "--json", "--prior-from", "calibrated.toml"]
-    found = [folder.armcal(*words, "--sigma", "given").data for words in (last, first, named)]
-    assert found[0] == found[1] == found[2]
-    assert found[0]["prior_from"]["file"] == "calibrated.toml"
-    assert len(found[0]["prior_from"]["parameters"]) == 8
-    assert found[0]["prior_from"]["contradicted"] == []
-    alone = folder.armcal("identify", "arm.toml", "again.csv", "--sigma", "given", "--json").data
-    for with_prior, without in zip(found[0]["parameters"], alone["parameters"], strict=True):
-        assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same plan, twice
-    alias = folder.armcal("identify", "--library-prior", "arm.toml", "data.csv", "--missing", "backlash", "--json").data
-    assert alias == flag
     assert flag["offered"]["better"] is False  # no effect is there, and four more can only harm
-    both = folder.armcal(*named, "--prior", "--missing", "backlash").data
-    assert both["prior"]["parameters"] == 4
-    assert both["prior_from"]["anew"] == []
-    assert "found no covariance" in folder.armcal(*last[:-1], "arm.toml").err
+    assert folder.said("identify --library-prior arm.toml data.csv --missing backlash") == flag
+    folder.simulated("again.csv", seed=1)
+    again = "arm.toml again.csv --sigma given"
+    last = f"identify {again} --prior calibrated.toml"
+    named = f"identify {again} --prior-from calibrated.toml"
+    found = folder.said(named)
+    assert found == folder.said(last) == folder.said(f"identify --prior=calibrated.toml {again}")
+    assert found["prior_from"]["file"] == "calibrated.toml"
+    assert len(found["prior_from"]["parameters"]) == 8
+    assert found["prior_from"]["contradicted"] == []
+    alone = folder.said(f"identify {again}")
+    for with_prior, without in zip(found["parameters"], alone["parameters"], strict=True):
+        assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same plan, twice
+    both = folder.said(f"{named} --prior --missing backlash".replace("--sigma given", ""))
+    assert (both["prior"]["parameters"], both["prior_from"]["anew"]) == (4, [])
+    assert "found no covariance" in folder.armcal(last.replace("calibrated", "arm")).err
 
 
 def test_rows_that_the_prior_comes_from_do_not_count_twice(folder: Folder) -> None:
@@ -191,56 +250,38 @@ def test_rows_that_the_prior_comes_from_do_not_count_twice(folder: Folder) -> No
     a calibration of an earlier version knows only its file."""
     folder.simulated()
     folder.simulated("again.csv", seed=1)
-    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
-    head, *rows = folder.read("data.csv").splitlines()
-    others = folder.read("again.csv").splitlines()[1:]
-    mixed = [rows[k] for k in np.random.default_rng(3).permutation(len(rows))]
-    files = {
-        "data.csv": [head, *rows],
-        "mixed.csv": [head, *mixed],
-        "some.csv": [head, *mixed[:5]],
-        "more.csv": [head, *others, *mixed],
-    }
-    for name, lines in files.items():
-        folder.write(name, "\n".join(lines) + "\n")
-        done = folder.armcal("identify", "arm.toml", name, "--prior-from", "calibrated.toml", "--out", "twice.toml")
-        assert (done.code, done.out, done.err.count("\n")) == (2, "", 1), name
-        assert "calibrated.toml: prior: " in done.err
-        assert "count twice, allowed: new measurements" in done.err
-    words = ["identify", "arm.toml", "again.csv", "--prior-from", "calibrated.toml"]
-    assert folder.armcal(*words, "--out", "both.toml").err == ""
-    for name in ("some.csv", "data.csv", "again.csv"):
-        assert folder.armcal("identify", "arm.toml", name, "--prior-from", "both.toml").code == 2
-    folder.write("few.csv", "\n".join([head, *others, *mixed[:2]]) + "\n")
-    few = folder.armcal("identify", "arm.toml", "few.csv", "--prior-from", "calibrated.toml")
+    folder.said(f"{IDENTIFY} --out calibrated.toml")
+    mixed = np.random.default_rng(3).permutation(12).tolist()
+    some(folder, mixed=mixed, some=mixed[:5])
+    others = folder.read("again.csv")
+    for name, rows in (("more", mixed), ("few", mixed[:2])):
+        lines = folder.read("data.csv").splitlines()[1:]
+        folder.write(f"{name}.csv", others + "".join(f"{lines[k]}\n" for k in rows))
+    for name in ("data", "mixed", "some", "more"):
+        line = f"identify arm.toml {name}.csv --prior-from calibrated.toml --out twice.toml"
+        folder.refused(line, "calibrated.toml: prior: ", "count twice, allowed: new measurements")
+    assert folder.armcal("identify arm.toml again.csv --prior-from calibrated.toml --out both.toml").err == ""
+    for name in ("some", "data", "again"):
+        folder.refused(f"identify arm.toml {name}.csv --prior-from both.toml")
+    few = folder.armcal("identify arm.toml few.csv --prior-from calibrated.toml")
     assert (few.code, "about 14 % of these rows (17 % of the calibration's own)" in few.err) == (0, True)
-    old = re.sub(r"digests_of_rows = .*\n", "", folder.read("calibrated.toml"))
-    folder.write("old.toml", old)
-    words = ["identify", "arm.toml", "data.csv", "--prior-from", "old.toml"]
-    assert folder.armcal(*words).code == 2
-    unknown = folder.armcal(*[word.replace("data", "again") for word in words])
+    folder.write("old.toml", re.sub(r"digests_of_rows = .*\n", "", folder.read("calibrated.toml")))
+    folder.refused("identify arm.toml data.csv --prior-from old.toml")
+    unknown = folder.armcal("identify arm.toml again.csv --prior-from old.toml")
     assert (unknown.code, "does not say which rows it comes from" in unknown.err) == (0, True)
 
 
 def test_lost_beams_are_named_and_left_out(folder: Folder) -> None:
     """The same as without their lines; rows keep their numbers."""
-    postures = np.random.default_rng(4).uniform(-90.0, 60.0, (24, 4))
-    rows = [f"{k},{','.join(f'{q:.3f}' for q in row)}" for k, row in enumerate(postures, start=1)]
-    heading = ",".join(["run", *(f"q{j}_deg" for j in range(1, 5))])
-    folder.write("plan.csv", "\n".join([heading, *rows]) + "\n")
+    folder.plan(24, 4)
     folder.simulated()
-    lines = (folder.path / "data.csv").read_text().splitlines()
-    head, far = lines[0].split(","), lines.copy()
-    for number in (3, 8):
-        cells = lines[number].split(",")
-        cells[head.index("x_mm")] = f"{float(cells[head.index('x_mm')]) + 7.0:.4f}"
-        far[number] = ",".join(cells)
-    folder.write("far.csv", "\n".join(far) + "\n")
-    folder.write("without.csv", "\n".join(line for k, line in enumerate(lines) if k not in (3, 8)) + "\n")
-    said = folder.armcal("identify", "arm.toml", "far.csv", "--json").data
+    number = pl.int_range(1, 25)
+    far = pl.when(number.is_in([3, 8])).then(pl.col("x_mm") + 7.0).otherwise(pl.col("x_mm"))
+    pl.read_csv(folder.path / "data.csv").with_columns(x_mm=far).write_csv(folder.path / "far.csv")
+    some(folder, without=[k for k in range(24) if k + 1 not in (3, 8)])
+    said = folder.said("identify arm.toml far.csv")
     assert said["outlier_rows"] == [3, 8]
-    left = folder.armcal("identify", "arm.toml", "far.csv", "--without-outliers", "--json").data
-    expected = folder.armcal("identify", "arm.toml", "without.csv", "--without-outliers", "--json").data
+    left, expected = (folder.said(f"identify arm.toml {name}.csv --without-outliers") for name in ("far", "without"))
     assert (left.pop("left_out"), expected.pop("left_out")) == ([3, 8], [])
     assert left["parameters"] == expected["parameters"]
     before = ("rms_drawing_mm", "cross_validated_mm")  # of the same rows as what is left after the fit

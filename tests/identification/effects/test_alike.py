@@ -13,7 +13,7 @@ from identification.arrays import readonly
 from identification.errors import InputError
 from identification.estimation import estimate
 from identification.files.arm import dump_arm, load_arm, with_calibration, with_effects
-from identification.gap.hypotheses import hypotheses
+from identification.gap.blocks import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 

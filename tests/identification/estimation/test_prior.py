@@ -17,14 +17,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
-from identification.estimation.problem import (
-    WIDTHS,
-    ZERO_WIDTHS,
-    Prior,
-    Problem,
-    likeliest,
-    likeliest_noise,
-)
+from identification.estimation.problem import WIDTHS, ZERO_WIDTHS, Prior, Problem, likeliest, likeliest_noise
 from identification.gap.library_prior import library_prior
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements

@@ -1,4 +1,5 @@
-"""The averaged model against draws from the posterior, in which every explanation is a dense regression of all rows."""
+"""The averaged model against draws from the posterior, in which every explanation is a dense regression of all rows;
+and names of curves."""
 
 from __future__ import annotations
 
@@ -10,11 +11,11 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.gap.average import _to_parameters, averaged, beside_known
+from identification.gap.average import Wave, _to_parameters, averaged, beside_known, shape_and_waves
+from identification.gap.blocks import hypotheses
 from identification.gap.fit import Rows
-from identification.gap.hypotheses import hypotheses
 from identification.gap.likelihood import SIZES, Key
-from identification.gap.posterior import Explanation, Posterior, posterior_of
+from identification.gap.search import Explanation, Posterior, posterior_of
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -106,3 +107,55 @@ def test_rounding_in_what_hardly_varies_is_not_amplified() -> None:
     expected = few[:3, :3] - few[:3, 3:] @ np.linalg.inv(few[3:, 3:]) @ few[3:, :3]
     np.testing.assert_allclose(beside_known(covariance, kept, known) / scale, expected, rtol=1e-6)
     np.testing.assert_array_equal(beside_known(covariance, kept, known[:0]), covariance[:3, :3])
+
+
+# -- names of curves ---------------------------------------------------------------------------------------------------
+ANGLES = np.linspace(-np.pi, np.pi, 361)
+STD = np.full(361, 1e-5)
+
+
+def radians(wave: Wave) -> tuple[float, float]:
+    """Amplitude and phase."""
+    return float(np.radians(wave.amplitude_deg)), float(np.radians(wave.phase_deg))
+
+
+def test_waves_with_amplitude_and_phase() -> None:
+    error = 3e-4 * np.cos(17.0 * ANGLES - 0.7) + 1e-4 * np.cos(3.0 * ANGLES + 2.0) + 5e-4
+    text, (first, second) = shape_and_waves(ANGLES, error, STD)
+    assert (first.order, second.order) == (17.0, 3.0)
+    assert radians(first) == pytest.approx((3e-4, 0.7))
+    assert radians(second) == pytest.approx((1e-4, -2.0))
+    assert first.share == pytest.approx(0.9, abs=0.01)
+    assert text.startswith("waves: 17 (16.5 to 17.5) per turn, 0.017 deg; 3 (")
+
+
+def test_a_narrow_range_says_which_orders_fit() -> None:
+    q = np.radians(np.linspace(0.0, 60.0, 121))
+    _, (wave,) = shape_and_waves(q, 1e-4 * np.sin(21.0 * q), STD[:121])
+    assert wave.order == 21.0
+    assert wave.orders == pytest.approx((18.0, 24.0))
+
+
+BUMP = 1e-4 * np.exp(-0.5 * (ANGLES / 0.1) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("error", "shape"),
+    [
+        (1e-4 * (np.mod(5.0 * ANGLES / (2.0 * np.pi) + 0.1, 1.0) - 0.5), "sawtooth, 5 per turn, over -180 to 180 deg"),
+        (np.where(np.radians(40.5) < ANGLES, 2e-4, -2e-4), "step of 0.023 deg at 40 deg over -180 to 180 deg"),
+        (np.zeros(361), "smooth curve over -180 to 180 deg"),
+        (BUMP, "in part waves: "),
+    ],
+)
+def test_shapes_with_a_name_and_without(error: np.ndarray, shape: str) -> None:
+    text, waves = shape_and_waves(ANGLES, error, STD)
+    assert text.startswith(shape)
+    assert bool(waves) == bool(error.any())
+
+
+def test_angles_without_data_do_not_count() -> None:
+    """Where the curve is not known it is zero, with a wide band."""
+    error = np.where(ANGLES > 0.0, 3e-4 * np.cos(17.0 * ANGLES), 0.0)
+    std = np.where(ANGLES > 0.0, 1e-5, 1e-2)
+    assert radians(shape_and_waves(ANGLES, error, std)[1][0])[0] == pytest.approx(3e-4, rel=0.02)

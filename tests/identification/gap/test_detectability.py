@@ -10,10 +10,9 @@ from scipy import stats
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.documents.diagnosis import findings
 from identification.errors import InputError
-from identification.gap.blocks import linearized
+from identification.gap.blocks import hypotheses, linearized
 from identification.gap.detectability import NEAR, assess, detectability, detectable_lambda, order_ranges
 from identification.gap.fit import At, Rows, fit
-from identification.gap.hypotheses import hypotheses
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 

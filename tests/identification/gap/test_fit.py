@@ -1,15 +1,24 @@
-"""Bounded, weighted, tied least squares against scipy."""
+"""Bounded, weighted least squares against scipy, rows made white, and the same numbers as `estimate` states."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from functools import partialmethod
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
 from identification.arm import Arm, EffectSpec, Gravity
+from identification.estimation import Identification, estimate
+from identification.estimation.problem import Problem
+from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows, fit
+from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
+from tests.identification.estimation.cases import arm, data, plan
+from tests.identification.gap.test_diagnose import ARM, diagnosed, measured
 
 GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([8.0, 5.0, 3.0]), np.full(3, 0.5), 6.0)
 
@@ -52,3 +61,124 @@ def test_rank_counts_only_what_the_data_determine() -> None:
     found = fit(model, rows)
     assert found.rank == 2
     assert found.freedom == 28
+
+
+DRAWN = np.random.default_rng(8)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_covariance_of_every_row_and_a_memory_become_white(d: int) -> None:
+    """Rows e_i = S_i a_i with a_i = rho a_(i-1) + sqrt(1 - rho^2) new have covariance S_i rho^|i-k| S_k.
+
+    For one memory of all rows the whitener undoes the spreads first, then the memory: L C L^T = I.
+    """
+    m, rho = 6, 0.6
+    half = DRAWN.normal(size=(m, d, d))
+    spread = half @ half.transpose(0, 2, 1) + np.eye(d)
+    measured = Measurements(DRAWN.uniform(-1, 1, (m, 2)), DRAWN.normal(size=(m, d)))
+    rows = replace(Rows.of(measured), spread=spread, correlation=rho)
+    assert rows.dimension == d
+    blocks = np.zeros((m * d, m * d))
+    for i in range(m):
+        blocks[i * d : (i + 1) * d, i * d : (i + 1) * d] = spread[i]
+    memory = rho ** np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
+    covariance = blocks @ np.kron(memory, np.eye(d)) @ blocks
+    whitener = rows.whiten(np.eye(m * d).reshape(m, d, m * d))
+    np.testing.assert_allclose(whitener @ covariance @ whitener.T, np.eye(m * d), atol=1e-10)
+    assert rows.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-12)
+
+
+def test_a_sigma_per_row_is_a_relative_weight() -> None:
+    measured = Measurements(np.zeros((3, 1)), np.arange(9.0).reshape(3, 3), sigma=[1.0, 2.0, 4.0])
+    rows = Rows.of(measured)
+    np.testing.assert_allclose(rows.whiten(rows.positions).reshape(3, 3), rows.positions / [[0.5], [1.0], [2.0]])
+    assert rows.log_determinant == pytest.approx(0.0, abs=1e-12)  # the geometric mean of the weights is one
+
+
+# -- the same numbers for the same model and rows ----------------------------------------------------------------------
+# Both end where no column of the Jacobian has a cosine above 1e-9 with the residuals: within 1e-9 sqrt(N) of a standard
+# deviation of each other. Figures that do not depend on the estimates in first order agree to rounding.
+DEVIATIONS = 1e-7
+SAME = {"rel": 1e-9}
+
+
+def compared(found: Diagnosis, other: Identification, auto: Identification) -> None:
+    """Everything that both state;  auto : with the intervals that `identify` gives without --sigma."""
+    calibration = found.named.calibration
+    assert calibration.parameter_names == other.names
+    values = other.model.parameters.vector(dict(calibration.values))
+    np.testing.assert_allclose((values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
+    correlations = auto.covariance / np.outer(auto.std, auto.std)
+    np.testing.assert_allclose(calibration.covariance / np.outer(auto.std, auto.std), correlations, atol=1e-7)
+    assert found.sigma == pytest.approx(other.sigma, **SAME)
+    rows = {row["name"]: row for row in auto.to_json()["parameters"]}
+    assert found.named.intervals == auto.uncertainty.kind
+    for shown in found.named.parameters:
+        row = rows[shown.name]
+        for key in ("value", "low_95", "high_95"):
+            assert abs(getattr(shown, key) - row[key]) <= DEVIATIONS * row["std"]
+        assert shown.std == pytest.approx(row["std"], rel=1e-7)
+        assert shown.unit == row["unit"]
+
+
+def test_nothing_missing() -> None:
+    found, model = diagnosed(None), Model(ARM)
+    other = estimate(model, measured(None), sigma="estimated")
+    assert found.verdict == "none"
+    assert found.outlier_rows == ()
+    assert found.scatter == ()
+    compared(found, other, estimate(model, measured(None)))
+    assert found.gap.rms_before == pytest.approx(other.rms_after, **SAME)
+    assert found.detectability.freedom == other.dof
+
+
+@pytest.mark.parametrize("name", ["encoder_eccentricity", "backlash", "link_bending", "transmission_ripple"])
+def test_one_effect_named(name: str) -> None:
+    found = diagnosed(name)
+    assert found.outlier_rows == ()
+    assert found.scatter == ()
+    without = replace(found.extended_arm(found.named), calibration=None)
+    other = estimate(Model(without), measured(name), sigma="estimated")
+    compared(found, other, estimate(Model(without), measured(name)))
+    # and from the calibration that the extended arm carries
+    again = estimate(Model(found.extended_arm(found.named)), measured(name), sigma="estimated")
+    compared(found, again, estimate(Model(found.extended_arm(found.named)), measured(name)))
+    assert again.rms_before == pytest.approx(again.rms_after, **SAME)
+
+
+def test_sigma_per_row_is_a_relative_weight() -> None:
+    """Weights 1 / relative sigma^2, relative to the geometric mean, and one scale estimated from the residuals."""
+    sigma = np.random.default_rng(3).uniform(0.05, 0.3, 40)
+    rows = replace(data(Model(arm()), plan(40)), sigma=sigma)
+    relative = sigma / np.exp(np.mean(np.log(sigma)))
+    other = estimate(Model(arm()), rows, sigma="estimated", weights=relative**-2.0)
+    found = fit(Model(arm()), Rows.of(rows))
+    np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
+    assert (found.sigma, found.freedom) == (pytest.approx(other.sigma, **SAME), other.dof)
+    deviations = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(deviations, other.std, rtol=1e-7)
+
+
+def test_an_active_bound() -> None:
+    """Links that rise under their load: the flexibility ends at its bound, in both with the interval behind it."""
+    model = Model(arm(EffectSpec("link_bending")))
+    true = np.zeros(9)
+    true[-1] = -2e-5
+    exact = model.position(plan(40), true)
+    noise = 0.1 * np.random.default_rng(8).standard_normal(exact.shape)
+    rows = Measurements(plan(40), exact + noise)
+    other = estimate(model, rows, sigma="estimated")
+    found = fit(model, Rows.of(rows))
+    assert other.parameters[-1] == found.values[-1] == 0.0
+    np.testing.assert_array_equal(found.free, np.r_[np.ones(8, dtype=bool), False])
+    np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
+    without = replace(found, free=np.ones(9, dtype=bool)).covariance
+    np.testing.assert_allclose(np.sqrt(np.diag(without)), other.std, rtol=1e-7)
+    assert np.all(found.covariance[-1] == 0.0)
+
+
+def test_a_fit_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not any("did not converge" in note for note in diagnosed(None).notes)
+    monkeypatch.setattr(Problem, "minimized", partialmethod(Problem.minimized, iterations=0))
+    found = diagnose(ARM, measured(None))
+    assert any("did not converge: " in note for note in found.notes)

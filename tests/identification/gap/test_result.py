@@ -1,4 +1,4 @@
-"""What each effect alone is worth beside the base model."""
+"""The verdict follows from the probabilities, whatever they are; what each effect alone is worth."""
 
 from __future__ import annotations
 
@@ -7,17 +7,116 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doe.studies.blind.study import contradictions
 from identification.arm import Arm, EffectSpec
+from identification.documents.diagnosis import likely as likely_in_words
+from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.diagnose import diagnose
-from identification.gap.result import Trial
+from identification.gap.result import Candidate, Diagnosis, Probabilities, Trial
+from identification.gap.search import CREDIBLE, MOST
 from identification.measurements import Measurements
 from identification.model import Model
+from tests.identification.gap.test_diagnose import diagnosed
 
-ARM = Arm([300.0, 200.0, 150.0], sigma=0.05)
+
+def drawn(rng: np.random.Generator) -> Probabilities:
+    """Random probabilities of up to 30 explanations, of any sharpness."""
+    count = int(rng.integers(0, 12))
+    shares = rng.dirichlet(np.full(count + 3, 10.0 ** rng.uniform(-2.0, 1.0)))
+    names = [
+        tuple(sorted(f"effect:{j}" for j in rng.choice(9, rng.integers(1, 4), replace=False))) for _ in range(count)
+    ]
+    sets: dict[tuple[str, ...], float] = {}
+    for name, p in zip(names, shares[3:], strict=True):
+        sets[name] = sets.get(name, 0.0) + float(p)
+    places = {"joint:1": float(shares[1]), "time": float(shares[2])}
+    return Probabilities(float(shares[0]), sets, places, {}, float(shares[1] + shares[2]))
+
+
+def test_verdict_and_probabilities_never_contradict_each_other() -> None:
+    rng, seen = np.random.default_rng(1), set()
+    for _ in range(5000):
+        found = drawn(rng)
+        library = sum(found.sets.values())
+        totals = {"none": found.none, "unknown": found.outside, "library": library}
+        verdict = found.verdict
+        seen.add(verdict)
+        said = {"named": "library", "ambiguous": "library"}.get(verdict, verdict)
+        assert totals[said] >= max(totals.values()) - 1e-9  # wrong least often
+        if said == "library":
+            best = found.of(found.best)
+            assert (verdict == "named") == (best >= 0.5)
+            assert best == max(found.sets.values())
+            rivals = found.rivals
+            assert rivals[0] == found.best
+            assert verdict == "named" or len(rivals) >= 2 or len(found.sets) == 1
+            assert all(found.of(names) >= best * LEVEL for names in rivals[2:])
+            assert len(rivals) <= MOST
+        else:
+            assert found.rivals == []
+        if verdict == "unknown":
+            assert found.places[found.place or ""] == max(found.places.values())
+        shares = list(found.credible.values())
+        assert shares == sorted(shares, reverse=True)
+        assert sum(shares) + 0.5 * max(shares) >= min(CREDIBLE, 1.0 - 1e-9)
+    assert seen == {"none", "named", "ambiguous", "unknown"}
+
+
+@pytest.mark.parametrize("p", [1e-3, 1e-9, 0.0])
+def test_where_the_noise_cannot_be_all_nothing_missing_is_not_said(p: float) -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(500):
+        found = drawn(rng)
+        guarded = found.not_none(p)
+        assert guarded.none == pytest.approx(p * found.none)
+        assert guarded.none + guarded.outside + sum(guarded.sets.values()) == pytest.approx(1.0)
+        assert guarded.verdict != "none" or found.none == 0.0
+
+
+def diagnosis_with(found: Diagnosis, likely: Probabilities) -> Diagnosis:
+    """A diagnosis with other probabilities, and the candidates that follow from them."""
+
+    def candidate(names: tuple[str, ...]) -> Candidate:
+        specs = tuple(EffectSpec(key.partition(":")[0], int(key.partition(":")[2])) for key in names)
+        p = likely.of(names) if likely.verdict != "unknown" else None
+        return replace(found.named, effects=names, specs=specs, probability=p, parameters=())
+
+    candidates = tuple(candidate(names) for names in likely.rivals)
+    named = candidates[0] if candidates else candidate(())
+    place = likely.place if likely.verdict == "unknown" else None
+    said = {"verdict": likely.verdict, "candidates": candidates, "named": named, "where": place}
+    return replace(found, probabilities=likely, predicting=named, shapes=(), curves=(), **said)
+
+
+def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
+    """The JSON keys by the rules of the blind study; the sentences by the words of the verdicts."""
+    rng, plain = np.random.default_rng(3), diagnosed(None)
+    opening = {"none": "Nothing", "named": "Missing", "ambiguous": "", "unknown": "Something that the library"}
+    for _ in range(1000):
+        likely = drawn(rng)
+        likely = likely.not_none(1e-6) if rng.random() < 0.2 else likely
+        found = diagnosis_with(plain, likely)
+        said = found.to_json()
+        assert contradictions(said) == []
+        told = said["sentence"].removeprefix("Not confirmed on rows that no fit has seen. ")
+        assert told.startswith(opening[found.verdict])
+        assert set(said["credible_set"]) <= {"none", "unknown", *(" + ".join(n) for n in likely.sets)}
+        shown = [c for c in found.candidates if c.probability is not None]
+        assert all(said["probabilities"][c.title] == c.probability for c in shown)
+        if found.verdict == "ambiguous":
+            count = len(found.candidates)
+            assert count >= 2 or "less likely than not" in told
+            assert count == 1 or f"{count} explanations" in told
+        line = likely_in_words(said)
+        for title, p in found.probability.items():
+            assert p < 0.005 or f"{title} {p:.2f}" in line
+
+
+PLAIN = Arm([300.0, 200.0, 150.0], sigma=0.05)
 
 
 def backlash(data: Measurements) -> Trial:
-    found = diagnose(ARM, data)
+    found = diagnose(PLAIN, data)
     (one,) = (trial for trial in found.trials if trial.effect == "backlash:2")
     assert [c.delta_bic for c in found.candidates[:1]] == [0.0]
     assert "-0.0" not in str(found).split()
@@ -27,7 +126,7 @@ def backlash(data: Measurements) -> Trial:
 def test_a_row_that_is_left_out_is_not_in_the_trials() -> None:
     """One row that is 3 mm off would drown what every effect gains alone."""
     rng = np.random.default_rng(3)
-    model, q = Model(ARM.with_effects(EffectSpec("backlash", 2))), rng.uniform(-2.5, 2.5, (60, 3))
+    model, q = Model(PLAIN.with_effects(EffectSpec("backlash", 2))), rng.uniform(-2.5, 2.5, (60, 3))
     bare = Measurements(q, np.zeros((60, 2)), np.arange(60.0))
     exact = model.position(q, model.parameters.vector({"backlash:2.b": 6e-4}), bare.conditions)
     data = replace(bare, positions=exact + 0.05 * rng.standard_normal((60, 2)))

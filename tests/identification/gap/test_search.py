@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations, product
 from random import Random
 
@@ -15,6 +16,7 @@ from scipy.stats import norm
 
 from identification.arrays import Array
 from identification.gap import search as search_module
+from identification.gap.blocks import Block
 from identification.gap.likelihood import SIZES, Products
 from identification.gap.search import (
     REST_ODDS,
@@ -33,8 +35,8 @@ WIDTHS = (1, 2, 1, 1, 2, 1, 1, 3)
 COUNT = len(WIDTHS)
 STARTS = np.concatenate([[0], np.cumsum(WIDTHS)])
 WEIGHTS = np.array([1.0, 0.5, 1.0, 0.2, 0.5, 1.0, 0.0, 1.0])
-ROWS = np.arange(COUNT) == 6
-REST = frozenset({7})
+BLOCKS = [Block(f"{k}", "row:0" if k == 6 else "time", weight) for k, weight in enumerate(WEIGHTS.tolist())]
+BLOCKS[7] = replace(BLOCKS[7], parts=tuple(BLOCKS[:2]))
 SIZES_OF_EACH = 2
 
 
@@ -98,16 +100,16 @@ def variation(search: Search, sets: list[Weighed]) -> float:
     ("seed", "sizes"), [(1, {}), (2, {0: 8.0}), (3, {0: 10.0, 6: -9.0}), (4, {1: 6.0, 3: 7.0, 8: 9.0})]
 )
 def test_a_walk_finds_the_probabilities_of_all_sets(seed: int, sizes: dict[int, float]) -> None:
-    search = Search(products(seed, sizes), WEIGHTS, ROWS, REST)
+    search = Search(products(seed, sizes), BLOCKS)
     sets = search.walk(search.climb(), np.random.default_rng(seed))[0]
     assert variation(search, sets) < 0.05
 
 
 def test_a_walk_keeps_to_what_may_be_together() -> None:
     """Blocks 0 and 2 are one, 5 shows through 1 only."""
-    three = products(5, {0: 10.0, 1: 12.0, 7: 12.0})
-    limits = {"apart": frozenset({(0, 2)}), "needy": frozenset({5}), "givers": frozenset({1})}
-    search = Search(three, WEIGHTS, ROWS, REST, **limits)
+    these = products(5, {0: 10.0, 1: 12.0, 7: 12.0})
+    search = Search(these, BLOCKS)
+    search.apart, search.needy, search.givers = {(0, 2)}, {5}, {1}
     sets = search.walk(search.climb(), np.random.default_rng(1))[0]
     assert not any({0, 2} <= set(blocks_of(one)) for one in sets)
     assert any(5 in blocks_of(one) for one in sets)
@@ -117,13 +119,11 @@ def test_a_walk_keeps_to_what_may_be_together() -> None:
 
 def test_a_walk_among_the_near_blocks_has_the_same_odds() -> None:
     """Blocks that are left out take their weight along, and all sets with them are unlikely together."""
-    search = Search(products(3, {0: 25.0, 6: -25.0}), WEIGHTS, ROWS, REST)
+    search = Search(products(3, {0: 25.0, 6: -25.0}), BLOCKS)
     near = search.near(search.climb())
     absent = [p for blocks, p in exact(search).items() if not set(blocks) <= set(near)]
     assert sum(absent) < 0.05
-    few = Search(
-        search.products.of_blocks(near), WEIGHTS[near], ROWS[near], total=float(WEIGHTS[~ROWS].sum() - WEIGHTS[7])
-    )
+    few = Search(search.products.of_blocks(near), [BLOCKS[b] for b in near], search.total)
     single = near.index(0)
     assert few.log_prior((single,)) == pytest.approx(search.log_prior((0,)))
 
@@ -134,7 +134,7 @@ def test_the_prior_is_that_of_drawing_blocks() -> None:
     beyond = 1.0 / zeta(TAIL) * zeta(TAIL, 150)
     assert counts.sum() + beyond == pytest.approx(1.0, rel=1e-10)
     assert counts[2] / counts[1] == pytest.approx(2.0**-TAIL)
-    search = Search(products(1, {}), WEIGHTS, ROWS, REST)
+    search = Search(products(1, {}), BLOCKS)
     chances = WEIGHTS[:6] / WEIGHTS[:6].sum()
     one = [search.log_prior((b,)) for b in range(6)]
     np.testing.assert_allclose(np.exp(one), counts[1] * chances)
@@ -162,8 +162,8 @@ def test_two_blocks_that_hide_each_other_are_found() -> None:
     z = rng.normal(size=(60, 12)) / np.sqrt(60.0)
     z[:, 1] = -0.97 * z[:, 0] + 0.24 * z[:, 1]
     y = rng.normal(size=60) + 40.0 * (z[:, 0] + z[:, 1])
-    hidden = products_of(z, y, 56, np.arange(13), np.zeros(12, dtype=bool), np.full(12, len(SIZES)))
-    search = Search(hidden, np.ones(12), np.zeros(12, dtype=bool))
+    these = products_of(z, y, 56, np.arange(13), np.zeros(12, dtype=bool), np.full(12, len(SIZES)))
+    search = Search(these, [Block(f"{k}", "time", 1.0) for k in range(12)])
     assert search.climb().blocks == (0, 1)
     assert blocks_of(search.walk(search.climb(), np.random.default_rng(1))[0][0]) == (0, 1)
 
@@ -172,6 +172,6 @@ def test_the_climb_ends_where_rows_are_fitted_exactly() -> None:
     """Without noise every further block makes what is left smaller, in the ratio of rounding."""
     rng = np.random.default_rng(7)
     z = rng.normal(size=(12, 40)) / np.sqrt(12.0)
-    hidden = products_of(z, z[:, :3] @ [40.0, -30.0, 20.0], 9, np.arange(41), np.zeros(40, dtype=bool), np.full(40, 14))
-    search = Search(hidden, np.ones(40), np.zeros(40, dtype=bool))
+    these = products_of(z, z[:, :3] @ [40.0, -30.0, 20.0], 9, np.arange(41), np.zeros(40, dtype=bool), np.full(40, 14))
+    search = Search(these, [Block(f"{k}", "time", 1.0) for k in range(40)])
     assert len(search.climb().blocks) <= 9

@@ -1,4 +1,5 @@
-"""Columns of effects at any place, with settings or not, against differences of models that have the effect."""
+"""The dictionary: its effects and their weights; and columns, a user's own effects among them, against differences of
+models that have the effect."""
 
 from __future__ import annotations
 
@@ -17,9 +18,9 @@ from identification.effects import base, build, library
 from identification.effects.chain import widths
 from identification.errors import InputError
 from identification.files.arm import load_arm, with_effects
+from identification.gap.blocks import Library, _slopes, hypotheses
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import At, Rows
-from identification.gap.hypotheses import _slopes, hypotheses
 from identification.kinematics.chain import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
@@ -126,14 +127,25 @@ def rows() -> Rows:
     return Rows.of(Measurements(POSTURES, np.zeros((40, 2)), temperature=np.linspace(15.0, 25.0, 40)))
 
 
-def test_columns_of_a_users_own_effects_are_derivatives() -> None:
+def known() -> Library:
+    return hypotheses(ARM, frozenset({"temperature"}), rows())
+
+
+LABELS = [
+    *("transmission_ripple:2[k=7]", "transmission_ripple:3[k=64]", "joint_compliance:2", "joint_compliance"),
+    *("joint_coupling:3", "backlash:1", "thermal_growth", "axes_skew", "base_rotation_drift"),
+    *("breathing[rate=3.5]", "settling", "series:2[terms=3]", "lag:2"),
+]
+
+
+def test_columns_are_derivatives_by_the_effects_parameters() -> None:
     """Central differences of models with the effect, at the base model's values and, of a parameter that cannot be
     zero, at its neutral value; steps that move the tip by a hundredth of a mm err by 1e-9 of the column."""
-    known = hypotheses(ARM, frozenset({"temperature"}), rows())
-    found = known.columns(At(known.base, known.base.parameters.vector(BASE), rows()))
-    tried = [(h.spec, c) for h, c in zip(known.members, found, strict=True) if h.spec and h.spec.name in NAMES]
-    assert {spec.name for spec, _ in tried} == set(NAMES)
-    for spec, columns in tried[:4] + tried[-12:]:
+    library = known()
+    found = library.columns(At(library.base, library.base.parameters.vector(BASE), rows()))
+    of = {b.label: (b.spec, c) for b, c in zip(library.members, found, strict=True) if b.spec is not None}
+    jumps = [label for label in of if label.startswith("link_jump:3")]
+    for spec, columns in (of[label] for label in (*LABELS, *jumps[:2])):
         model = Model(ARM.with_effects(*ARM.effects, spec))
         start = model.parameters.vector(BASE)
         for k, parameter in enumerate(model.effects[-1].parameters):
@@ -143,17 +155,38 @@ def test_columns_of_a_users_own_effects_are_derivatives() -> None:
             np.testing.assert_allclose(columns[:, :, k], expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
 
+def test_every_effect_at_every_joint_but_those_of_the_arm() -> None:
+    labels = [b.label for b in known().members]
+    assert len(set(labels)) == len(labels)
+    assert "encoder_eccentricity:1" not in labels
+    assert known().skipped["encoder_eccentricity:1"] == "already in the arm's model"
+    assert {"encoder_eccentricity:2", "encoder_eccentricity:3"} < set(labels)
+    assert set(NAMES) < {label.partition("[")[0].partition(":")[0] for label in labels}
+    assert "joint_coupling:1" not in labels  # there is no joint before the first
+    assert set(known().aliases) == {"measurement_scale", "tool_offset", "base_rotation"}
+    bare = hypotheses(Arm([300.0, 200.0, 150.0]), frozenset(), rows())
+    assert (bare.skipped["thermal_growth"], bare.skipped["link_bending"]) == ("needs temperature", "needs gravity")
+    assert "length_offset" not in bare.skipped  # nothing that these data lack: they are of another instrument
+
+
 def test_values_of_settings_and_their_weights() -> None:
-    known = hypotheses(ARM, frozenset(), rows())
-    every = [(h.weight, h.spec) for h in known.members if h.spec]
-    of = {name: [(weight, spec.values) for weight, spec in every if spec.name == name] for name in NAMES}
+    of: dict[str, list[tuple[float, dict[str, float]]]] = {}
+    for block in known().members:
+        if block.spec is not None:
+            of.setdefault(block.spec.name, []).append((block.weight, dict(block.spec.values)))
     assert [values["rate"] for _, values in of["breathing"]] == [1.5, 3.5, 7.25]
-    assert sum(weight for weight, _ in of["breathing"]) == pytest.approx(1.0)
     times = rows().conditions.time
     assert times is not None
     np.testing.assert_allclose([values["at"] for _, values in of["link_jump"]][:12], times[2:-2:3] + 1e-3, atol=1e-5)
-    assert sum(weight for weight, _ in of["link_jump"]) == pytest.approx(np.sqrt(3.0))  # a third of it for each joint
     assert [values["terms"] for _, values in of["series"]] == [2, 3] * 3
+    assert len(of["transmission_ripple"]) == 3 * (64 - 3 + 1)
+    # together as one effect of the whole arm, or as one at each of three joints
+    sums = {name: sum(weight for weight, _ in of[name]) for name in of}
+    assert (sums["breathing"], sums["base_drift"]) == (pytest.approx(1.0), 1.0)
+    assert (sums["link_jump"], sums["transmission_ripple"]) == (
+        pytest.approx(np.sqrt(3.0)),
+        pytest.approx(np.sqrt(3.0)),
+    )
 
 
 @pytest.mark.parametrize(
@@ -215,9 +248,9 @@ def test_library_holds_the_users_effects() -> None:
 
 def test_formulas_are_shared_by_arms_of_one_geometry() -> None:
     """A calibration, other limits and effects that are known change no slope: it is that of the nominal chain."""
-    known, made = hypotheses(ARM, frozenset(), rows()), []
+    made: list[int] = []
     for arm in (ARM, replace(ARM, lower=np.full(3, -1.0), sigma=0.3), replace(ARM, chain=1.1 * ARM.lengths)):
         at = At(Model(arm), Model(arm).values, rows())
-        assert replace(known, arm=arm).columns(at)[0].shape == (40, 2, known.members[0].size)
+        assert replace(known(), arm=arm).columns(at)[0].shape == (40, 2, known().members[0].size)
         made.append(_slopes.cache_info().misses)
     assert made[0] == made[1] < made[2]
