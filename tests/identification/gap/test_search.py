@@ -76,7 +76,7 @@ def exact(search: Search) -> dict[tuple[int, ...], float]:
         if np.isfinite(prior := search.log_prior(blocks)):
             ratios = []
             for sizes in product(range(SIZES_OF_EACH), repeat=len(blocks)):
-                alike = [size for b, size in zip(blocks, sizes, strict=True) if not ROWS[b] and b not in REST]
+                alike = [size for b, size in zip(blocks, sizes, strict=True) if search.counted[b]]
                 of_sizes = log_of_sizes(alike) - (len(blocks) - len(alike)) * np.log(SIZES_OF_EACH)
                 ratios.append(search.products.state(list(zip(blocks, sizes, strict=True))).ratio + of_sizes)
             odds[blocks] = prior + logsumexp(ratios)
