@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -339,6 +339,7 @@ def test_a_rounded_covariance_is_read(tmp_path: Path) -> None:
 
 
 @given(arms())
+@settings(max_examples=40)
 def test_round_trip(arm: Arm) -> None:
     same(arm, arm_from_tables(tomllib.loads(dump_arm(arm))))
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -261,6 +261,7 @@ def assert_same(again: Measurements, data: Measurements) -> None:
 
 
 @given(measured())
+@settings(max_examples=40)
 def test_files_and_frames_go_round(tmp_path_factory: pytest.TempPathFactory, data: Measurements) -> None:
     path, frame = tmp_path_factory.mktemp("data") / "data.csv", data.to_frame()
     path.write_text(measurement_text(data))
