@@ -28,8 +28,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.instruments.base import PLACE, Guide, Instrument, OwnValue, register_instrument
 from identification.instruments.search import Placement, Unplaced
-from identification.kinematics.frames import AXES
-from identification.kinematics.parameters import Parameter
+from identification.kinematics.parameters import AXES, Parameter, error_names
 
 STEPS = 4  # effort: of Newton's method for coordinates that follow from distances
 TOUCHES = 1e-6  # [mm] by which these are kept
@@ -51,6 +50,7 @@ class Socket(Instrument):
     target = "cup"
     own_targets = "cup"
     unsaid = -1.0
+    hides = frozenset(error_names(PLACE))
     guide = Guide(
         about="a ball at the tool, seated in cups that stand anywhere",
         table='kind = "socket"\n'
@@ -111,16 +111,10 @@ class Socket(Instrument):
             by_name = {name: float(slope) for name, slope in zip(names, row, strict=True) if slope}
             yield OwnValue(label, None, value, by_name, "mm", "center of the ball in the cup, in the frame of the base")
 
-    def hidden(self, base: Array) -> frozenset[str]:
-        return frozenset({*(f"base.{axis}" for axis in AXES), *(f"base.r{axis}" for axis in AXES)})
-
     @property
     def size_is_open(self) -> tuple[str, str]:
         known = self._pairs[0] if self.cups else self.distances  # between these cups, of all that are given
         return ("", "") if known else ("cups without a distance that is known", "give distances_mm between them")
-
-    def stands(self, base: Array) -> bool:
-        return bool(self.cups)
 
     def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
         """Of a cup nothing is known but its center."""
