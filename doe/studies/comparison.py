@@ -38,24 +38,18 @@ COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds", "peak_memor
 class Comparison:
     """What is compared: problems x solvers x settings x repeats.
 
-    arms : the arms;  runs : numbers of measurements m
     solvers : names as in `armcal design --solver`, or settings objects (see `doe.solvers.solver.Solver`) whose classes
         can be imported where the runs happen; names must be unique
-    starts : numbers of starts of one run, None: the solver's default
-    repeats : runs of each combination, each with a different seed
-    seconds : time limit of one run [s]: given to the solver, and enforced by killing the run
-    criteria : names as in `armcal design --criterion`, of those in `CRITERIA`
-    problems : name -> problem of another model, compared under each criterion like the arms
     """
 
     arms: Sequence[Arm]
-    runs: Sequence[int]
+    runs: Sequence[int]  # numbers of measurements m
     solvers: Sequence[str | Solver]
-    starts: Sequence[int | None] = (None,)
-    repeats: int = 5
-    seconds: float = 60.0
-    criteria: Sequence[str] = ("D",)
-    problems: Mapping[str, DesignProblem] = field(default_factory=dict)
+    starts: Sequence[int | None] = (None,)  # of one run, None: the solver's default
+    repeats: int = 5  # runs of each combination, each with a different seed
+    seconds: float = 60.0  # time limit of one run: given to the solver, and enforced by killing the run
+    criteria: Sequence[str] = ("D",)  # names as in `armcal design --criterion`, of those in `CRITERIA`
+    problems: Mapping[str, DesignProblem] = field(default_factory=dict)  # of other models, by name
 
     def __post_init__(self) -> None:
         for arm in self.arms:

@@ -448,12 +448,9 @@ PIECES: dict[str, tuple[Sequence[Any], Callable[[int, int, Any], pl.DataFrame]]]
 
 @dataclass(frozen=True)
 class PaperStudy:
-    """Everything of the paper, computed again.
+    """Everything of the paper, computed again."""
 
-    tables : by the names in `PIECES`
-    """
-
-    tables: dict[str, pl.DataFrame]
+    tables: dict[str, pl.DataFrame]  # by the names in `PIECES`
 
     @property
     def passed(self) -> bool:

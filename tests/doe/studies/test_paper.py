@@ -138,14 +138,9 @@ def test_figure_1_is_made_of_determinants() -> None:
 
 
 def test_d_star_does_not_see_s_for_an_odd_number_of_links() -> None:
+    """A plan that is best in D*, but not D-optimal: the erratum on eq. 20 to 23."""
     assert figure_1(plans=50, links=3)["det_s"].abs().max() < 1e-15  # type: ignore[operator]
-    # det C' = 1 and det S' = 0, the best D* there is, but not D-optimal: E exp(i q2) = i / 2
-    q = np.radians([[0.0, a, b] for a in (30.0, 150.0) for b in (0.0, 90.0, 180.0, 270.0)])
-    z = np.exp(1j * np.cumsum(q, axis=1))
-    h = z.conj().T @ z / len(q)
-    assert np.linalg.det(h.real) == pytest.approx(1.0)
-    assert np.linalg.det(h.imag) == pytest.approx(0.0, abs=1e-15)
-    assert np.linalg.det(h).real == pytest.approx(0.75)
+    assert errata(100, numbers=[7])["printed_error"][0] == pytest.approx(1.0 - 0.75**2)
 
 
 def test_figure_2_curves() -> None:
