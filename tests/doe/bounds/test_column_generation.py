@@ -328,7 +328,7 @@ def test_grid_with_the_limits_reaches_the_closed_form() -> None:
 def test_around_measured_postures() -> None:
     generator = np.random.default_rng(1)
     case = problem(FOUR, OFFSET, kept=generator.uniform(FOUR.lower, FOUR.upper, (6, 4)))
-    other, mine = (relax(case, 3, solver, runs=4) for solver in SOLVERS)
+    other, mine = (relax(case, 3, solver, runs=4) for solver in SOLVERS[1:])
     assert other.value == pytest.approx(mine.value, abs=1e-5)
     with pytest.raises(InputError, match="runs"):
         relax(case, 3, "clarabel")
