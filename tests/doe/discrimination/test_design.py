@@ -13,12 +13,12 @@ from doe.design import Design
 from doe.discrimination import design
 from doe.discrimination.design import (
     DiscriminationDesign,
+    EffectLibrary,
     Swaps,
     discrimination_design,
     has_repeats,
     initial_plans,
 )
-from doe.discrimination.misidentification import EffectLibrary
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report import design as report
