@@ -273,10 +273,10 @@ def test_an_effect_is_named_by_contacts_alone() -> None:
     """Joint 3 reads what an encoder off center does. A contact has no position, and none is asked for."""
     generator = np.random.default_rng(8)
     truth = Exponentials(generator)
-    q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 150, generator)
+    q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 90, generator)
     q[:, 2] += 8e-4 * np.cos(q[:, 2]) + 3e-4 * np.sin(q[:, 2])
     arm = Arm(replace(drawing(), instrument=Sphere(30.0)), sigma=0.01)
-    found = diagnose(arm, Measurements(q, 30.0 + 0.01 * generator.standard_normal((150, 1))))
+    found = diagnose(arm, Measurements(q, 30.0 + 0.01 * generator.standard_normal((90, 1))))
     assert found.named.effects == ("encoder_eccentricity:3",)
 
 
