@@ -1,21 +1,12 @@
-"""Plans that are (nearly) D-optimal AND can distinguish missing effects.
+"""Plans that are (nearly) D-optimal AND can distinguish missing effects (doe/README.md, "Misidentification").
 
-A D-optimal plan knows nothing of effects that are not in its model: under joint limits its angles sit on two levels,
-where cos q_j, cos 2 q_j and q_j are one and the same column, and on any plan the sag of a link looks much like that of
-a joint. Starting from the best plan (or one from theory that is as good), moved off the limits, runs are swapped for
-postures that lower the probability of a wrong name, at the cost of as much D-efficiency as is allowed. The order of
-measurement matters to backlash and drift only: the best of many shuffles is kept.
-
-*Wrong names.* Two effects are distinguished by what the base model and one of them leave of the other. With d the
-length of that in standard deviations of the measurement, the likelihood ratio of the two, sizes known, names the wrong
-one with probability Phi(-d / 2), and the sum over all rivals (one of them: nothing at all) bounds the probability of
-any wrong name. The squared length is a Schur complement, so everything follows from the information matrix M:
+Starting from the best plan (or one from theory that is as good), moved off the limits, runs are swapped for postures
+that lower the probability of a wrong name, at the cost of as much D-efficiency as is allowed. The order of measurement
+matters to backlash and drift only: the best of many shuffles is kept. The bound on that probability follows from the
+information matrix M alone: with b the base parameters, e those of all effects, v a combination of one effect's
+parameters, `LAMBDA` long on a random plan of as many runs, and B a basis of the rival's,
 
     d^2 = (v - w)^T S (v - w),   S = M_ee - M_eb M_bb^-1 M_be,   w = B (B^T S B)^-1 B^T S v
-
-with b the base parameters, e those of all effects, v a combination of one effect's parameters and B a basis of the
-rival's. v is scaled such that a random plan of as many runs shows it with a length of `LAMBDA`: effects much larger are
-distinguished by any plan, much smaller ones by none.
 
 *Swaps.* Runs are exchanged for postures of a pool: random ones of the design space and neighbors of the plan's own. The
 first derivative of the criterion says which swaps to try, the criterion itself which is best; near the least

@@ -1,16 +1,8 @@
-"""The next postures that distinguish the remaining explanations of a diagnosis.
+"""The next postures that distinguish the remaining explanations of a diagnosis (doe/README.md, "T-optimality").
 
-A criterion related to T-optimality (Atkinson & Fedorov 1975) for several rivals. Let delta be the difference between
-the new measurements predicted by i and by j, both fitted to the data at hand. If i is true and j is refitted to old and
-new data together, its residual sum of squares, in units of the noise variance, grows by (noise apart)
-
-    lambda_ij^2 = delta^T (sigma^2 I + J_j C_j J_j^T)^-1 delta
-
-with C_j the covariance of rival j's parameters from the data at hand, J_j its Jacobian at the new postures. Postures
-are added one at a time and then exchanged; C_j and what j has already given way to i are updated like a Kalman filter.
--2 log odds of j to i grow by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives an upper
-bound on the probability that the right candidate is the only one left within the window of the ambiguity set. All
-candidates may be wrong: the bound is multiplied by their probability together.
+Postures are added one at a time and then exchanged; the covariance of a rival's parameters and what it has already
+given way to the truth are updated like a Kalman filter. All candidates may be wrong: the bound on the probability that
+the right one is the only one left is multiplied by their probability together.
 """
 
 from __future__ import annotations

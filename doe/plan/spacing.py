@@ -1,8 +1,6 @@
 """Minimum distance between postures, spreading of joints that play no part, and the posture that adds most to a plan.
 
-Distances are the largest difference of a joint, in `DesignProblem.joint_units`. The information of m + 1 runs is that
-of m runs plus B^T B of the one added, which is positive semidefinite. So no criterion of the whole information, no
-standard deviation and no error of the tip can become worse by an addition (doe/README.md, "Exact plans").
+Distances are the largest difference of a joint, in `DesignProblem.joint_units`.
 """
 
 from __future__ import annotations
