@@ -24,6 +24,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
@@ -308,7 +309,7 @@ def discrimination_design(
     return DiscriminationDesign(design, best, seen(plan.postures), best_sees, *(min(1.0, bound) for bound in bounds))
 
 
-def _best_order(library: EffectLibrary, postures: Array, generator: np.random.Generator, budget: Budget) -> Array:
+def _best_order(library: EffectLibrary, postures: Array, generator: Generator, budget: Budget) -> Array:
     """The postures in the order, of many shuffles, that shows backlash and drift best beside the model's parameters: by
     log det of what the data tell of the order's effects, beyond what the others explain."""
     shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort: orders to choose from
@@ -326,7 +327,7 @@ def _best_order(library: EffectLibrary, postures: Array, generator: np.random.Ge
 
 # -- where swaps start -------------------------------------------------------------------------------------------------
 def initial_plans(
-    state: Swaps, best: Design, allowed: float, generator: np.random.Generator, budget: Budget
+    state: Swaps, best: Design, allowed: float, generator: Generator, budget: Budget
 ) -> Iterator[tuple[Array, Budget]]:
     """Plans from which swaps start, each with its part of the time.
 
@@ -346,7 +347,7 @@ def initial_plans(
     yield plan, budget
 
 
-def _start(state: Swaps, best: Design, least: float, generator: np.random.Generator, budget: Budget) -> Array:
+def _start(state: Swaps, best: Design, least: float, generator: Generator, budget: Budget) -> Array:
     """(m, n) the best plan or one from theory, whichever distinguishes effects best, off the limits down to `least`;
     as many from theory as there is time for, off the grid, with joints that play no part at random angles.
 
@@ -378,7 +379,7 @@ def turning(problem: DesignProblem) -> NDArray[np.bool_]:
     return revolute & (problem.upper - problem.lower >= TURN * (1.0 - 1e-9))
 
 
-def off_the_limits(problem: DesignProblem, postures: Array, least: float, generator: np.random.Generator) -> Array:
+def off_the_limits(problem: DesignProblem, postures: Array, least: float, generator: Generator) -> Array:
     """The postures with the other joints moved by as much as the value `least` allows, turned back at the limits.
 
     On the few angles that D-optimality chooses under limits, ripples of many orders are one and the same column, and
@@ -397,7 +398,7 @@ def off_the_limits(problem: DesignProblem, postures: Array, least: float, genera
     return postures
 
 
-def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
+def pool_of(problem: DesignProblem, count: int, generator: Generator) -> Array:
     """(count, n) random postures of the design space; all of a list that is shorter."""
     if problem.choices is None:
         return random_postures(problem, count, generator)
@@ -453,7 +454,7 @@ class Swaps:
         self,
         postures: Array,
         least: float,
-        generator: np.random.Generator,
+        generator: Generator,
         budget: Budget,
         progress: Progress = silent,
     ) -> Iterator[Array]:
@@ -480,7 +481,7 @@ class Swaps:
         self.information = self.extended.information(postures)
         self.value = float(-np.log(self.bound.wrong(self.information)))
 
-    def draw(self, generator: np.random.Generator) -> None:
+    def draw(self, generator: Generator) -> None:
         """Draw a new pool of postures."""
         self.pool = pool_of(self.problem, POOL, generator)
         if self.problem.choices is None:

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
+from numpy.random import Generator
 from scipy.special import ndtr
 
 from doe.plan.plan import Plan
@@ -28,6 +30,7 @@ from identification import (
     Status,
     readonly,
 )
+from identification.vectorize import vectorize
 
 if TYPE_CHECKING:
     from identification import Arm, Diagnosis
@@ -114,7 +117,13 @@ class RivalPredictions:
         data at hand, and its -2 log odds, as the BIC is; sigma is that of the first."""
         if (sigma := rivals[0][0].model.sigma) is None:
             raise InputError(f"a comparison of models {NEEDS_SIGMA}")
-        fitted = [(*one.predictions(postures), known, one.model.parameters.scales) for one, known, _ in rivals]
+        fitted = []
+        for one, covariance, _ in rivals:
+            q, p = ca.SX.sym("q", one.joints), ca.SX.sym("p", one.parameters)
+            position = ca.substitute(one.model.symbolic_position(q, p), p, ca.DM(one.model.values))
+            places = vectorize(ca.Function("position", [q], [position]))(postures)[0][..., 0]
+            scales = one.model.parameters.scales
+            fitted.append((places, one.scaled_jacobians(postures) * scales, covariance, scales))
         return cls._scaled(fitted, sigma, np.array([odds for _, _, odds in rivals]), np.zeros(len(rivals)))
 
     @classmethod
@@ -224,9 +233,7 @@ def t_optimal(rivals: RivalPredictions, runs: int, stop: Stop = never) -> list[i
     return chosen
 
 
-def possible_conditions(
-    arm: Arm, count: int, generator: np.random.Generator, payloads: tuple[float, ...] | None
-) -> Conditions:
+def possible_conditions(arm: Arm, count: int, generator: Generator, payloads: tuple[float, ...] | None) -> Conditions:
     """A payload and directions of approach for each of `count` postures, at random."""
     usual = 0.0 if arm.gravity is None else arm.gravity.payload
     payload = generator.choice(np.array(payloads or (usual,)), count)

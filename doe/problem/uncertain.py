@@ -16,6 +16,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from doe.criteria import Average, I, Worst
@@ -59,7 +60,7 @@ class EnsembleModel:
         return ca.vertcat(*(self.model.symbolic_position(q, part) for part in each))
 
 
-def prior_draws(model: Any, count: int, generator: np.random.Generator) -> Array:
+def prior_draws(model: Any, count: int, generator: Generator) -> Array:
     """(count, p) parameter vectors around the best known values of an arm.
 
     With a calibration that has a covariance of the same parameters, from it; else independent normal deviations of the

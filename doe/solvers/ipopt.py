@@ -24,6 +24,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.random import Generator
 
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -50,9 +51,7 @@ class Ipopt:
         """Ten per joint."""
         return 10 * max(1, len(problem.searched_joints))
 
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One offer per start. Raises `InputError` for a plan of too many variables."""
         if (many := variables(problem, runs)) > MOST:
             raise InputError(
