@@ -30,7 +30,6 @@ from identification import (
     Status,
     readonly,
 )
-from identification.vectorize import vectorize
 
 if TYPE_CHECKING:
     from identification import Arm, Diagnosis
@@ -121,7 +120,7 @@ class RivalPredictions:
         for one, covariance, _ in rivals:
             q, p = ca.SX.sym("q", one.joints), ca.SX.sym("p", one.parameters)
             position = ca.substitute(one.model.symbolic_position(q, p), p, ca.DM(one.model.values))
-            places = vectorize(ca.Function("position", [q], [position]))(postures)[0][..., 0]
+            places = np.asarray(ca.Function("position", [q], [position])(postures.T)).T
             scales = one.model.parameters.scales
             fitted.append((places, one.scaled_jacobians(postures) * scales, covariance, scales))
         return cls._scaled(fitted, sigma, np.array([odds for _, _, odds in rivals]), np.zeros(len(rivals)))
