@@ -25,7 +25,7 @@ def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
     assert design.solver == "gradient"
     assert design.efficiency is not None
     assert 0.999 < design.efficiency <= 1.0
-    expected = difference_information(problem, problem.model.model, design.plan.postures)  # type: ignore[arg-type]
+    expected = difference_information(problem, problem.model, design.plan.postures)  # type: ignore[arg-type]
     assert design.value == pytest.approx(np.linalg.slogdet(expected)[1], abs=1e-3)
     assert design.bound is not None
     plain = np.random.default_rng(4).uniform(problem.lower, problem.upper, (20, 30, 6))
