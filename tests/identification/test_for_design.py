@@ -16,7 +16,7 @@ from identification.conditions import Conditions
 from identification.errors import InputError
 from identification.for_design import ArmModel, design_model
 from identification.instruments import Plane, Sphere
-from identification.instruments.lengths import RADIUS
+from identification.instruments.library import RADIUS
 from identification.kinematics.chain import BASE, TOOL, DHRow, chain_of
 from identification.kinematics.frames import pose, rotation_to_z
 from identification.model import Model
