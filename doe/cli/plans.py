@@ -398,7 +398,7 @@ def relax_files(
 
     grid : Levels per joint; left out: about 10,000 in all.
     candidates : CSV of allowed postures instead of a grid.
-    solver : column_generation (the default), or clarabel, which is independent of it.
+    solver : column_generation (the default), or clarabel or scs, which are independent of it.
     check : Cross-check by independent methods.
     runs : Number of measurements m, for --robust and spatial arms.
     seconds : Time budget [s]; left out: 40.

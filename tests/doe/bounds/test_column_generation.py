@@ -291,10 +291,10 @@ def test_without_time_equal_weights_prove_a_bound(criterion: Criterion) -> None:
 
 # -- relax: independent solvers, and what is believed of them ----------------------------------------------------------
 TEST_JACOBIANS = problem(FOUR).scaled_jacobians(np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (8, 4)))
-SOLVERS = ("clarabel", "column_generation")
+SOLVERS = ("clarabel", "scs", "column_generation")
 CRITERIA: dict[str, Criterion] = {"D": D(), "A": A(), "I": I(TEST_JACOBIANS), "E": E()}
 # what an interior point of cvxpy's default accuracy (1e-8 on the program) leaves of the gap
-GAPS = {"clarabel": 1e-3, "column_generation": 1e-6}
+GAPS = {"clarabel": 1e-3, "scs": 1e-5, "column_generation": 1e-6}
 
 
 @pytest.mark.parametrize("criterion", CRITERIA.values(), ids=CRITERIA)
@@ -328,7 +328,7 @@ def test_grid_with_the_limits_reaches_the_closed_form() -> None:
 def test_around_measured_postures() -> None:
     generator = np.random.default_rng(1)
     case = problem(FOUR, OFFSET, kept=generator.uniform(FOUR.lower, FOUR.upper, (6, 4)))
-    other, mine = (relax(case, 3, solver, runs=4) for solver in SOLVERS)
+    other, mine = (relax(case, 3, solver, runs=4) for solver in SOLVERS[1:])
     assert other.value == pytest.approx(mine.value, abs=1e-5)
     with pytest.raises(InputError, match="runs"):
         relax(case, 3, "clarabel")

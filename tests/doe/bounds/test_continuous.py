@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from doe.bounds.continuous import ContinuousSet, distinct
+from doe.bounds.column_generation import ContinuousSet, distinct
 from doe.problem.postures import random_postures
 from doe.problem.problem import PriorInformation
 from identification.arm import Arm, EffectSpec

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,7 +19,7 @@ from tests.doe.faults import COMMANDS, ROOT, STUDY, Command, Reference, content,
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are counted in /proc")
 STUDY_COMMAND = COMMANDS[0]
-LONG_DESIGN = replace(COMMANDS[2], words=COMMANDS[2].words.replace("--starts 12", "--starts 3000"))  # many seconds
+LONG_DESIGN = COMMANDS[2]._replace(words=COMMANDS[2].words.replace("--starts 12", "--starts 3000"))  # many seconds
 SERIAL = Command("study", "study study.toml --workers 1", "--resume", ("study.results",))
 STOPPED = """
 import signal

@@ -8,8 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from doe.discrimination.design import CLOUD, discrimination_design, off_the_limits, pool_of, turning
-from doe.discrimination.misidentification import EffectLibrary
+from doe.discrimination.design import CLOUD, EffectLibrary, discrimination_design, off_the_limits, pool_of, turning
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm, Gravity
 from identification.arrays import Array

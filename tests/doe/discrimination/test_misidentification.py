@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from doe.discrimination.misidentification import LAMBDA, MisidentificationBound
+from doe.discrimination.design import LAMBDA, MisidentificationBound
 
 OWN, EFFECTS, RUNS = 3, 7, 12
 BASES = (  # two effects of one parameter, one of two, one that takes the sum of two, one of three

@@ -23,8 +23,9 @@ def fourier(runs: int, links: int) -> np.ndarray:
 
 @pytest.mark.parametrize("runs", [4, 20])
 def test_optimal_plan(runs: int) -> None:
-    arm, sigma = Arm(FOUR.lengths), 0.1
-    found = expected_deviations(problem(arm), fourier(runs, 4), sigma)
+    sigma = 0.1
+    arm = Arm(FOUR.lengths, sigma=sigma)
+    found = expected_deviations(problem(arm), fourier(runs, 4))
     assert found is not None
     lengths = arm.lengths
     np.testing.assert_allclose(found.length, sigma / np.sqrt(runs))  # eq. 24, corrected
@@ -35,7 +36,7 @@ def test_optimal_plan(runs: int) -> None:
 
 
 def test_the_papers_table() -> None:
-    found = expected_deviations(problem(Arm(FOUR.lengths)), fourier(20, 4), 0.1)
+    found = expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1)), fourier(20, 4))
     assert found is not None
     np.testing.assert_allclose(found.length, 0.022, atol=5e-4)  # Table III, 20 points, to its printed digits
     np.testing.assert_allclose(np.degrees(found.orientation), [0.005, 0.007, 0.011, 0.013], atol=5e-4)
@@ -48,7 +49,7 @@ def test_agrees_with_simulated_least_squares_on_any_plan() -> None:
     jacobian = case.model.jacobian(plan).reshape(18, 10)
     estimates = (np.linalg.pinv(jacobian) @ generator.normal(0.0, 0.1, (18, 20_000))).T
     offsets = estimates[:, 4:8]
-    found = expected_deviations(case, plan, 0.1)
+    found = expected_deviations(case, plan)
     assert found is not None
     # relative standard error of a standard deviation from 20,000 samples is 0.5 %; alert 3, fail 6 of it
     np.testing.assert_allclose(found.length, estimates[:, :4].std(axis=0), rtol=0.03)
@@ -74,15 +75,15 @@ def test_value_of_criterion_i_in_mm() -> None:
 
 
 def test_none_without_sigma_or_enough_runs() -> None:
-    assert expected_deviations(problem(FOUR), fourier(4, 4), None) is None
-    assert expected_deviations(problem(FOUR), np.zeros((4, 4)), 0.1) is None
+    assert expected_deviations(problem(Arm(FOUR.lengths)), fourier(4, 4)) is None
+    assert expected_deviations(problem(FOUR), np.zeros((4, 4))) is None
 
 
 def test_zero_for_what_is_known() -> None:
     model = Model(FOUR, held={"length_error:2": 0.0, "joint_offset:1": 0.0})
     from doe.problem.problem import DesignProblem
 
-    found = expected_deviations(DesignProblem.of(model), fourier(8, 4), 0.1)
+    found = expected_deviations(DesignProblem.of(model), fourier(8, 4))
     assert found is not None
     assert found.length[1] == 0.0
     assert found.joint_offset[0] == 0.0
@@ -93,8 +94,8 @@ def test_zero_for_what_is_known() -> None:
 def test_measured_postures_help() -> None:
     kept = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (6, 4))
     plan = fourier(8, 4)
-    together = expected_deviations(problem(FOUR), np.vstack([plan, kept]), 0.1)
-    apart = expected_deviations(problem(FOUR, kept=kept), plan, 0.1)
+    together = expected_deviations(problem(FOUR), np.vstack([plan, kept]))
+    apart = expected_deviations(problem(FOUR, kept=kept), plan)
     assert together is not None
     assert apart is not None
     np.testing.assert_allclose(apart.length, together.length)
@@ -103,8 +104,8 @@ def test_measured_postures_help() -> None:
 def test_weights_share_the_runs_out() -> None:
     plan = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (6, 4))
     weights = np.array([3, 1, 1, 1, 1, 1]) / 8
-    shared = expected_deviations(problem(FOUR), plan, 0.1, weights)
-    repeated = expected_deviations(problem(FOUR), plan[[0, 0, 0, 1, 2, 3, 4, 5]], 0.1)
+    shared = expected_deviations(problem(FOUR), plan, weights)
+    repeated = expected_deviations(problem(FOUR), plan[[0, 0, 0, 1, 2, 3, 4, 5]])
     assert shared is not None
     assert repeated is not None
     # six runs instead of eight, shared out in the same way
@@ -116,5 +117,5 @@ def test_none_where_only_rounding_makes_the_information_regular() -> None:
     # two angles half a turn apart tell an eccentric encoder from a joint offset by rounding only, yet numpy inverts M
     half_turn = (-1.2, np.pi - 1.2)
     plan = np.array(list(product((-1.0, 1.0), half_turn, (-1.0, 1.0), (-1.0, 0.5))))
-    assert expected_deviations(problem(Arm(FOUR.lengths), ECCENTRICITY), plan, 0.1) is None
-    assert expected_deviations(problem(Arm(FOUR.lengths)), plan, 0.1) is not None
+    assert expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1), ECCENTRICITY), plan) is None
+    assert expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1)), plan) is not None

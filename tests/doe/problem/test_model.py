@@ -13,8 +13,7 @@ import pytest
 from doe.advise import advise
 from doe.bounds.column_generation import relax
 from doe.design import score_plan
-from doe.discrimination.design import discrimination_design
-from doe.discrimination.misidentification import EffectLibrary, MisidentificationBound
+from doe.discrimination.design import EffectLibrary, MisidentificationBound, discrimination_design
 from doe.discrimination.t_optimal import RivalPredictions, t_optimal
 from doe.plan.accuracy import TipErrors
 from doe.problem.model import REQUIRED

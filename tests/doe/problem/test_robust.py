@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from doe.bounds.best_known import best_known_bound
-from doe.bounds.column_generation import column_generation, continuous_design
-from doe.bounds.continuous import ContinuousSet
+from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
 from doe.criteria import A, D
 from doe.design import score
 from doe.problem.problem import DesignProblem

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 import pytest
 
+from doe.bounds.certificate import Bound
 from doe.design import score_plan
 from doe.problem.problem import DesignProblem
 from doe.solvers import Offer, solve
-from doe.solvers.solver import LONG_PLAN, Budget
-from doe.solvers.solving import _search
+from doe.solvers.solver import LONG_PLAN
+from doe.solvers.solving import SOLVERS
 from identification.errors import InputError
-from identification.running import silent
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 
 
@@ -71,14 +70,14 @@ def test_what_is_no_plan_is_not_scored(plan: Any, expected: str) -> None:
         score_plan(problem(FOUR), plan)
 
 
-def test_of_very_many_runs_a_random_plan_is_better_than_none() -> None:
+def test_of_very_many_runs_a_random_plan_is_better_than_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the search offers comes too near each other: the random plan beside it keeps the distance, by the distances
     of all pairs."""
     case, runs = problem(FOUR, OFFSET, ECCENTRICITY), LONG_PLAN + 100
-    late = Budget(1, deadline=perf_counter() - 1.0)
-    plan, value, name, *_ = _search(case, runs, Crowded(), True, 0, None, lambda _: True, None, late, silent)
-    assert name == "random"
+    monkeypatch.setitem(SOLVERS, "exchange_ipopt", Crowded())
+    design = solve(case, runs, seconds=1e-3, bound=Bound(np.inf, "continuous"))
+    assert design.solver == "random"
+    plan = design.plan.postures
     apart = np.abs(plan[:, None] - plan).max(axis=2)[np.triu_indices(runs, 1)]
     assert apart.min() >= np.radians(1.0) * (1 - 1e-9)
     assert np.all((plan >= FOUR.lower) & (plan <= FOUR.upper))
-    assert value == pytest.approx(case.objective(plan))

@@ -80,20 +80,6 @@ def test_ends_where_scipy_ends(lower: tuple[float, ...], upper: tuple[float, ...
     assert set(far.status) == {Status.converged}
 
 
-def test_ends_satisfy_karush_kuhn_tucker() -> None:
-    low, high = np.array([2.0, 0.5, -0.2]), np.array([3.0, 1.0, 0.2])
-    linearize = decays(measured_decays(60, seed=1))
-    found = levenberg_marquardt(problem(linearize, 3, 60, lower=low, upper=high), np.tile([2.5, 0.8, 0.1], (60, 1)))
-    residual, jacobian = linearize(found.parameters, np.arange(60))
-    cosines = np.einsum("knp,kn->kp", jacobian, residual)
-    cosines /= np.linalg.norm(jacobian, axis=1) * np.linalg.norm(residual, axis=1)[:, None]
-    np.testing.assert_array_less(np.abs(cosines[~found.active]), 2.0 * GRADIENT_TOLERANCE)
-    assert np.any(found.active)
-    assert np.all(cosines[found.active & (found.parameters == low)] < 0.0)
-    assert np.all(cosines[found.active & (found.parameters == high)] > 0.0)
-    assert np.all((found.parameters == low) | (found.parameters == high) | ~found.active)
-
-
 def test_many_at_once_are_those_one_by_one() -> None:
     data, low = measured_decays(30, seed=2), np.array([0.0, 0.0, 0.0])
     data[7] = np.nan

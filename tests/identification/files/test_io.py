@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from identification.errors import InputError
@@ -332,6 +332,7 @@ def test_missing_column_names_the_nearest(tmp_path: Path) -> None:
     names(message_of(read.floats, "x_mm"), "data.csv", "'x_mm' is missing", "did you mean to rename 'x_mn'?", "q1_deg")
 
 
+@settings(max_examples=30)
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=20))
 def test_floats_are_read_exactly(tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
     path = tmp_path_factory.mktemp("table") / "data.csv"
