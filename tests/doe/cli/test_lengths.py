@@ -146,12 +146,6 @@ def test_contacts_with_a_ball_that_nobody_measured(cell: Folder) -> None:
     cell.refused("design ball.toml --runs 30")
 
 
-@pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fewer postures that touch to choose from."""
-    monkeypatch.setattr("identification.for_design.CHOICES", 150)
-
-
 @pytest.mark.usefixtures("few")
 def test_a_plan_of_contacts(cell: Folder) -> None:
     """Chosen from postures that touch, with a bound over these; what needs free postures is refused in one line."""

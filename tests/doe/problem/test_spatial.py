@@ -128,7 +128,6 @@ def test_distances_have_one_coordinate() -> None:
 
 def test_a_center_is_assumed_before_the_base() -> None:
     chain = bar().chain
-    assert chain is not None
     with pytest.warns(UserWarning, match=r"the center is not known, \d+ mm before the base"):
         there = with_center(chain)
     np.testing.assert_allclose(there.base, pose([-0.5 * chain.reach, 0.0, 0.0]))
