@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from tests.doe.problem.test_spatial_constraints import ARM
 
 from doe.criteria import A, E
 from doe.plan.ascent import PlanAscent
@@ -15,6 +14,7 @@ from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
+from tests.doe.problem.test_spatial_constraints import ARM
 from tests.doe.six_axis import LIMITED, SIX_AXIS, six_axis
 
 STEP = 1e-5  # central differences: truncation and rounding about 1e-10, relative
