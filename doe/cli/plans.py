@@ -302,7 +302,7 @@ def score_files(
     try:
         sees = detectability(without_prior(loaded), judged.postures)
         tables: list[Any] = [*sees.document().parts]
-        pictures[aliases] = drawing("alias_figure", sees)
+        pictures[aliases] = sees.figure
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
         if aliases is not None:
             raise InputError(f"--aliases: {plan}: {reason}") from reason
