@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.instruments import Distance, Instrument, Plane, Sphere, Unplaced, search
-from identification.instruments.lengths import PATIENCE
+from identification.instruments.library import PATIENCE
 from tests.identification.exponentials import Exponentials
 
 TOOL = np.array([60.0, -40.0, 120.0])
