@@ -122,8 +122,8 @@ class Effect:
     names of places.
 
     An instance has the nominal `chain`, its `joint` (from 1, None: the whole arm), the values `chosen` of its settings,
-    its `parameters`, and is `tagged` where their names include the settings, `transmission_ripple:1[k=20].a`, as the arm
-    has a similar effect at the same joint (`build_all`).
+    its `parameters`, and is `tagged` where their names have the settings in them, `transmission_ripple:1[k=20].a`, as
+    the arm has a similar effect at the same joint (`build_all`).
 
     Places, each a method of the symbols of the nominal arm (`Chain`) and the values of the parameters that returns
     CasADi SX of this many elements, or a number for all of them. Where n joints or 3 n coordinates are asked for, an
