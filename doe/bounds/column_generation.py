@@ -62,7 +62,8 @@ CLIMBERS = 64
 BARRIERS = np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)])
 SAME = 1e-7  # [rad] postures nearer than this are one
 LAST = 2.0  # [s] that a pass over the candidates may take after the time has ended, however short the search was
-LARGEST = {"clarabel": 20_000}  # candidates up to which one big program works; beyond, Clarabel returns errors
+# candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
+LARGEST = {"clarabel": 20_000, "scs": 100_000}
 
 
 # -- design spaces -----------------------------------------------------------------------------------------------------
@@ -442,7 +443,7 @@ def relax(
     """Optimal weights over candidate postures, with a certificate recomputed from the weights.
 
     candidates : levels per joint of a grid from limit to limit, or (N, n) postures [rad]
-    solver : `column_generation`, or `clarabel`, which is independent of it, for up to 20,000 candidates
+    solver : `column_generation`, or independent of it, for not too many candidates (`LARGEST`), `clarabel` or `scs`
     runs : number of new runs, needed where the problem keeps measured postures
     stop : asked now and then by column_generation; the bound holds where it ended the search early
     Raises InputError for an unknown solver, too many candidates for it, no feasible candidate; JobError where the
@@ -464,7 +465,7 @@ def relax(
             raise InputError(f"candidates: {len(chosen)} for solver {solver}, allowed: {allowed}; {larger}")
         began, prior = perf_counter(), problem.prior.per_new_run(runs)
         each = prior.posture_information(problem.scaled_jacobians(chosen))
-        weights, solver_status, dual = solve_program(each, problem.criterion)
+        weights, solver_status, dual = solve_program(each, problem.criterion, solver)
         if weights is None:
             raise JobError(f"{solver}: status {solver_status} on {len(chosen)} candidates, no weights; {larger}")
         weights = proper_weights(weights)

@@ -265,29 +265,22 @@ def dh_sections(rows: Sequence[CorrectedValue], lines: Sequence[str], name: str 
 
 
 def in_short(rows: Sequence[CorrectedValue], minimal: bool) -> Section:
-    """Of a spatial arm the values that the measurements determine, the others counted, and where all of them are.
+    """Of a spatial arm the values that the measurements determine, base and points, the others counted, and where all
+    of them are.
 
     minimal : whether a minimal set can be fitted instead, which has no prior
     """
-    frames = [row for row in rows if row.nominal is not None]
+    frames, places = ([row for row in rows if (row.nominal is None) is placed] for placed in (False, True))
     sure = [row for row in frames if not row.weak and not equals_drawing(row, 3)]
     weak: dict[str, list[str]] = {}  # `joint 2 x, y, yaw; zero of joint 5`
     for place, _, axis in (row.name.rpartition(" ") for row in frames if row.weak):
         weak.setdefault(place, []).append(axis)
-    parts: list[Part] = [corrected_table(sure)]
+    parts: list[Part] = [corrected_table([*sure, *(row for row in places if row.corrected is not None)])]
     if weak:
         named = "; ".join(f"{place} {', '.join(axes)}" for place, axes in weak.items())
         parts.append(f"Weakly determined, mostly the prior of [machining]: {named}.")
     if same := len(frames) - len(sure) - sum(map(len, weak.values())):
         parts.append(f"As drawn to three decimals: {same} more.")
-    places: dict[str, list[str]] = {}  # base and points, with deviations: of parallel axes only a sum may be known
-    for row in rows:
-        if row.nominal is None and row.corrected is not None:
-            place, _, axis = row.name.rpartition(" ")
-            std = "" if row.std is None else f" +- {number(row.std, 3)}"
-            unit = "" if row.unit == "mm" else f" {row.unit}"
-            places.setdefault(place, []).append(f"{axis} {row.corrected:z.3f}{std}{unit}")
-    parts += [f"{place} [mm]: {', '.join(figures)}" for place, figures in places.items()]
     title = f"Well determined: {len(sure)} of {len(frames)} corrected values"
     return Section(title, [*parts, *(ALL_OF_THEM if minimal else ALL_OF_THEM[:1])])
 
