@@ -303,7 +303,7 @@ def positions_and_jacobians() -> tuple[float, str]:
     from identification import Model
     from identification.kinematics.chain import DHRow
     from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
-    from tests.identification.kinematics.test_denavit_hartenberg import printed
+    from tests.identification.kinematics.test_spatial import printed
 
     model, q = Model(SIX_AXIS), np.random.default_rng(0).uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20_000, 6))
     model.linearize(q[:10], model.values)  # compiled
