@@ -57,7 +57,7 @@ class Advice:
         (`of_tip`) the expected error of the tip if the model is right. None without sigma."""
         if self.of_tip:
             return next(e.right for d, e in zip(self.designs, self.tip_errors, strict=True) if d is design)
-        return None if design.deviations is None else design.deviations.largest_length
+        return None if design.deviations is None else design.deviations.largest("mm")
 
     @property
     def smallest(self) -> Design | None:
@@ -77,7 +77,7 @@ class Advice:
         for k, design in enumerate(self.designs):
             data, expected = design.to_json(), design.deviations
             row = {key: data[key] for key in keys}
-            row["largest_length_std_mm"] = None if expected is None else expected.largest_length
+            row["largest_length_std_mm"] = None if expected is None else expected.largest("mm")
             rows.append(row | {"tip_error_mm": self.tip_errors[k].to_json() if self.tip_errors else None})
         smallest = None if self.smallest is None else len(self.smallest.plan)
         return {"rows": rows, "target_mm": self.target, "smallest_runs": smallest}
@@ -149,6 +149,6 @@ def promised(problem: DesignProblem, postures: Array, errors: TipErrors | None) 
     """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right."""
     design = Design(problem, Plan(postures, joint_types=problem.model.joint_types))
     expected = design.deviations
-    deviations = [np.inf, np.inf] if expected is None else [expected.largest_length, expected.largest_angle]
+    deviations = [np.inf, np.inf] if expected is None else [expected.largest("mm"), expected.largest("rad")]
     of_tip = [] if errors is None else [errors.of_plan(postures)]
     return np.array([*deviations, *(figure for error in of_tip for figure in (error.right, error.worst))])

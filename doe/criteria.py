@@ -59,10 +59,11 @@ class Criterion(ABC):
     """A concave function Phi of the (p, p) scaled information matrix per run, M = sum_i w_i B_i^T B_i, sum w = 1.
 
     A singular M has the value -inf, not an error; `log_determinants` says which are.
-    name : as in `--criterion`
+    name : as in `--criterion`;  power : Phi(c M) = c^power Phi(M), or if it is 0, Phi(M) + degree log c
     """
 
     name: str
+    power: int
 
     @abstractmethod
     def value(self, information: Array) -> Array:
@@ -72,13 +73,24 @@ class Criterion(ABC):
     def gradient(self, information: Array) -> Array:
         """(p, p) G = dPhi/dM. Equivalence theorem: w is optimal iff max_q tr(G B(q)^T B(q)) = tr(G M)."""
 
-    @abstractmethod
+    def degree(self, parameters: int) -> float:
+        """Of homogeneity, where the power is 0."""
+        return float(parameters)
+
     def upper_bound(self, information: Array, largest: float) -> float:
         """No design has a greater value than this, given `largest` >= max_q tr(G B(q)^T B(q)) over the design space."""
+        if self.power == 1:
+            return largest  # of the smallest eigenvalue with any G >= 0 of unit trace: lambda_min(N) <= tr(G N)
+        value, s = float(self.value(information)), self.degree(len(information))
+        return -(value**2) / largest if self.power else value + s * float(np.log(largest / s))
 
-    @abstractmethod
     def efficiency(self, value: float, bound: float, parameters: int) -> float:
         """Fraction 0..1 of the runs that an optimal design would need for the same accuracy."""
+        if not np.isfinite(value):
+            return 0.0
+        if self.power == 0:
+            return float(np.exp((value - bound) / self.degree(parameters)))
+        return value / bound if self.power == 1 else bound / value
 
     @property
     def smooth(self) -> Criterion:
@@ -116,46 +128,42 @@ class D(Criterion):
     """Phi(M) = log det M: the volume of the confidence ellipsoid (paper, Section V).
 
     Invariant to units and to linear changes of the parameters (doe/README.md, "Criteria"). The other criteria of this
-    kind differ in their terms.
+    kind are sums over their terms: G = sum_t s_t M_t^-1, each inverse in its place, and
+    D^2 Phi = -sum_t s_t tr(M_t^-1 X_t M_t^-1 Y_t).
     """
 
-    name = "D"
+    name, power = "D", 0
 
     def terms(self, parameters: int) -> list[Term]:
         """Signs and rows (from 0) of the submatrices of a (p, p) matrix: all of M."""
         return [(1.0, np.arange(parameters))]
 
     def degree(self, parameters: int) -> float:
-        """s, the degree of homogeneity."""
         return float(sum(sign * len(rows) for sign, rows in self.terms(parameters)))
 
     def value(self, information: Array) -> Array:
-        """(...) Phi(M), -inf where a submatrix is singular."""
-        total, regular = np.zeros(information.shape[:-2]), np.ones(information.shape[:-2], dtype=bool)
-        for sign, rows in self.terms(information.shape[-1]):
-            log_det = log_determinants(information[..., rows[:, None], rows])
-            regular &= np.isfinite(log_det)
-            total = total + sign * np.where(regular, log_det, 0.0)
-        return np.where(regular, total, -np.inf)
+        each = [
+            (sign, log_determinants(information[..., rows[:, None], rows])) for sign, rows in self._terms(information)
+        ]
+        regular = np.all([np.isfinite(log_det) for _, log_det in each], axis=0)
+        return np.where(regular, sum(sign * np.where(regular, log_det, 0.0) for sign, log_det in each), -np.inf)
 
     def gradient(self, information: Array) -> Array:
-        """(p, p) sum_t sign_t inverse of the submatrix, in its place."""
         return np.asarray(sum(sign * inverse for sign, inverse, _ in self.curvature_factors(information)))
 
     def curvature_factors(self, information: Array) -> Factors:
-        """-sum_t sign_t tr(M_t^-1 X_t M_t^-1 Y_t)."""
         factors: Factors = []
-        for sign, rows in self.terms(len(information)):
+        for sign, rows in self._terms(information):
             inverse, place = np.zeros_like(information), np.ix_(rows, rows)
             inverse[place] = np.linalg.inv(information[place])
             factors.append((sign, inverse, inverse))
         return factors
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
-        """(s, c) Phi(A_s + B_sc^T B_sc) - Phi(A_s), by the determinant lemma: log det(I_d + B_t A_t^-1 B_t^T)."""
+        """Less Phi(A_s), by the determinant lemma: log det(I_d + B_t A_t^-1 B_t^T)."""
         s, c, d, columns = jacobians.shape
         total = np.zeros((s, c))
-        for sign, rows in self.terms(columns):
+        for sign, rows in self._terms(information):
             p = len(rows)
             root = np.linalg.inv(np.linalg.cholesky(ridged(information[..., rows[:, None], rows])))
             parts = jacobians if p == columns else jacobians[..., rows]
@@ -167,14 +175,8 @@ class D(Criterion):
                 total += sign * np.linalg.slogdet(small)[1]
         return total
 
-    def upper_bound(self, information: Array, largest: float) -> float:
-        """Phi(M) + s log(max tr(G N) / s)."""
-        s = self.degree(len(information))
-        return float(self.value(information)) + s * float(np.log(largest / s))
-
-    def efficiency(self, value: float, bound: float, parameters: int) -> float:
-        """exp((value - bound) / s)."""
-        return float(np.exp((value - bound) / self.degree(parameters))) if np.isfinite(value) else 0.0
+    def _terms(self, information: Array) -> list[Term]:
+        return self.terms(information.shape[-1])
 
 
 @dataclass(frozen=True)
@@ -189,14 +191,13 @@ class Ds(D):
     name = "Ds"
 
     def terms(self, parameters: int) -> list[Term]:
-        """All of M, minus the block of the nuisance parameters."""
         everything = np.arange(parameters)
         return [(1.0, everything), (-1.0, np.setdiff1d(everything, self.subset))]
 
 
 @dataclass(frozen=True)
 class DStar(D):
-    """Phi(M) = sum of the log-determinants of the groups' own principal submatrices.
+    """Phi(M) = sum of the log-determinants of the groups' own principal submatrices; -inf where M is singular.
 
     The paper maximises det C' and asks for det S' = 0, C' and S' being the diagonal and off-diagonal blocks of M'
     (eq. 20). Of the base model both diagonal blocks are C', so Phi = 2 log det C' >= log det M', with equality when
@@ -216,11 +217,9 @@ class DStar(D):
         return cls(tuple(tuple(k for k, u in enumerate(units) if u == unit) for unit in dict.fromkeys(units)))
 
     def terms(self, parameters: int) -> list[Term]:
-        """The groups."""
         return [(1.0, np.array(group)) for group in self.groups]
 
     def value(self, information: Array) -> Array:
-        """(...) Phi(M), -inf where M is singular, even if no group's submatrix is."""
         return np.where(np.isneginf(log_determinants(information)), -np.inf, super().value(information))
 
 
@@ -236,32 +235,32 @@ class Average(D):
     name = "average"
 
     def terms(self, parameters: int) -> list[Term]:
-        """The blocks."""
         return [(1.0, rows) for rows in np.split(np.arange(parameters), self.count)]
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
-        """(s, c) as of D, the sum over the arms."""
         return np.sum(_gains(information, jacobians, self.count), axis=0)
 
 
 @dataclass(frozen=True)
 class SoftWorst(Criterion):
     """-(1/t) log sum_k exp(-t log det M_k) = -(1/t) log sum_k det(M_k)^-t: smooth, concave, below the smallest by at
-    most log(K) / t.
+    most log(K) / t. Its gradient is block diagonal, of s_k M_k^-1, with weights s_k the greater, the worse.
 
     count : K blocks on the diagonal of M;  sharpness : t
     """
 
     count: int
     sharpness: float = 20.0
-    name = "soft_worst"
+    name, power = "soft_worst", 0
+
+    def degree(self, parameters: int) -> float:
+        return parameters / self.count
 
     def value(self, information: Array) -> Array:
-        """(...) soft minimum of log det M_k, -inf where one of them is singular."""
         return self._soft_minimum(D().value(_blocks(information, self.count)))
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
-        """(s, c) soft minimum of log det (M_k + B_k^T B_k); a singular M_k counts as nearly so."""
+        """A singular M_k counts as nearly so."""
         before = D().value(ridged(_blocks(information, self.count)))
         return self._soft_minimum(before[..., None] + _gains(information, jacobians, self.count))
 
@@ -273,23 +272,22 @@ class SoftWorst(Criterion):
             total = np.sum(np.exp(-self.sharpness * (each - safe)), axis=0)
         return np.where(np.isfinite(lowest), safe - np.log(total) / self.sharpness, -np.inf)
 
-    def block_weights(self, information: Array) -> Array:
-        """(K,) weights of the blocks in the gradient: the worse, the more."""
+    def _weights(self, information: Array) -> Array:
+        """(K,) s_k."""
         each = D().value(_blocks(information, self.count))
         raised = np.exp(-self.sharpness * (each - each.min()))
         return np.asarray(raised / raised.sum())
 
     def gradient(self, information: Array) -> Array:
-        """(p, p) block diagonal of s_k M_k^-1, s the weights of the blocks."""
         size, total = len(information) // self.count, np.zeros_like(information)
         each = np.linalg.inv(_blocks(information, self.count))
-        for k, weight in enumerate(self.block_weights(information)):
+        for k, weight in enumerate(self._weights(information)):
             total[k * size : (k + 1) * size, k * size : (k + 1) * size] = weight * each[k]
         return total
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """sum_k s_k phi_k'' - t (sum_k s_k phi_k' phi_k'^T - (sum_k s_k phi_k') (sum_k s_k phi_k')^T)."""
-        weights = self.block_weights(information)
+        weights = self._weights(information)
         parts, moves = _blocks(information, self.count), _blocks(directions, self.count)
         slopes = np.array([np.tensordot(x, D().gradient(m), axes=2) for x, m in zip(moves, parts, strict=True)])
         bends = sum(s * D().curvature(m, x) for s, m, x in zip(weights, parts, moves, strict=True))
@@ -298,12 +296,8 @@ class SoftWorst(Criterion):
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """Tangent of sum_k s_k log det M_k, which no design's smallest log det exceeds: its value + largest - p / K."""
-        mean = self.block_weights(information) @ D().value(_blocks(information, self.count))
+        mean = self._weights(information) @ D().value(_blocks(information, self.count))
         return float(mean + largest - len(information) / self.count)
-
-    def efficiency(self, value: float, bound: float, parameters: int) -> float:
-        """exp((value - bound) / p) of one arm's p."""
-        return float(np.exp((value - bound) / (parameters / self.count))) if np.isfinite(value) else 0.0
 
 
 @dataclass(frozen=True)
@@ -315,13 +309,11 @@ class Worst(SoftWorst):
 
     @property
     def smooth(self) -> Criterion:
-        """What gradient methods climb."""
         return SoftWorst(self.count)
 
     surrogate = smooth
 
     def value(self, information: Array) -> Array:
-        """(...) min_k log det M_k."""
         return np.min(D().value(_blocks(information, self.count)), axis=0)
 
 
@@ -341,42 +333,34 @@ def _blocks(information: Array, count: int) -> Array:
 # -- variances ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class InverseTrace(Criterion):
-    """Phi(M) = -tr(W M^-1): the criteria of this kind differ in the weight matrix W (p, p), positive semidefinite."""
+    """Phi(M) = -tr(W M^-1), with G = M^-1 W M^-1 and D^2 Phi = -2 tr(M^-1 W M^-1 X M^-1 Y): the criteria of this kind
+    differ in the weight matrix W (p, p), positive semidefinite."""
+
+    power = -1
 
     @abstractmethod
     def weight(self, parameters: int) -> Array:
         """(p, p) W."""
 
     def value(self, information: Array) -> Array:
-        """(...) -tr(W M^-1), -inf where M is singular."""
         inverse = inverses(information)
         none = np.isinf(inverse[..., 0, 0])
         finite = np.where(none[..., None, None], 0.0, inverse)
         return np.where(none, -np.inf, -np.sum(finite * self.weight(information.shape[-1]), axis=(-2, -1)))
 
     def gradient(self, information: Array) -> Array:
-        """(p, p) M^-1 W M^-1."""
         inverse = np.linalg.inv(information)
         return inverse @ self.weight(len(information)) @ inverse
 
     def curvature_factors(self, information: Array) -> Factors:
-        """-2 tr(M^-1 W M^-1 X M^-1 Y)."""
         return [(2.0, self.gradient(information), np.asarray(np.linalg.inv(information), dtype=np.float64))]
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
-        """(s, c) tr(W A^-1) - tr(W (A + B^T B)^-1), by Woodbury's identity: d x d inverses only."""
+        """tr(W A^-1) - tr(W (A + B^T B)^-1), by Woodbury's identity: d x d inverses only."""
         s, c, d, p = jacobians.shape
         _, seen, inner = _woodbury(information, jacobians)
         outer = (seen.reshape(s, c * d, p) @ self.weight(p)).reshape(s, c, d, p) @ np.swapaxes(seen, -1, -2)
         return np.trace(np.linalg.solve(inner, outer), axis1=-2, axis2=-1)
-
-    def upper_bound(self, information: Array, largest: float) -> float:
-        """-t^2 / max tr(G N), t = tr(W M^-1)."""
-        return -(float(self.value(information)) ** 2) / largest
-
-    def efficiency(self, value: float, bound: float, parameters: int) -> float:
-        """Ratio of the sums of variances, which fall as 1/m."""
-        return bound / value if np.isfinite(value) else 0.0
 
 
 @dataclass(frozen=True)
@@ -389,7 +373,6 @@ class A(InverseTrace):
     name = "A"
 
     def weight(self, parameters: int) -> Array:
-        """(p, p) identity."""
         return np.eye(parameters)
 
 
@@ -421,7 +404,6 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
         return information_matrix(self.jacobians.reshape(k, -1, p)) / k
 
     def weight(self, parameters: int) -> Array:
-        """(p, p) mean of B_0^T B_0."""
         return self._weight
 
 
@@ -429,22 +411,21 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
 @dataclass(frozen=True)
 class PowerMean(Criterion):
     """Kiefer's Phi_k(M) = (mean of lambda^-k)^(-1/k): k -> 0 is D, k = 1 is A, k -> infinity is E. Smooth, concave.
+    G = V diag(g) V^T, g_i = lambda_i^(-k-1) Phi^(k+1) / p.
 
     exponent : k > 0
     """
 
     exponent: float = 1.0
-    name = "power_mean"
+    name, power = "power_mean", 1
 
     def value(self, information: Array) -> Array:
-        """(...) Phi_k, -inf where M is singular."""
         variances, none = _variances(information)
         ratio = variances / variances[..., -1:]
         mean = np.mean(ratio**self.exponent, axis=-1) ** (-1.0 / self.exponent) / variances[..., -1]
         return np.where(none, -np.inf, mean)
 
     def gradient(self, information: Array) -> Array:
-        """(p, p) V diag(g) V^T, g_i = lambda_i^(-k-1) Phi^(k+1) / p."""
         values, vectors = np.linalg.eigh(information)
         return (vectors * self._slopes(values)) @ vectors.T
 
@@ -469,9 +450,9 @@ class PowerMean(Criterion):
         return diagonal @ full @ diagonal.T + (flat * quotient.ravel()) @ flat.T
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
-        """(s, c) Phi_k(A + B^T B), inverses by Woodbury's identity, M^-k by squaring if k is a power of two."""
+        """Inverses by Woodbury's identity, M^-k by squaring if k is a power of two."""
         doublings = float(np.log2(self.exponent))
-        if doublings < 1.0 or not doublings.is_integer():
+        if not 1.0 <= doublings < np.inf or not doublings.is_integer():
             return super().values_after_adding(information, jacobians)
         before, seen, inner = _woodbury(information, jacobians)
         inverse = before[:, None] - np.swapaxes(seen, -1, -2) @ np.linalg.solve(inner, seen)
@@ -487,21 +468,14 @@ class PowerMean(Criterion):
         mean = np.mean(ratio**-self.exponent)
         return ratio ** (-self.exponent - 1.0) * mean ** (-1.0 / self.exponent - 1.0) / len(values)
 
-    def upper_bound(self, information: Array, largest: float) -> float:
-        """max tr(G N); for the smallest eigenvalue with any G >= 0 of unit trace: lambda_min(N) <= tr(G N)."""
-        return largest
-
-    def efficiency(self, value: float, bound: float, parameters: int) -> float:
-        """Ratio of the values."""
-        return value / bound if np.isfinite(value) else 0.0
-
 
 @dataclass(frozen=True)
 class E(PowerMean):
     """Phi(M) = smallest eigenvalue of the scaled M: 1 over the largest variance of any unit combination of parameters.
 
     Not invariant to units (lengths in mm, angles times link length). Not differentiable where the eigenvalue is
-    multiple, which an optimum usually is: the gradient is one of many there, and solvers climb a `smooth` stand-in.
+    multiple, which an optimum usually is: the gradient, v v^T of its eigenvector, is one of many there. Solvers climb
+    the power mean of k = 32, within p^(1/k) of it, 7 % for p = 8, and compare postures by that of k = 8.
     """
 
     exponent: float = np.inf
@@ -509,27 +483,19 @@ class E(PowerMean):
 
     @property
     def smooth(self) -> Criterion:
-        """Within p^(1/k), 7 % for p = 8 and k = 32, of the smallest eigenvalue."""
         return PowerMean(exponent=32.0)
 
     @property
     def surrogate(self) -> Criterion:
-        """Without an eigenvalue problem for each posture."""
         return PowerMean(exponent=8.0)
 
     def value(self, information: Array) -> Array:
-        """(...) smallest eigenvalue, -inf where M is singular."""
         variances, none = _variances(information)
         return np.where(none, -np.inf, 1.0 / variances[..., -1])
 
     def gradient(self, information: Array) -> Array:
-        """(p, p) v v^T of the eigenvector v of the smallest eigenvalue (one of its supergradients if multiple)."""
         vector = np.linalg.eigh(information)[1][:, 0]
         return np.outer(vector, vector)
-
-    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
-        """(s, c) values, one eigenvalue problem each."""
-        return Criterion.values_after_adding(self, information, jacobians)
 
 
 # -- matrices ----------------------------------------------------------------------------------------------------------

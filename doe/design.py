@@ -19,7 +19,7 @@ from doe.plan.accuracy import ExpectedDeviations, error_at_poses, expected_devia
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel
-from identification import PRISMATIC, Array, InputError, Status, identifiability, turned_into
+from identification import PRISMATIC, Array, InputError, Status, identifiability
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
@@ -78,8 +78,9 @@ class Design:
         breaks = beyond(q)
         if breaks.any():
             # joints that may take every angle moved into their limits by whole turns, unless the model sees it
-            moved = turned_into(q, problem.lower, problem.upper, problem.model.joint_types, FITS)
-            moved = np.where(problem.upper - problem.lower >= 2.0 * np.pi - FITS, moved, q)
+            middle, turns = 0.5 * (problem.lower + problem.upper), np.array(problem.model.joint_types) != PRISMATIC
+            turns &= problem.upper - problem.lower >= 2.0 * np.pi - FITS
+            moved = np.where(turns, q - 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), q)
             change = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(q)).max()
             breaks = beyond(moved) if change < 1e-9 else breaks  # relative to what a whole parameter does: rounding
         for constraint in problem.constraints:
@@ -129,15 +130,14 @@ class Design:
     @cached_property
     def deviations(self) -> ExpectedDeviations | None:
         """Expected standard deviations with the arm's sigma, the mean over the draws of an uncertain arm."""
-        return expected_deviations(self.problem, self.plan.postures, self.problem.model.sigma, self.plan.weights)
+        return expected_deviations(self.problem, self.plan.postures, self.plan.weights)
 
     @cached_property
     def worst_deviations(self) -> ExpectedDeviations | None:
         """The largest over the draws of an uncertain arm; None for a known arm, or without sigma."""
-        model = self.problem.model
-        if not isinstance(model, EnsembleModel):
+        if not isinstance(self.problem.model, EnsembleModel):
             return None
-        return expected_deviations(self.problem, self.plan.postures, model.sigma, self.plan.weights, np.max)
+        return expected_deviations(self.problem, self.plan.postures, self.plan.weights, np.max)
 
     @property
     def expected_error(self) -> dict[str, float | None] | None:

@@ -452,20 +452,13 @@ def scheduler_is_there(executor: Any) -> None:
 
 # -- one call in a process of its own ----------------------------------------------------------------------------------
 class Outcome(NamedTuple):
-    """How a call in its own process ended.
+    """How a call in its own process ended."""
 
-    value : what it returned, None unless `status` is "done"
-    status : "done", "failed" (it raised), "timeout" (killed), "crashed" (the process died)
-    error : one line on what went wrong
-    seconds : wall time of the call itself, without starting the process
-    peak_memory_mb : largest resident memory of the process, with its imports; None where the system does not give it
-    """
-
-    value: Any
-    status: str
-    error: str | None
-    seconds: float
-    peak_memory_mb: float | None
+    value: Any  # what it returned, None unless `status` is "done"
+    status: str  # "done", "failed" (it raised), "timeout" (killed), "crashed" (the process died)
+    error: str | None  # one line on what went wrong
+    seconds: float  # wall time of the call itself, without starting the process
+    peak_memory_mb: float | None  # resident, with the imports; None where the system does not give it
 
 
 def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -> Outcome:

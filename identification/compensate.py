@@ -1,19 +1,14 @@
-"""Joint commands that bring the tip of the real arm to where the nominal arm would have been.
+"""Compensation: joint commands that bring the tip of the real arm, the calibrated model, to its targets.
 
 Targets are positions, or poses of a spatial arm's tool, where an angle counts as the distance that it is at full reach.
-The real arm is the calibrated model. A command keeps to the constraints that are given: where none does, the target
-counts as not reached, and its message says which constraint is in the way.
-
-Inverse kinematics is Levenberg-Marquardt on exact derivatives, all targets at once; steps are the shortest that close
-the gap, so a redundant arm stays near where it started. Where one start does not reach a target, or no arm may stand
-with what it reaches, there are many more (`best_of_seeds`): at first a few steps are made from each. Where no start
-reaches a target the best go on by Newton's method; where those that reach it miss a constraint, they are led away from
+Inverse kinematics is Levenberg-Marquardt on exact derivatives, all targets at once, from one start and then from many
+(`best_of_seeds`). What no start reaches goes on by Newton's method; postures that miss a constraint are led away from
 what is in the way, unless that is the target itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -47,7 +42,7 @@ QUICK = 20  # iterations at first: 99 of 100 seeds that reach a target have reac
 MISSED = 1e3  # a rank from which a target is not reached, or constraints are missed
 CHUNK = 1_000  # targets at a time, times SEEDS starts
 BEND = 1e-7  # [rad] of a joint, for second derivatives
-WITNESSES = 6  # postures at a target that must agree before it counts as barred, and seeds that are tried for them
+WITNESSES = 6  # postures at a target that must agree before it counts as barred
 SAME = 0.01  # of what is missed: margins that differ by less are those of the target, whatever the posture
 APPROACH = {"directions", "past"}  # what an effect needs whose error depends on the side that a joint comes from
 Constraints = Sequence[PostureCondition]
@@ -465,32 +460,39 @@ def tried(task: Task, seeds: Array, iterations: int = QUICK) -> Tried:
 def best_of_seeds(task: Task) -> tuple[Array, Array]:
     """(k, n) postures and (k,) errors: of the solutions that reach a goal the nearest to `near`, else the closest.
 
-    At first a few steps are made, of a redundant arm from those seeds alone that promise to end near.
+    At first a few steps are made from each seed.
     """
-    model, arm = task.model, task.model.arm
-    # effort: random postures, always the same; of a redundant arm the six that promise most are tried at first
+    arm = task.model.arm
+    # random postures, always the same
     seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, arm.links))
     redundant = task.conditions.orientation is None and arm.links > task.goals.shape[1]
-    promising = _promising(model, seeds) if redundant else lambda _: seeds[:SEEDS]
     postures, errors = np.empty_like(task.near), np.empty(len(task.goals))
     for start in range(0, len(task.goals), CHUNK):
         rows = np.arange(start, min(start + CHUNK, len(task.goals)))
         some = task.at(rows)
-        first = tried(some, promising(some))
+        chosen = seeds[:SEEDS]
+        if redundant:  # reaches most goals from most seeds: the six whose linear steps to the goal end nearest
+            positions, jacobians = linearization(task.model, Conditions())(seeds, np.arange(len(seeds)))
+            scale = metric(task.model) / task.model.reach
+            shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
+            steps = np.einsum("snd,ksd->ksn", shortest, some.goals[:, None] - positions)
+            ends = np.clip(seeds + steps, arm.lower, arm.upper)
+            away = np.linalg.norm((ends - some.near[:, None]) * scale, axis=2)
+            chosen = seeds[np.argsort(away, axis=1, kind="stable")[:, :6]]
+        first = tried(some, chosen)
         postures[rows], errors[rows] = first[0][:, 0], first[1][:, 0]
         rest = first[2][:, 0] >= MISSED
         if task.constraints and rest.any():
-            rest[rest] = ~_barred(some.at(rest), seeds[:WITNESSES], *(values[rest] for values in first[:2]))
+            rest[rest] = ~_barred(some.at(rest), *(values[rest] for values in first[:2]))
         if rest.any():
-            again = task.constraints or redundant
-            iterations = MAX_ITERATIONS if task.constraints else QUICK
-            further = tried(some.at(rest), seeds[:SEEDS], iterations) if again else [values[rest] for values in first]
-            postures[rows[rest]], errors[rows[rest]] = _led_on(some.at(rest), *further)
+            again = first[0][rest], first[1][rest], first[2][rest]
+            if task.constraints or redundant:
+                again = tried(some.at(rest), seeds[:SEEDS], MAX_ITERATIONS if task.constraints else QUICK)
+            postures[rows[rest]], errors[rows[rest]] = _led_on(some.at(rest), *again)
     missed = np.flatnonzero(errors > TOLERANCE) if not redundant else np.arange(0)
     missed = missed[np.argsort(errors[missed], kind="stable")]
-    for start in range(
-        0, len(missed), 32
-    ):  # effort: those missed by least with the other seeds, while there is progress
+    # effort: those missed by least with the other seeds, while there is progress
+    for start in range(0, len(missed), 32):
         rows = missed[start : start + 32]
         reached, left = _led_on(task.at(rows), *tried(task.at(rows), seeds[SEEDS:]))
         better = left <= TOLERANCE
@@ -500,27 +502,9 @@ def best_of_seeds(task: Task) -> tuple[Array, Array]:
     return postures, errors
 
 
-def _promising(model: Model, seeds: Array) -> Callable[[Task], Array]:
-    """Of goals the (k, 6, n) of random postures (s, n) of a redundant arm whose linear steps to the goals end nearest
-    to the postures near."""
-    scale = metric(model) / model.reach
-    positions, jacobians = linearization(model, Conditions())(seeds, np.arange(len(seeds)))
-    shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
-
-    def promising(task: Task) -> Array:
-        steps = np.einsum("snd,ksd->ksn", shortest, task.goals[:, None] - positions)
-        ends = np.clip(seeds + steps, model.arm.lower, model.arm.upper)
-        distances = np.linalg.norm((ends - task.near[:, None]) * scale, axis=2)
-        return np.asarray(seeds[np.argsort(distances, axis=1, kind="stable")[:, :6]])
-
-    return promising
-
-
-def _barred(task: Task, seeds: Array, postures: Array, left: Array) -> NDArray[np.bool_]:
-    """(k,) where the goals themselves miss a constraint, as far as postures (k, s, n) that leave (k, s), and a few more
-    seeds tell: postures that reach a goal are different, and all miss some margin by the same amount."""
-    further = tried(task, seeds)
-    postures, left = np.concatenate([postures, further[0]], axis=1), np.concatenate([left, further[1]], axis=1)
+def _barred(task: Task, postures: Array, left: Array) -> NDArray[np.bool_]:
+    """(k,) where the goals themselves miss a constraint, as far as postures (k, s, n) that leave (k, s) tell: postures
+    that reach a goal are different, and all miss some margin by the same amount."""
     reached = left <= TOLERANCE
     margins = np.column_stack([each.margin(postures.reshape(-1, postures.shape[2])) for each in task.constraints])
 

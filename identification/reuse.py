@@ -1,8 +1,7 @@
 """Reusing a calibration: only some of its parameters are estimated again, or all of them with it as the prior.
 
-The tracker moved, a motor was changed, a year went by: most of what was found still holds. Where the set-up is another
-than the fit assumes, a freer fit says so: the base stands elsewhere, or a measured point is mounted elsewhere than in
-the session before.
+Where the set-up is another than the fit assumes, a freer fit says so: the base stands elsewhere, or a measured point is
+mounted elsewhere than in the session before.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from identification.arm import Arm, Calibration
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
-from identification.estimation.problem import Earlier
+from identification.estimation.problem import conditioned
 from identification.estimation.uncertainty import LEVEL
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.corrected import standing_in
@@ -144,7 +143,7 @@ def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Se
 
 
 # -- an earlier calibration as the prior -------------------------------------------------------------------------------
-def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlier:
+def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibration:
     """What a calibrated arm says of a model's parameters, but for where base and measured points are, which are found
     again; given what the model holds.
 
@@ -175,18 +174,16 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Earlie
         raise InputError(f"prior: {share} {twice}")
     if shared > 0.0:
         warnings.warn(f"prior: {share} are among those it was fitted to, and count twice", UserWarning, stacklevel=2)
-    values = np.array([calibration.values[name] for name in calibration.parameter_names])
-    whole = Earlier(calibration.parameter_names, values, calibration.covariance)
     held = {name: value for name, value in model.fixed.items() if name in calibration.parameter_names}
     # where arm and instrument stand; of a planar arm with a base offset that and the offset of joint 1
     planar = PLANAR_BASE if PLANAR_BASE[0] in model.all_parameters.names else ()
     of_set_up = {
         p.name for p in model.all_parameters if (p.name in planar if model.arm.chain.planar else p.kind in (BASE, TOOL))
     }
-    of_both = whole.about((set(model.names) | set(held)) - of_set_up)
-    if not set(of_both.names) - set(held):
+    of_both = calibration.about((set(model.names) | set(held)) - of_set_up)
+    if not set(of_both.parameter_names) - set(held):
         raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
-    return of_both.conditioned_on({name: value for name, value in held.items() if name not in of_set_up})
+    return conditioned(of_both, {name: value for name, value in held.items() if name not in of_set_up})
 
 
 def same_drawing(calibrated: Arm, arm: Arm) -> bool:

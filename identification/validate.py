@@ -1,9 +1,5 @@
-"""Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands.
-
-Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with. Where
-the arm stands is found by the closed form on its calibrated geometry, composed into the chain, and then, with the
-effects of the arm, by least squares. So a model is judged, too, before it is offered for use: does it predict what it
-has not seen better than the geometry alone?
+"""Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands,
+beside the drawing refitted in the same way. So a model is judged, too, before it is offered for use.
 """
 
 from __future__ import annotations

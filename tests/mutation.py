@@ -26,7 +26,7 @@ MODEL = ["tests/identification/kinematics", "tests/identification/model/test_arm
 TESTED = {  # module -> tests that must notice
     "identification/information.py": ["tests/identification/test_information.py"],
     "identification/kinematics/closed_form.py": [
-        *(f"{ESTIMATION}/test_{name}.py" for name in ("estimate", "batch", "estimate_each")),
+        *(f"{ESTIMATION}/test_{name}.py" for name in ("estimate", "batch")),
         "tests/identification/kinematics/test_closed_form.py",
     ],
     "identification/kinematics/chain.py": [*MODEL, "tests/identification/model/test_minimal.py"],

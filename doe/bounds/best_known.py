@@ -18,8 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from doe.bounds.certificate import ApproximateDesign, Bound
-from doe.bounds.column_generation import column_generation, continuous_design
-from doe.bounds.continuous import ContinuousSet
+from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never

@@ -8,9 +8,8 @@ Two upper bounds hold on every box with centre c and half widths r, and the lowe
     Taylor     v(x) + max_(q in box) v'(x)(q - x) + lambda/2 max |q - x|^2
                for x near the box's maximum; lambda >= 0 bounds the largest eigenvalue of the Hessian over the box
 
-Where a derivative cannot change its sign the box shrinks to its face. Rounding is covered by a margin: the standard
-bound on the error of sums of products (number of operations times 2.2e-16 times the sum of magnitudes), where the
-magnitudes are those before anything cancels.
+Rounding is covered by a margin: the standard bound on the error of sums of products (number of operations times 2.2e-16
+times the sum of magnitudes), where the magnitudes are those before anything cancels.
 
 *Is a sensitivity such a polynomial?* The scaled Jacobians B(q) of a chain of revolute joints, planar or spatial, are
 sums of products of sines and cosines of whole combinations of joint angles; most effects keep that. Then
@@ -63,10 +62,6 @@ class TrigonometricPolynomial:
     magnitude: float = 0.0
     operations: int = 0
 
-    def value(self, q: Array) -> Array:
-        """(b,) at postures (b, n)."""
-        return self.constant + np.cos(self._phase(q)) @ self._amplitudes
-
     @cached_property
     def margin(self) -> float:
         """What rounding can have cost."""
@@ -77,79 +72,58 @@ class TrigonometricPolynomial:
     def _amplitudes(self) -> Array:
         return np.abs(self.coefficients)
 
-    @cached_property
-    def _waves(self) -> Array:
-        return self.frequencies.astype(float)
-
     def _phase(self, q: Array) -> Array:
-        return np.asarray(q @ self._waves.T + np.angle(self.coefficients))
+        return np.asarray(q @ self.frequencies.T + np.angle(self.coefficients))
 
-    def _reach(self, half: Array) -> Array:
-        return np.asarray(half @ np.abs(self._waves).T)
-
-    def termwise(self, center: Array, half: Array) -> Array:
-        """(b,) upper bound: every wave at its own largest."""
-        return self.constant + highest_cosine(self._phase(center), self._reach(half)) @ self._amplitudes
-
-    def slopes(self, center: Array, half: Array) -> tuple[Array, Array]:
-        """(b, n) lowest and highest derivative by every joint over the boxes."""
-        phase, reach = self._phase(center), self._reach(half)
-        highest = highest_cosine(phase + 0.5 * np.pi, reach)  # of -sin = cos(. + pi/2)
-        lowest = -highest_cosine(phase - 0.5 * np.pi, reach)
-        rising = self._amplitudes[:, None] * np.maximum(self._waves, 0.0)
-        falling = self._amplitudes[:, None] * np.minimum(self._waves, 0.0)
-        return lowest @ rising + highest @ falling, highest @ rising + lowest @ falling
-
-    def shrink(self, center: Array, half: Array) -> tuple[Array, Array]:
-        """Boxes reduced to the face where the polynomial is largest, joint by joint, where it is monotone."""
-        lowest, highest = self.slopes(center, half)
-        slack = self.margin * np.abs(self._waves).max(initial=1.0)
-        up, down = lowest > slack, highest < -slack
-        moved = center + np.where(up, half, 0.0) - np.where(down, half, 0.0)
-        return moved, np.where(up | down, 0.0, half)
-
-    def bound(self, center: Array, half: Array) -> tuple[Array, Array]:
-        """Per box a good posture (b, n) in it, by Newton's method, and an upper bound (b,) over it."""
-        n, free = self._waves.shape[1], (half > 0.0).astype(float)
-        point = center
-        for _ in range(3):  # joints of zero width do not move
-            hessian = -self._weighted(np.cos(self._phase(point)), self._waves)
-            hessian = hessian * free[:, :, None] * free[:, None, :] - np.eye(n) * (1.0 - free)[:, :, None]
-            values, vectors = np.linalg.eigh(hessian)
-            along = np.einsum("bij,bi->bj", vectors, self._slope(point) * free) / np.maximum(np.abs(values), 1e-9)
-            step = np.einsum("bij,bj->bi", vectors, along)
-            point = np.clip(point + step, center - half, center + half)
-        slope = self._slope(point)
-        above, below = center + half - point, point - center + half
-        linear = np.maximum(slope * above, -slope * below).sum(axis=1)
-        farthest = np.square(np.maximum(above, below)).sum(axis=1)
-        taylor = self.value(point) + linear + 0.5 * np.maximum(self.curvature(center, half), 0.0) * farthest
-        return point, np.minimum(taylor, self.termwise(center, half))
-
-    def _slope(self, q: Array) -> Array:
-        return -np.sin(self._phase(q)) * self._amplitudes @ self._waves
-
-    def _weighted(self, weights: Array, frequencies: Array) -> Array:
+    def _weighted(self, weights: Array, frequencies: NDArray[np.int64]) -> Array:
         """(b, n, n) sum_t |c_t| weights_t f_t f_t^T."""
         n = frequencies.shape[1]
         outer = np.einsum("ti,tj->tij", frequencies, frequencies).reshape(-1, n * n)
         return ((weights * self._amplitudes) @ outer).reshape(-1, n, n)
 
+    def value(self, q: Array) -> Array:
+        """(b,) at postures (b, n)."""
+        return self.constant + np.cos(self._phase(q)) @ self._amplitudes
+
+    def termwise(self, center: Array, half: Array) -> Array:
+        """(b,) upper bound: every wave at its own largest."""
+        return self.constant + highest_cosine(self._phase(center), half @ np.abs(self.frequencies).T) @ self._amplitudes
+
+    def bound(self, center: Array, half: Array) -> tuple[Array, Array]:
+        """Per box a good posture (b, n) in it, by Newton's method, and an upper bound (b,) over it."""
+
+        def slopes(q: Array) -> Array:
+            return -np.sin(self._phase(q)) * self._amplitudes @ self.frequencies
+
+        n, free = half.shape[1], (half > 0.0).astype(float)
+        point = center
+        for _ in range(3):  # joints of zero width do not move
+            hessian = -self._weighted(np.cos(self._phase(point)), self.frequencies)
+            hessian = hessian * free[:, :, None] * free[:, None, :] - np.eye(n) * (1.0 - free)[:, :, None]
+            values, vectors = np.linalg.eigh(hessian)
+            along = np.einsum("bij,bi->bj", vectors, slopes(point) * free) / np.maximum(np.abs(values), 1e-9)
+            point = np.clip(point + np.einsum("bij,bj->bi", vectors, along), center - half, center + half)
+        slope, above, below = slopes(point), center + half - point, point - center + half
+        linear = np.maximum(slope * above, -slope * below).sum(axis=1)
+        farthest = np.square(np.maximum(above, below)).sum(axis=1)
+        taylor = self.value(point) + linear + 0.5 * np.maximum(self.curvature(center, half), 0.0) * farthest
+        return point, np.minimum(taylor, self.termwise(center, half))
+
     def curvature(self, center: Array, half: Array) -> Array:
         """(b,) upper bound of the Hessian's largest eigenvalue over the box, in the joints that the box still spans."""
-        phase, reach = self._phase(center), self._reach(half)
+        phase, reach = self._phase(center), half @ np.abs(self.frequencies).T
         high, low = highest_cosine(phase, reach), -highest_cosine(phase + np.pi, reach)
         spans = (half > 0.0).astype(float)
         mask = spans[:, :, None] * spans[:, None, :]
-        middle = -self._weighted(0.5 * (high + low), self._waves) * mask
-        radius = self._weighted(0.5 * (high - low), np.abs(self._waves)) * mask
-        largest = float(self._amplitudes @ np.square(self._waves).sum(axis=1))  # no eigenvalue exceeds it
+        middle = -self._weighted(0.5 * (high + low), self.frequencies) * mask
+        radius = self._weighted(0.5 * (high - low), np.abs(self.frequencies)) * mask
+        largest = float(self._amplitudes @ np.square(self.frequencies).sum(axis=1))  # no eigenvalue exceeds it
         middle -= largest * np.eye(half.shape[1]) * (1.0 - spans)[:, :, None]  # joints without width never decide
         return np.linalg.eigvalsh(middle)[:, -1] + radius.sum(axis=2).max(axis=1) + 1e-14 * largest
 
     def split(self, center: Array, half: Array) -> tuple[Array, Array]:
         """Every box bisected along the joint that its polynomial depends on most."""
-        rows, importance = np.arange(len(center)), half * (self._amplitudes @ np.abs(self._waves))
+        rows, importance = np.arange(len(center)), half * (self._amplitudes @ np.abs(self.frequencies))
         widest = np.argmax(importance, axis=1)
         smaller, shift = half.copy(), np.zeros_like(half)
         smaller[rows, widest] *= 0.5
@@ -186,15 +160,14 @@ def maximum(
         order = np.argsort(-promise)
         now, later = order[:2048], order[2048:]  # examined together
         boxes += len(now)
-        shrunk = polynomial.shrink(center[now], half[now])
-        point, bound = polynomial.bound(*shrunk)
+        point, bound = polynomial.bound(center[now], half[now])
         bound = np.minimum(bound, promise[now])
         reached = polynomial.value(point)
         if reached.max() > best:
             best, posture = float(reached.max()), point[int(reached.argmax())]
         left = bound > best + tolerance
         discarded_bound = max(discarded_bound, float(bound[~left].max(initial=-np.inf)))
-        halves = polynomial.split(shrunk[0][left], shrunk[1][left])
+        halves = polynomial.split(center[now][left], half[now][left])
         center, half = np.concatenate([center[later], halves[0]]), np.concatenate([half[later], halves[1]])
         promise = np.concatenate([promise[later], bound[left], bound[left]])
     top = max(discarded_bound, best, float(promise.max(initial=-np.inf))) + polynomial.margin
@@ -206,74 +179,64 @@ def maximum(
 Frequency = tuple[int, ...]
 Angle = tuple[Frequency, float]  # a whole combination of joint angles plus a constant [rad]
 Polynomial = dict[Frequency, complex]  # whole frequencies -> coefficient of exp(i f . q)
-
-
-@dataclass(frozen=True)
-class TrigonometricJacobian:
-    """B(q) = sum_f C_f exp(i f . q): frequencies (R, n) whole, coefficients (R, d, p) complex."""
-
-    frequencies: NDArray[np.int64]
-    coefficients: NDArray[np.complex128]
-
-    @classmethod
-    def of(cls, problem: DesignProblem) -> TrigonometricJacobian | None:
-        """B as trigonometric polynomials, or None where they are not (a gear ratio, a sign of a torque)."""
-        try:
-            entries = polynomials(problem.scaled_jacobian_function)
-        except NotTrigonometric:
-            return None
-        frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
-        if not frequencies or len(frequencies) > 400:  # beyond, a bound by branch and bound is out of reach
-            return None
-        coefficients = np.zeros((len(frequencies), problem.model.dimension, problem.parameters), dtype=complex)
-        slot = {frequency: k for k, frequency in enumerate(frequencies)}
-        for (row, column), polynomial in entries.items():
-            for frequency, value in polynomial.items():
-                coefficients[slot[frequency], row, column] = value
-        return cls(np.array(frequencies).reshape(-1, problem.joints), coefficients)
-
-    def sensitivity(self, gradient: Array, factor: float = 1.0, constant: float = 0.0) -> TrigonometricPolynomial:
-        """factor * tr(G B^T B) + constant as a polynomial, G = `gradient` (p, p)."""
-        count, n = self.frequencies.shape
-        pairs = np.einsum("fda,ab,gdb->fg", self.coefficients, factor * gradient, self.coefficients, optimize=True)
-        sums = (self.frequencies[:, None] + self.frequencies[None]).reshape(count * count, n)
-        unique, place = np.unique(sums, axis=0, return_inverse=True)
-        values = np.zeros(len(unique), dtype=np.complex128)
-        np.add.at(values, place.ravel(), pairs.ravel())
-        first = np.array([row[np.flatnonzero(row)[0]] if row.any() else 0 for row in unique])
-        constant += float(values[first == 0].real.sum())
-        size = np.abs(self.coefficients).sum(axis=0)  # (d, p)
-        magnitude = abs(factor) * float(np.sum((size @ np.abs(gradient)) * size)) + abs(constant)
-        operations = 4 * len(gradient) + 2 * self.coefficients.shape[1] + 2 * count + 16  # lengths of the sums, nested
-        return TrigonometricPolynomial(
-            constant, unique[first > 0], np.asarray(2.0 * values[first > 0]), magnitude, operations
-        )
+Jacobian = tuple[NDArray[np.int64], NDArray[np.complex128]]  # (R, n) f and (R, d, p) C of sum_f C_f exp(i f . q)
 
 
 class NotTrigonometric(Exception):
     """An instruction leaves the ring of trigonometric polynomials."""
 
 
-def polynomials(function: ca.Function) -> dict[tuple[int, int], Polynomial]:
-    """(row, column) -> polynomial of the function's one output. Raises `NotTrigonometric`."""
-    n = function.size1_in(0)
+def trigonometric_jacobian(problem: DesignProblem) -> Jacobian | None:
+    """B(q) as trigonometric polynomials, or None where it is not (a gear ratio, a sign of a torque)."""
+    function, n = problem.scaled_jacobian_function, problem.joints
     places = list(zip(*function.sparsity_out(0).get_triplet(), strict=True))
     work: dict[int, Angle | Polynomial] = {}
     entries: dict[tuple[int, int], Polynomial] = {}
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        sources, targets = function.instruction_input(k), function.instruction_output(k)
-        if operation == ca.OP_CONST:
-            work[targets[0]] = (0,) * n, function.instruction_constant(k)
-        elif operation == ca.OP_INPUT:
-            work[targets[0]] = tuple(int(j == sources[1]) for j in range(n)), 0.0
-        elif operation == ca.OP_OUTPUT:
-            entries[places[targets[1]]] = _polynomial(work[sources[0]])
-        elif operation in OPERATIONS:
-            work[targets[0]] = OPERATIONS[operation](*(work[s] for s in sources))
-        else:
-            raise NotTrigonometric
-    return entries
+    try:
+        for k in range(function.n_instructions()):
+            operation = function.instruction_id(k)
+            sources, targets = function.instruction_input(k), function.instruction_output(k)
+            if operation == ca.OP_CONST:
+                work[targets[0]] = (0,) * n, function.instruction_constant(k)
+            elif operation == ca.OP_INPUT:
+                work[targets[0]] = tuple(int(j == sources[1]) for j in range(n)), 0.0
+            elif operation == ca.OP_OUTPUT:
+                entries[places[targets[1]]] = _polynomial(work[sources[0]])
+            elif operation in OPERATIONS:
+                work[targets[0]] = OPERATIONS[operation](*(work[s] for s in sources))
+            else:
+                return None
+    except NotTrigonometric:
+        return None
+    frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
+    if not frequencies or len(frequencies) > 400:  # beyond, a bound by branch and bound is out of reach
+        return None
+    coefficients = np.zeros((len(frequencies), problem.model.dimension, problem.parameters), dtype=complex)
+    slot = {frequency: k for k, frequency in enumerate(frequencies)}
+    for (row, column), polynomial in entries.items():
+        for frequency, value in polynomial.items():
+            coefficients[slot[frequency], row, column] = value
+    return np.array(frequencies).reshape(-1, n), coefficients
+
+
+def sensitivity_polynomial(
+    jacobian: Jacobian, gradient: Array, factor: float = 1.0, constant: float = 0.0
+) -> TrigonometricPolynomial:
+    """factor * tr(G B^T B) + constant as a polynomial, G = `gradient` (p, p)."""
+    frequencies, coefficients = jacobian
+    count, d = coefficients.shape[:2]
+    pairs = np.einsum("fda,ab,gdb->fg", coefficients, factor * gradient, coefficients, optimize=True)
+    sums = (frequencies[:, None] + frequencies[None]).reshape(count * count, -1)
+    unique, place = np.unique(sums, axis=0, return_inverse=True)
+    values = np.zeros(len(unique), dtype=np.complex128)
+    np.add.at(values, place.ravel(), pairs.ravel())
+    first = np.array([row[np.flatnonzero(row)[0]] if row.any() else 0 for row in unique])
+    constant += float(values[first == 0].real.sum())
+    size = np.abs(coefficients).sum(axis=0)  # (d, p)
+    magnitude = abs(factor) * float(np.sum((size @ np.abs(gradient)) * size)) + abs(constant)
+    operations = 4 * len(gradient) + 2 * d + 2 * count + 16  # lengths of the sums, nested
+    waves = np.asarray(2.0 * values[first > 0])
+    return TrigonometricPolynomial(constant, unique[first > 0], waves, magnitude, operations)
 
 
 def _polynomial(value: Angle | Polynomial) -> Polynomial:

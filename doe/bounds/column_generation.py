@@ -14,15 +14,16 @@ are recomputed from the weights, whoever computed them; a solver's own numbers a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from doe.bounds.branch_and_bound import TrigonometricJacobian, maximum
+from doe.bounds.branch_and_bound import maximum, sensitivity_polynomial, trigonometric_jacobian
 from doe.bounds.certificate import ApproximateDesign
-from doe.bounds.continuous import SAME, ContinuousSet, distinct
 from doe.bounds.weights import (
     POWERS,
     interior_point_weights,
@@ -34,8 +35,9 @@ from doe.bounds.weights import (
 from doe.criteria import Criterion
 from doe.plan.ascent import PlanAscent
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
-from doe.problem.problem import DesignProblem, PriorInformation, Stop, never
+from doe.problem.problem import Derivatives, DesignProblem, PriorInformation, Stop, never
 from identification import Array, InputError, JobError, Status, nearest
+from identification.newton_ascent import newton_ascent
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
 # largest sensitivity of all that was visited
@@ -54,10 +56,17 @@ COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
 ROUGHEST = 1e-2  # gap to which weights are multiplicative, for hundreds of parameters
 WEIGHTED = 2000  # candidates that are weighted so at once at least
 FINE = 1e-6  # the same, before the first thorough search; and from which the weights at the end are exact
+CLIMBERS = 64
+# heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
+# the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
+BARRIERS = np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)])
+SAME = 1e-7  # [rad] postures nearer than this are one
 LAST = 2.0  # [s] that a pass over the candidates may take after the time has ended, however short the search was
-LARGEST = {"clarabel": 20_000}  # candidates up to which one big program works; beyond, Clarabel returns errors
+# candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
+LARGEST = {"clarabel": 20_000, "scs": 100_000}
 
 
+# -- design spaces -----------------------------------------------------------------------------------------------------
 class CandidateSet:
     """A finite set of postures (N, n), visited chunk by chunk; Jacobians are remembered where they are few.
 
@@ -98,6 +107,125 @@ class CandidateSet:
         return self.offers(self.sensitivities(gradient), level)
 
 
+@dataclass(frozen=True)
+class ContinuousSet:
+    """All postures within the limits (and constraints) of a problem, and those of the largest sensitivity: multistart
+    Newton ascent of d(q) = tr(G F(q)), all starts together, on exact first and second derivatives.
+
+    Constraints are kept by a logarithmic barrier, lowered step by step, so that a climb can follow a wall. What it ends
+    at is a numerical maximum; branch and bound makes it a theorem where the model allows.
+    also : (k, n) starts beside the landmarks and random ones
+    """
+
+    problem: DesignProblem
+    prior: PriorInformation
+    also: Array | None = None
+
+    @cached_property
+    def _derivatives(self) -> Derivatives:
+        return self.problem.jacobian_derivatives(range(self.problem.joints))
+
+    @cached_property
+    def _walls(self) -> Derivatives:
+        return self.problem.wall_derivatives(range(self.problem.joints))
+
+    def sensitivities(self, postures: Array, gradient: Array) -> Array:
+        """(m,) tr(G F(q))."""
+        return self.prior.sensitivities(self.problem.scaled_jacobians(postures), gradient)
+
+    def slopes(self, postures: Array, gradient: Array) -> tuple[Array, Array]:
+        """(m, n) gradient and (m, n, n) Hessian of tr(G F(q)) with respect to the joint angles."""
+        jacobians, first = self._derivatives.first(postures)
+        weighted, flat = jacobians @ gradient, first.reshape(*first.shape[:2], -1)
+        slope = 2.0 * np.einsum("mx,max->ma", weighted.reshape(len(first), -1), flat)
+        hessian = (first @ gradient).reshape(flat.shape) @ np.swapaxes(flat, 1, 2)
+        hessian += self._derivatives.bend(postures, weighted)
+        return slope / (1.0 + self.prior.runs), 2.0 * hessian / (1.0 + self.prior.runs)
+
+    @cached_property
+    def starts(self) -> Array:
+        """(k, n) limits and middles of the joints that matter, and random postures, those that are feasible."""
+        problem, generator = self.problem, np.random.default_rng(0)
+        active, middle = list(problem.active_joints), 0.5 * (problem.lower + problem.upper)
+        most = 3**7  # limits and middle of seven joints
+        if 3 ** len(active) <= most:
+            places = np.array(list(product(range(3), repeat=len(active))), dtype=int)
+        else:
+            places = generator.integers(0, 3, (most, len(active)))
+        landmarks = np.tile(middle, (len(places), 1))
+        landmarks[:, active] = np.stack([problem.lower, problem.upper, middle])[places, active]
+        also = [] if self.also is None else [np.atleast_2d(self.also)]
+        anywhere = random_postures(problem, 2000, generator)  # beside the landmarks
+        return np.concatenate([landmarks[problem.feasible(landmarks)], *also, anywhere])
+
+    def best(
+        self, gradient: Array, near: Array, generator: np.random.Generator | None = None, stop: Stop = never
+    ) -> tuple[Array, Array]:
+        """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
+
+        Starts are `near` (j, n) and the best of the landmarks; with a generator, a search as thorough as is affordable:
+        the best of many fresh random postures, and others whatever their value, for a high maximum may be narrow.
+        `stop` ends the climb on its way.
+        """
+        pool = self.starts if generator is None else random_postures(self.problem, 20_000, generator)
+        order = np.argsort(-self.sensitivities(pool, gradient))
+        promising = (
+            [pool[order[:CLIMBERS]]] if generator is None else [pool[order[: 4 * CLIMBERS]], pool[: 4 * CLIMBERS]]
+        )
+        postures = self.climb(np.concatenate([near, *promising]), gradient, stop)
+        values = self.sensitivities(postures, gradient)
+        order = np.argsort(-values)
+        order = order[distinct(self.problem.comparable(postures[order]))]
+        return postures[order], values[order]
+
+    def climb(self, postures: Array, gradient: Array, stop: Stop = never) -> Array:
+        """Every posture moved uphill to a local maximum, within limits and constraints."""
+        q = self.problem.clip(postures)
+        if not self.problem.constraints:
+            return self._ascend(q, gradient, np.zeros(len(q)), stop)
+        scale = float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0))
+        kind = np.arange(len(q)) % len(BARRIERS)
+        for barriers in scale * BARRIERS.T:
+            q = self._ascend(q, gradient, barriers[kind], stop)
+            # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
+            apart = distinct(np.column_stack([self.problem.comparable(q), kind]), 1e-6)
+            q, kind = q[apart], kind[apart]
+        return q
+
+    def _ascend(self, q: Array, gradient: Array, barrier: Array, stop: Stop) -> Array:
+        """The climb of tr(G F(q)) + barrier * sum of log margins: (m,) barriers, all 0 without constraints."""
+
+        def height(postures: Array, rows: NDArray[np.intp]) -> Array:
+            values = self.sensitivities(postures, gradient)
+            if not barrier.any():
+                return values
+            margins = self._walls.values(postures)
+            inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(postures)
+            logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
+            return np.where(inside, values + barrier[rows] * logarithms, -np.inf)
+
+        def slopes(postures: Array, rows: NDArray[np.intp]) -> tuple[Array, Array]:
+            slope, hessian = self.slopes(postures, gradient)
+            if not barrier.any():
+                return slope, hessian
+            margins, first = self._walls.first(postures)
+            relative, each = first / margins[:, None], barrier[rows, None]
+            bend = self._walls.bend(postures, 1.0 / margins) - relative @ np.swapaxes(relative, 1, 2)
+            return slope + each * relative.sum(axis=2), hessian + each[..., None] * bend
+
+        limits = self.problem.lower, self.problem.upper
+        return newton_ascent(q, height, slopes, limits, self.problem.joint_units, 1e-3 * barrier, stop)
+
+
+def distinct(postures: Array, tolerance: float = SAME) -> NDArray[np.intp]:
+    """Indices of postures of which no earlier one is within `tolerance` [rad] in every joint."""
+    first = np.ones(len(postures), dtype=bool)
+    for k, posture in enumerate(postures):
+        if first[k]:
+            first[k + 1 :] &= np.abs(postures[k + 1 :] - posture).max(axis=1) > tolerance
+    return np.flatnonzero(first)
+
+
 def _best(postures: Array, values: Array, level: float, count: int, fraction: float) -> tuple[Array, float]:
     """Those of the best `count` whose value is above the level by a fraction of the largest, best first; that one."""
     largest, order = float(values.max()), np.argsort(-values, kind="stable")[:count]
@@ -105,6 +233,7 @@ def _best(postures: Array, values: Array, level: float, count: int, fraction: fl
     return postures[order], largest
 
 
+# -- optimal designs over them -----------------------------------------------------------------------------------------
 def column_generation(
     problem: DesignProblem,
     candidates: Array,
@@ -182,8 +311,7 @@ def continuous_design(
         return best
 
     climb, thorough = price(None), price(np.random.default_rng(0))
-    stages: list[Stage] = [(climb, max(FINE, tolerance), 0), (thorough, max(COARSE, tolerance), 1)]
-    stages += [(climb, tolerance, 0), (thorough, tolerance, 1)]
+    stages: list[Stage] = [(climb, tolerance, 0), (thorough, tolerance, 1)]
     start = also
     if not many:
         landmarks = CandidateSet(problem, everything.starts, prior)
@@ -196,12 +324,12 @@ def continuous_design(
     last = np.random.default_rng(0) if stop() and not many else None
     best = everything.best(design.gradient, design.plan.postures, last)[1][0]
     largest, rigorous, goal = max(design.level + gap, float(best)), False, max(tolerance, proof)
-    jacobians = TrigonometricJacobian.of(problem) if proof > 0.0 and not problem.constraints else None
+    jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
     for _ in range(20):  # attempts, each with a posture that was missed
         if jacobians is None or stop():
             break
         constant = float(prior.mixed(0.0, design.gradient))
-        polynomial = jacobians.sensitivity(design.gradient, 1.0 / (1.0 + prior.runs), constant)
+        polynomial = sensitivity_polynomial(jacobians, design.gradient, 1.0 / (1.0 + prior.runs), constant)
         close, tried = goal * abs(design.level), design.plan.postures
         top = maximum(polynomial, problem.lower, problem.upper, tried=tried, tolerance=close, stop=stop)
         largest, rigorous = max(largest, top.value), top.proven
@@ -315,7 +443,7 @@ def relax(
     """Optimal weights over candidate postures, with a certificate recomputed from the weights.
 
     candidates : levels per joint of a grid from limit to limit, or (N, n) postures [rad]
-    solver : `column_generation`, or `clarabel`, which is independent of it, for up to 20,000 candidates
+    solver : `column_generation`, or independent of it, for not too many candidates (`LARGEST`), `clarabel` or `scs`
     runs : number of new runs, needed where the problem keeps measured postures
     stop : asked now and then by column_generation; the bound holds where it ended the search early
     Raises InputError for an unknown solver, too many candidates for it, no feasible candidate; JobError where the
@@ -337,7 +465,7 @@ def relax(
             raise InputError(f"candidates: {len(chosen)} for solver {solver}, allowed: {allowed}; {larger}")
         began, prior = perf_counter(), problem.prior.per_new_run(runs)
         each = prior.posture_information(problem.scaled_jacobians(chosen))
-        weights, solver_status, dual = solve_program(each, problem.criterion)
+        weights, solver_status, dual = solve_program(each, problem.criterion, solver)
         if weights is None:
             raise JobError(f"{solver}: status {solver_status} on {len(chosen)} candidates, no weights; {larger}")
         weights = proper_weights(weights)

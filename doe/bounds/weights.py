@@ -10,9 +10,9 @@ sum of waves of separate joints, whose maximum is proven immediately.
 one (S. D. Silvey, D. M. Titterington, B. Torsney, 1978); the criterion never falls for D with power 1 and for A and I
 with power 1/2 (Y. Yu, Annals of Statistics 38, 2010). A step costs one pass over the postures.
 
-*One convex program* in cvxpy with Clarabel, independent of all else. The textbook's V diag(w) V^T takes 1.2 GB at a
-thousand candidates. Here M is a variable, tied to the weights by as many equations as the F_i have dimensions (13 for
-four links), after a change of coordinates in which the average posture has the unit matrix.
+*One convex program* in cvxpy with Clarabel or SCS, independent of all else. The textbook's V diag(w) V^T takes 1.2 GB
+at a thousand candidates. Here M is a variable, tied to the weights by as many equations as the F_i have dimensions (13
+for four links), after a change of coordinates in which the average posture has the unit matrix.
 """
 
 from __future__ import annotations
@@ -31,8 +31,11 @@ from identification.information import significant
 
 POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
 PRODUCT = 1e-12  # of the largest eigenvalue of a product: below, too few digits are left
-# Clarabel fails on some of these programs with its own scaling of the rows and on others without it
-SETTINGS: tuple[dict[str, Any], ...] = ({"equilibrate_enable": False}, {})
+# of each solver, tried in turn: Clarabel fails on some programs with its own scaling of the rows, on others without it
+SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
+    "clarabel": ({"equilibrate_enable": False}, {}),
+    "scs": ({"eps": 1e-8, "max_iters": 20_000},),
+}
 
 
 def interior_point_weights(
@@ -152,7 +155,9 @@ def sparsest(jacobians: Array, weights: Array) -> Array:
     return weights / weights.sum()
 
 
-def solve_program(posture_information: Array, criterion: Criterion) -> tuple[Array | None, str, Array | None]:
+def solve_program(
+    posture_information: Array, criterion: Criterion, solver: str = "clarabel"
+) -> tuple[Array | None, str, Array | None]:
     """Clarabel's weights (N,) for F_i (N, p, p), None if it returned none; its own name for its status; and for E
     (p, p) G >= 0 of unit trace from the dual: any such G bounds the smallest eigenvalue, lambda_min(N) <= tr(G N)."""
     import cvxpy as cp
@@ -190,10 +195,10 @@ def solve_program(posture_information: Array, criterion: Criterion) -> tuple[Arr
         reason = f"{criterion.name} has no program for this solver"
         raise InputError(f"criterion: {reason}, allowed: D, A, I, E; column_generation knows more")
     program, status = cp.Problem(cp.Maximize(objective), tied), "solver_error"
-    for settings in SETTINGS:
+    for settings in SETTINGS[solver]:
         with warnings.catch_warnings(), suppress(cp.error.SolverError):
             warnings.simplefilter("ignore")  # what cvxpy warns of is the status, which is reported
-            program.solve(solver="CLARABEL", **settings)
+            program.solve(solver=solver.upper(), **settings)
             status = str(program.status)
             break
     if weights.value is None or not np.all(np.isfinite(weights.value)):

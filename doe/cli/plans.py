@@ -203,7 +203,6 @@ def design_files(
     draws : Arms drawn for --uncertain; left out: 5.
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
-    force : Overwrite an existing file.
     """
     from doe.plan.accuracy import tip_beside_random
     from doe.plan.plan import check_order, ordered, plan_text, travel
@@ -276,7 +275,6 @@ def score_files(
     robust : The arm may have effects of the library that its file does not name.
     missing : Only these effects, for --robust: backlash,gear_ratio
     picture : Draw the postures (.png, .svg, .pdf).
-    force : Overwrite an existing file.
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
@@ -346,7 +344,6 @@ def advise_files(
     target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
     seconds : Time budget of all numbers of runs together [s].
     picture : Write the curve as .png, .svg or .pdf.
-    force : Overwrite an existing file.
     """
     from doe.advise import advise
     from doe.problem.problem import DesignProblem
@@ -398,12 +395,11 @@ def relax_files(
 
     grid : Levels per joint; left out: about 10,000 in all.
     candidates : CSV of allowed postures instead of a grid.
-    solver : column_generation (the default), or clarabel, which is independent of it.
+    solver : column_generation (the default), or clarabel or scs, which are independent of it.
     check : Cross-check by independent methods.
     runs : Number of measurements m, for --robust and spatial arms.
     seconds : Time budget [s]; left out: 40.
     out : Write the plan with weights (CSV).
-    force : Overwrite an existing file.
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.cross_check import cross_check
@@ -532,7 +528,6 @@ def discriminate_files(
     payloads : Payloads to choose from [kg], as 0,5,10; left out: the arm's own.
     seconds : Time budget of the choice, after the diagnosis [s].
     out : Write the next postures (CSV).
-    force : Overwrite an existing file.
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
@@ -590,7 +585,6 @@ def report_files(
     edited; it is one file that needs no network.
 
     out : Write the page.
-    force : Overwrite an existing file.
     """
     from doe.plan.plan import Plan
     from doe.report.design import design_verdict, plan_section

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from doe.cli.verb import Count, JobOptions, interruptible, verb
 from identification import InputError, JobError, Progress, nearest, silent
 from identification.document import Answer
+from identification.files.io import check_writable, write_together
 
 if TYPE_CHECKING:
     from doe.jobs import Workers
-    from doe.studies.blind.study import BlindStudy
-    from doe.studies.paper import PaperStudy
 
 BUILT_IN = ("blind", "blind-spatial", "paper")
 Options = dict[str, Any]  # seed, resume, force, progress
@@ -78,11 +78,11 @@ def command(
     if cells and study not in ("blind", "blind-spatial"):
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder = job.out or Path(study).with_suffix(".results")
+    if study == "paper":
+        return _paper(replications, folder, job, seed, progress)
     where = job.where()
     with interruptible(folder):
         options = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
-        if study == "paper":
-            return _paper(replications, folder, where, options)
         if study in BUILT_IN:
             return _blind(cells, study == "blind-spatial", replications, folder, where, options)
         return _from_file(Path(study), replications, folder, where, options)
@@ -109,14 +109,20 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
     return Answer(data, [*monte_carlo_parts(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
 
 
-def _paper(replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
-    """The paper reproduced."""
+def _paper(replications: int | None, folder: Path, job: JobOptions, seed: int, progress: Progress) -> Answer:
+    """The paper reproduced, in some seconds: in this process, without anything to resume."""
+    from doe.jobs import parquet, tables
     from doe.report.studies import paper_parts, paper_pictures
-    from doe.studies.paper import paper_study
+    from doe.studies.paper import paper_study, passed
 
-    study = paper_study(replications, folder, workers, **options)
-    paper_pictures(folder, study)
-    return _tables_answer(study, folder, paper_parts(study))
+    force = job.force or job.resume
+    if folder.exists():
+        check_writable(folder / "errata.parquet", force)
+    found = paper_study(replications, seed=seed, progress=progress)
+    files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in found.items()}
+    with tables(folder):
+        write_together(files | {folder / name: text for name, text in paper_pictures(found).items()}, force)
+    return _tables_answer(found, passed(found), folder, paper_parts(found))
 
 
 def _blind(
@@ -128,10 +134,10 @@ def _blind(
 
     study = blind_study(cells or reported_cells(space), replications, folder, workers, **options)
     blind_pictures(folder, study)
-    return _tables_answer(study, folder, blind_parts(study))
+    return _tables_answer(study.tables, study.passed, folder, blind_parts(study))
 
 
-def _tables_answer(study: BlindStudy | PaperStudy, folder: Path, shown: list[Any]) -> Answer:
+def _tables_answer(tables: Mapping[str, Any], passed: bool, folder: Path, shown: list[Any]) -> Answer:
     """The tables as JSON; exit code 1 if the study missed one of its targets."""
-    rows = {name: frame.to_dicts() for name, frame in study.tables.items()}
-    return Answer({"out": folder, "passed": study.passed, **rows}, shown, exit_code=0 if study.passed else 1)
+    rows = {name: frame.to_dicts() for name, frame in tables.items()}
+    return Answer({"out": folder, "passed": passed, **rows}, shown, exit_code=0 if passed else 1)

@@ -60,22 +60,15 @@ STEPS = ("arm files", "plan", "measurements", "identification", "diagnosis", "id
 
 @dataclass(frozen=True)
 class Scenario:
-    """An arm, and what its simulation hides.
-
-    title : in words;  files : name -> text of what is there first, `arm.toml` among it
-    real : postures (m, n) -> (m, d) positions without noise [mm], of an arm that the fits do not know
-    hidden : parameter name -> value [file units]; what is not in it is zero
-    every_parameter : the fit's parameters are those of `real`; False: only those of effects
-    runs : of the plan;  effort : of the search, arguments of `solve`
-    """
+    """An arm, and what its simulation hides."""
 
     title: str
-    files: Mapping[str, str]
-    real: Callable[[Array], Array]
-    hidden: Mapping[str, float]
-    every_parameter: bool
-    runs: int
-    effort: Mapping[str, Any] = field(default_factory=dict)
+    files: Mapping[str, str]  # name -> text of what is there first, `arm.toml` among it
+    real: Callable[[Array], Array]  # postures (m, n) -> (m, d) exact positions [mm], of an arm that fits do not know
+    hidden: Mapping[str, float]  # parameter name -> value [file units]; what is not in it is zero
+    every_parameter: bool  # the fit's parameters are those of `real`; False: only those of effects
+    runs: int  # of the plan
+    effort: Mapping[str, Any] = field(default_factory=dict)  # of the search, arguments of `solve`
 
 
 def planar() -> Scenario:
@@ -138,23 +131,22 @@ def spatial(runs: int = 36) -> Scenario:
 # -- the loop ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Demo:
-    """Everything the demo made.
-
-    fresh : random postures that no fit has seen;  extended : the named effect identified, from the drawing
-    gaps : `fresh_gap_mm` of the JSON object, RMS distances from the fresh measurements [mm], `noise` that of a perfect
-        model;  hidden : `hidden` of it, what was found beside what was hidden, and RMS distances from the hidden arm
-    """
+    """Everything the demo made."""
 
     scenario: Scenario
     arm: Arm
     problem: DesignProblem
     design: Design
-    fresh: Measurements
+    fresh: Measurements  # random postures that no fit has seen
     identified: Answer
     diagnosed: Answer
-    extended: Answer
-    gaps: Mapping[str, float]
-    hidden: Mapping[str, Any]
+    extended: Answer  # the named effect identified, from the drawing
+    gaps: Mapping[
+        str, float
+    ]  # `fresh_gap_mm` of the JSON object: RMS distances from `fresh`, `noise` of a perfect model
+    hidden: Mapping[
+        str, Any
+    ]  # `hidden` of it: what was found beside what was hidden, RMS distances from the hidden arm
     files: tuple[str, ...]
 
     @property

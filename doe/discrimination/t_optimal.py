@@ -35,7 +35,6 @@ from identification import (
     Model,
     Status,
     readonly,
-    refuse_contacts,
 )
 
 if TYPE_CHECKING:
@@ -105,37 +104,37 @@ class RivalPredictions:
     @classmethod
     def of(cls, diagnosis: Diagnosis, postures: Array, conditions: Conditions) -> RivalPredictions:
         """Of every candidate, fitted to the data at hand, at postures (N, n) under conditions."""
-        positions, jacobians = [], []
+        fitted = []
         for candidate in diagnosis.candidates:
-            model = Model(diagnosis.extended_arm(candidate))
-            position, jacobian = model.linearize(postures, None, conditions)
-            positions.append(position / diagnosis.sigma)
-            order = [candidate.calibration.parameter_names.index(name) for name in model.names]
-            if candidate.calibration.covariance is None:
+            model, fit = Model(diagnosis.extended_arm(candidate)), candidate.calibration
+            if fit.covariance is None:
                 raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
-            covariance = candidate.calibration.covariance[np.ix_(order, order)]
-            jacobians.append(jacobian @ _root(covariance, model.scales) / diagnosis.sigma)
-        delta = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
+            order = [fit.parameter_names.index(name) for name in model.names]
+            predicted = model.linearize(postures, None, conditions)
+            fitted.append((*predicted, fit.covariance[np.ix_(order, order)], model.scales))
+        odds = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
         weights = np.array([candidate.probability or 0.0 for candidate in diagnosis.candidates])
-        right = float(weights.sum()) or 1.0
-        weights = np.exp(-0.5 * delta) if weights.sum() == 0.0 else weights
-        return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians, right)
+        return cls._scaled(fitted, diagnosis.sigma, odds, weights)
 
     @classmethod
     def of_problems(cls, rivals: Sequence[tuple[DesignProblem, Array, float]], postures: Array) -> RivalPredictions:
         """Of any models at postures (N, n), each in a problem, with the covariance (p, p) of its values, fitted to the
         data at hand, and its -2 log odds, as the BIC is; sigma is that of the first."""
-        sigma = rivals[0][0].model.sigma
-        if sigma is None:
+        if (sigma := rivals[0][0].model.sigma) is None:
             raise InputError(f"a comparison of models {NEEDS_SIGMA}")
-        positions, jacobians = [], []
-        for problem, covariance, _ in rivals:
-            position, jacobian = problem.predictions(postures)
-            positions.append(position / sigma)
-            jacobians.append(jacobian @ _root(covariance, problem.model.parameters.scales) / sigma)
-        delta = np.array([odds for _, _, odds in rivals])
-        weights = np.exp(-0.5 * (delta - delta.min()))
-        return cls(weights / weights.sum(), delta - delta[:, None], np.array(positions), jacobians)
+        fitted = [(*one.predictions(postures), known, one.model.parameters.scales) for one, known, _ in rivals]
+        return cls._scaled(fitted, sigma, np.array([odds for _, _, odds in rivals]), np.zeros(len(rivals)))
+
+    @classmethod
+    def _scaled(cls, fitted: Sequence[tuple[Array, ...]], sigma: float, odds: Array, weights: Array) -> Any:
+        """Of positions, Jacobians, covariances and scales; weights all zero: by the odds."""
+        right, jacobians = float(weights.sum()) or 1.0, []
+        weights = weights if weights.any() else np.exp(-0.5 * (odds - odds.min()))
+        for _, jacobian, covariance, scales in fitted:
+            values, vectors = np.linalg.eigh(covariance * np.outer(scales, scales))
+            jacobians.append(jacobian @ (vectors * np.sqrt(np.maximum(values, 0.0)) / scales[:, None]) / sigma)
+        positions = np.array([position for position, *_ in fitted]) / sigma
+        return cls(weights / weights.sum(), odds - odds[:, None], positions, jacobians, right)
 
     def noncentrality(self, chosen: list[int]) -> tuple[Array, Array]:
         """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""
@@ -193,9 +192,7 @@ def discriminate(
             f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to distinguish"
         )
     generator = np.random.default_rng(seed)
-    if pool is None:
-        refuse_contacts(arm.chain)
-        pool = random_postures(DesignProblem.of(Model(arm)), POOL, generator)
+    pool = random_postures(DesignProblem.of(Model(arm)), POOL, generator) if pool is None else pool
     conditions = possible_conditions(arm, len(pool), generator, payloads)
     rivals = RivalPredictions.of(diagnosis, pool, conditions)
     chosen = t_optimal(rivals, runs, stop)
@@ -203,7 +200,6 @@ def discriminate(
     chance = rivals.pair_chance(squares[:, :, None])[:, :, 0]
     np.fill_diagonal(chance, 1.0)
     names = [" + ".join(candidate.effects) for candidate in diagnosis.candidates]
-    pairs = {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)}
     needs = frozenset().union(*(Model(diagnosis.extended_arm(c)).needs for c in diagnosis.candidates))
     picked = conditions.rows(chosen)
     return NextPostures(
@@ -211,7 +207,7 @@ def discriminate(
         readonly(picked.payload) if payloads and picked.payload is not None else None,
         readonly(picked.directions) if "directions" in needs and picked.directions is not None else None,
         rivals.right * float(rivals.weights @ chance.min(axis=1)),
-        pairs,
+        {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)},
         Status.time_limit if stop() else Status.local_optimum,
     )
 
@@ -244,9 +240,3 @@ def possible_conditions(
     payload = generator.choice(np.array(payloads or (usual,)), count)
     directions = generator.choice(np.array([-1.0, 1.0]), (count, arm.links))
     return Conditions(payload, None, np.full(count, 0.5), directions)
-
-
-def _root(covariance: Array, scales: Array) -> Array:
-    """(p, p) with root root^T the covariance (p, p) of parameters of these scales."""
-    values, vectors = np.linalg.eigh(covariance * np.outer(scales, scales))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / scales[:, None])

@@ -40,8 +40,9 @@ class ExpectedDeviations:
     """Standard deviations that a plan will give.
 
     parameters : what they belong to;  values : (p,) of every parameter [mm, rad, or its own unit]
+    length, joint_offset : (n,) of the length errors [mm] and joint offsets dq_j [rad], zero where one is not estimated
     orientation : (n,) of the orientation offsets dtheta_j = dq_1 + ... + dq_j of a planar chain [rad]: the paper's
-        sigma_q (eq. 25); zero where a joint offset is known, and for other chains
+        sigma_q (eq. 25), for j >= 2 smaller than those of dq_j; zero where a joint offset is known
     """
 
     parameters: ParameterSet
@@ -53,36 +54,20 @@ class ExpectedDeviations:
         """True if length errors, joint offsets and effects are all there is: the parameters of a planar chain."""
         return {LENGTH_ERROR, JOINT_OFFSET, EFFECT}.issuperset(self.parameters.kinds)
 
-    @property
-    def length(self) -> Array:
-        """(n,) of the length errors [mm], zero where one is known and not estimated."""
-        return self._by_joint(LENGTH_ERROR)
-
-    @property
-    def joint_offset(self) -> Array:
-        """(n,) of the joint offsets dq_j [rad], larger than those of the orientations for j >= 2
-        (identification/README.md, "Covariance and intervals")."""
-        return self._by_joint(JOINT_OFFSET)
-
-    @property
-    def largest_length(self) -> float:
-        """Largest of a length of the arm's geometry [mm]; zero where none is estimated."""
-        return self._largest("mm")
-
-    @property
-    def largest_angle(self) -> float:
-        """Largest of an angle of the arm's geometry [rad]: of a joint offset, of a planar chain."""
-        return self._largest("rad")
-
-    def _largest(self, unit: str) -> float:
-        chosen = [p.unit == unit and p.kind != EFFECT for p in self.parameters]
-        return float(np.max(self.values[chosen], initial=0.0))
-
-    def _by_joint(self, kind: str) -> Array:
+    def of_joints(self, kind: str) -> Array:
+        """(n,) of the parameters of a kind, by joint."""
         by_joint = np.zeros(self.orientation.size)
         for k in self.parameters.indices(kind).tolist():
             by_joint[(self.parameters[k].joint or 0) - 1] = self.values[k]
         return by_joint
+
+    length = property(lambda self: self.of_joints(LENGTH_ERROR))
+    joint_offset = property(lambda self: self.of_joints(JOINT_OFFSET))
+
+    def largest(self, unit: str) -> float:
+        """Of a length [mm] or an angle [rad] of the arm's geometry; zero where none is estimated."""
+        chosen = [p.unit == unit and p.kind != EFFECT for p in self.parameters]
+        return float(np.max(self.values[chosen], initial=0.0))
 
 
 def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | None:
@@ -113,26 +98,22 @@ def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | Non
 
 
 def expected_deviations(
-    problem: DesignProblem,
-    postures: Array,
-    sigma: float | None,
-    weights: Array | None = None,
-    judge: Callable[..., Array] = np.mean,
+    problem: DesignProblem, postures: Array, weights: Array | None = None, judge: Callable[..., Array] = np.mean
 ) -> ExpectedDeviations | None:
-    """What the plan will give with `sigma` [mm] per coordinate; None without sigma or if the plan is not enough.
+    """What the plan will give with the model's sigma; None without one or if the plan is not enough.
 
     weights : (m,) of an approximate design, for m runs shared out by them; None: one run per posture
     judge : of several arms, each judged by its own block of the Jacobian, the mean, or the worst (`np.max`) of each
         deviation
     """
+    model, sigma = problem.model, problem.model.sigma
     if sigma is None:
         return None
-    several = problem.model if isinstance(problem.model, EnsembleModel) else None
-    one = problem.model if several is None else several.model
-    stacked, d, parameters = plan_jacobians(problem, postures, weights), one.dimension, one.parameters
+    count, model = (len(model.draws), model.model) if isinstance(model, EnsembleModel) else (1, model)
+    stacked, d, parameters = plan_jacobians(problem, postures, weights), model.dimension, model.parameters
     p, offsets = len(parameters), parameters.indices(JOINT_OFFSET).tolist()
     sums, values, orientations = np.tri(len(offsets)), [], []  # dtheta_j = dq_1 + ... + dq_j
-    for k in range(1 if several is None else len(several.draws)):
+    for k in range(count):
         decomposed = spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p))
         if decomposed.rank < p:
             return None
@@ -146,18 +127,17 @@ def expected_deviations(
     return ExpectedDeviations(parameters, judge(values, axis=0), judge(orientations, axis=0))
 
 
-# -- observability indices ---------------------------------------------------------------------------------------------
 def observability(problem: DesignProblem, postures: Array) -> dict[str, float]:
     """The five indices of a plan (m, n), measured postures (`kept`) included: `o1` (s_1 ... s_p)^(1/p) / sqrt(m), `o2`
     s_p / s_1, `o3` s_p, `o4` s_p^2 / s_1, `o5` 1 / sum(1 / s_i)."""
-    jacobians = plan_jacobians(problem, postures)
-    values = np.linalg.svd(jacobians.reshape(-1, problem.parameters), compute_uv=False)
-    if spectrum(jacobians, np.ones(problem.parameters)).rank < problem.parameters:
+    jacobians, p = plan_jacobians(problem, postures), problem.parameters
+    if spectrum(jacobians, np.ones(p)).rank < p:
         return dict.fromkeys(("o1", "o2", "o3", "o4", "o5"), 0.0)
-    o1 = float(np.exp(np.mean(np.log(values))) / np.sqrt(len(postures) + len(problem.kept)))
+    values = np.linalg.svd(jacobians.reshape(-1, p), compute_uv=False)
     largest, smallest = float(values[0]), float(values[-1])
-    o5 = float(1.0 / np.sum(1.0 / values))
-    return {"o1": o1, "o2": smallest / largest, "o3": smallest, "o4": smallest**2 / largest, "o5": o5}
+    o1 = float(np.exp(np.mean(np.log(values))) / np.sqrt(len(postures) + len(problem.kept)))
+    indices = {"o1": o1, "o2": smallest / largest, "o3": smallest, "o4": smallest**2 / largest}
+    return indices | {"o5": float(1.0 / np.sum(1.0 / values))}
 
 
 def criterion_values(problem: DesignProblem, postures: Array) -> dict[str, float | None]:
@@ -177,7 +157,7 @@ def criterion_values(problem: DesignProblem, postures: Array) -> dict[str, float
 # -- error of the tip --------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class TipError:
-    """Root mean square distances [mm].
+    """Root mean square distances [mm], infinite where a plan is not enough.
 
     right : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its machining
     missing : effects of typical size are missing in the model, which is fitted in the same way; infinite where none
@@ -186,13 +166,13 @@ class TipError:
     worst : as `right`, at that of the test poses where it is largest
     """
 
-    right: float
-    missing: float
-    with_prior: float
+    right: float = np.inf
+    missing: float = np.inf
+    with_prior: float = np.inf
     worst: float = np.inf
 
     def to_json(self) -> dict[str, float | None]:
-        """Key `tip_error_mm` (identification/files/README.md, "JSON keys"); None where a plan is not enough."""
+        """Key `tip_error_mm` (identification/files/README.md, "JSON keys"); None where infinite."""
         errors = {"model_right": self.right, "effects_missing": self.missing, "effects_missing_prior": self.with_prior}
         errors |= {"model_right_worst": self.worst}
         return {name: value if np.isfinite(value) else None for name, value in errors.items()}
@@ -228,16 +208,12 @@ class TipErrors:
         return cls(problem, wide, tip_jacobians(wide, poses))
 
     @cached_property
-    def _targets(self) -> Array:
+    def _weighed(self) -> tuple[Array, Array]:
         """(k, d, P) the same, its squares a mean over the measured points, without orientations that are measured too:
-        they are no distance."""
+        they are no distance; and (P, P) the mean of its squares."""
         k, points, _, p = self.targets.shape
-        return np.asarray(self.targets[:, :, :3].reshape(k, -1, p) / np.sqrt(points))  # coordinates of a point
-
-    @cached_property
-    def _weight(self) -> Array:
-        """(P, P) mean of the squares of the tip's Jacobian."""
-        return information_matrix(self._targets) / len(self._targets)
+        targets = np.asarray(self.targets[:, :, :3].reshape(k, -1, p) / np.sqrt(points))  # coordinates of a point
+        return targets, information_matrix(targets) / k
 
     def _information(self, postures: Array) -> tuple[Array, Array]:
         """(P, P) sum of B^T B of the plan and of what is measured already, without any prior; and (p, p) the posterior
@@ -251,7 +227,8 @@ class TipErrors:
         posterior = inverses(self._information(postures)[0] + np.diag(self.wide.precisions))
         if np.isinf(posterior[0, 0]):
             return np.inf
-        return float(np.sqrt((self.wide.model.sigma or 0.0) ** 2 * np.sum(posterior * self._weight) + self.wide.beyond))
+        variance = (self.wide.model.sigma or 0.0) ** 2 * np.sum(posterior * self._weighed[1])
+        return float(np.sqrt(variance + self.wide.beyond))
 
     def missing(self, postures: Array) -> float:
         """The same without the effects, which are there: the fit takes up of each what the geometry can, and the tip
@@ -260,23 +237,23 @@ class TipErrors:
         p, wide, (information, posterior) = self.problem.parameters, self.wide, self._information(postures)
         if np.isinf(posterior[0, 0]):
             return np.inf
-        sigma, noise = float(self.problem.model.sigma or 0.0) ** 2, float(wide.model.sigma or 0.0) ** 2
+        weight, sigma, noise = self._weighed[1], (self.problem.model.sigma or 0.0) ** 2, (wide.model.sigma or 0.0) ** 2
         spread = sigma * posterior + (noise - sigma) * posterior @ information[:p, :p] @ posterior
         lacking = np.concatenate([posterior @ information[:p, p:], -np.eye(wide.parameters - p)])
         sizes = noise / wide.precisions[p:]  # squared, in scaled parameters
-        bias = float(np.sum(np.einsum("ap,ab,bp->p", lacking, self._weight, lacking, optimize=True) * sizes))
-        return float(np.sqrt(np.sum(spread * self._weight[:p, :p]) + bias + wide.beyond))
+        bias = float(np.sum(np.einsum("ap,ab,bp->p", lacking, weight, lacking, optimize=True) * sizes))
+        return float(np.sqrt(np.sum(spread * weight[:p, :p]) + bias + wide.beyond))
 
     def of_plan(self, postures: Array) -> TipError:
         """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
         p = self.problem.parameters
         if spectrum(plan_jacobians(self.problem, postures), np.ones(p)).rank < p:
-            return TipError(np.inf, np.inf, self.with_prior(postures))
-        posterior, targets = self._information(postures)[1], self._targets[..., :p]
+            return TipError(with_prior=self.with_prior(postures))
+        posterior, targets = self._information(postures)[1], self._weighed[0][..., :p]
         right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
         mean, largest = float(np.sqrt(right.mean())), float(np.sqrt(right.max()))
         if self.wide.parameters == p:
-            return TipError(mean, np.inf, np.inf, largest)
+            return TipError(mean, worst=largest)
         return TipError(mean, self.missing(postures), self.with_prior(postures), largest)
 
 
@@ -292,25 +269,21 @@ class ExpectedTip:
     random: Array
     fit: str
 
-    @property
-    def better_than(self) -> float:
-        """Share of the random plans that promise less."""
-        return float(np.mean(self.random > self.plan))
-
     def to_json(self) -> dict[str, Any]:
         """Key `expected_tip` (identification/files/README.md, "JSON keys")."""
         figures = {"plan_mm": self.plan, "random_median_mm": float(np.median(self.random))}
         finite = {name: value if np.isfinite(value) else None for name, value in figures.items()}
-        return finite | {"better_than": self.better_than, "random_plans": len(self.random), "fit": self.fit or None}
+        better = float(np.mean(self.random > self.plan))
+        return finite | {"better_than": better, "random_plans": len(self.random), "fit": self.fit or None}
 
     def __str__(self) -> str:
         """One sentence, or two."""
         fit = f"fitted by armcal identify --{self.fit}" if self.fit else "fitted without them"
         where = f"Expected error of the tip if the arm has effects and error curves that its file does not name ({fit})"
         others = f"{np.median(self.random):.3g} mm by the median of {len(self.random)} random ones"
-        figures = f"{self.plan:.3g} mm by this plan, {others}"
-        share = f"better than {100.0 * self.better_than:.0f} % of them"
-        if self.better_than > 0.5:  # else it is not worth its search
+        figures, better = f"{self.plan:.3g} mm by this plan, {others}", float(np.mean(self.random > self.plan))
+        share = f"better than {100.0 * better:.0f} % of them"
+        if better > 0.5:  # else it is not worth its search
             return f"{where}: {figures}; {share}."
         instead = "" if self.fit else " armcal design --robust chooses postures for that."
         return f"{where}: {figures}. In this the plan is no better than postures chosen at random ({share}).{instead}"
@@ -322,20 +295,20 @@ def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) ->
 
     problem : that the plan was chosen for, robust or not
     """
-    plans, most = 50, 2000  # random plans that it is compared with, and postures that they are drawn from
-    if len(postures) > most:
+    plans, most, m = 50, 2000, len(postures)  # random plans that it is compared with, postures that they are drawn from
+    if m > most:
         return None
+    errors: TipErrors | None
     if problem.missing:
         at, everywhere = problem.criterion, replace(problem, choices=None) if problem.sampled else problem
         targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(everywhere))
-        targets = targets if targets.ndim == 4 else targets[:, None]
-        errors: TipErrors | None = TipErrors(problem, problem, targets)
+        errors = TipErrors(problem, problem, targets if targets.ndim == 4 else targets[:, None])
     else:
         errors = TipErrors.of(problem)
     if errors is None or not errors.wide.missing:
         return None
     judge = errors.with_prior if problem.fit else errors.missing
-    generator, m = np.random.default_rng([seed, len(postures)]), len(postures)
+    generator = np.random.default_rng([seed, m])
     if problem.choices is not None and not problem.sampled:
         pool = listed_candidates(problem, problem.choices)
     else:

@@ -14,54 +14,31 @@ from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from identification import Array, InputError, ParameterSet
 
 
 class DesignModel(Protocol):
-    """Nine members, of any dimension and in any units."""
+    """Nine members, of any dimension and in any units.
 
-    @property
-    def parameters(self) -> ParameterSet:
-        """The p parameters to identify: names, units, and scales, by which the columns of the Jacobian are divided; and
-        kinds, `effect` for what may be missing in the model and anything else for its geometry."""
-        ...
+    parameters : the p to identify: names, units, and scales, by which the columns of the Jacobian are divided; and
+        kinds, `effect` for what may be missing in the model and anything else for its geometry
+    values : (p,) their best known values, at which the Jacobian is taken
+    dimension : d, measured coordinates per posture, whose errors are independent and of one size
+    joint_types : (n) `revolute`, position in rad, or `prismatic`, in mm;  lower, upper : (n,) joint positions
+    sigma : standard deviation of a measured coordinate [its unit], None: not known
+    prior : parameter name -> standard deviation of what is known of it beforehand [its unit]; of the others nothing
+    """
 
-    @property
-    def values(self) -> Array:
-        """(p,) their best known values, at which the Jacobian is taken."""
-        ...
-
-    @property
-    def dimension(self) -> int:
-        """d, measured coordinates per posture, whose errors are independent and of one size."""
-        ...
-
-    @property
-    def joint_types(self) -> tuple[str, ...]:
-        """(n) `revolute`, position in rad, or `prismatic`, in mm."""
-        ...
-
-    @property
-    def lower(self) -> Array:
-        """(n,) smallest joint positions."""
-        ...
-
-    @property
-    def upper(self) -> Array:
-        """(n,) largest joint positions."""
-        ...
-
-    @property
-    def sigma(self) -> float | None:
-        """Standard deviation of a measured coordinate [its unit], None: not known."""
-        ...
-
-    @property
-    def prior(self) -> Mapping[str, float]:
-        """Parameter name -> standard deviation of what is known of it beforehand [its unit]; of the others nothing."""
-        ...
+    parameters: ParameterSet
+    values: Array
+    dimension: int
+    joint_types: tuple[str, ...]
+    lower: Array
+    upper: Array
+    sigma: float | None
+    prior: Mapping[str, float]
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(d,) the coordinates at a posture q (n,) and parameters p (p,), twice differentiable almost everywhere."""
@@ -69,68 +46,54 @@ class DesignModel(Protocol):
 
 
 class Offers(Protocol):
-    """What a model may offer besides, each by itself."""
+    """What a model may offer besides, each by itself.
 
-    # -- geometry, for constraints -------------------------------------------------------------------------------------
-    constraints: Sequence[Any]  # of `identification.workspace`
-    joint_types: tuple[str, ...]  # as of `DesignModel`
-    space: int  # coordinates of a point, 2 or 3
-    reach: float  # [mm]
+    Geometry, for constraints
+        constraints : of `identification.workspace`;  space : coordinates of a point, 2 or 3;  reach : [mm]
+        symbolic_points : q (n,) -> k points (space,), base, joints and tip [mm]
+        with_tip_moved : (3,) [mm] in the tip's own frame -> the model with its tip there: where a reflector looks
+    What is settled before a plan is made
+        placed : -> the model as plans are made for it: what it leaves open is assumed, with a warning
+        tied : whether some postures only can be measured, as those where a probe touches a surface
+        tied_postures : limits (n,) twice, (n,) what counts as a radian, which (m, n) are feasible -> (N, n) of these
+        plan_columns : (m, n) -> columns of names that a plan file has besides its postures
+    Accuracy where the arm will work
+        tip_jacobian : (k, n) -> (k, P, c, p) derivative of the positions of P points [mm], their x, y and z first; else
+            what is measured
+    Models that may be wrong
+        covariance : (p, p) of the values, None: not known;  complete : whether nothing is missing in the model
+        machining : usual errors of lengths [mm] and angles [rad], and a usual lever [mm]
+        missing_effects : names or None, order of the fastest wave -> what the model may lack, for `with_effects`
+        with_effects : that -> the model with it, (name -> standard deviation) of its parameters, and a function: the
+            mean square of the tip's distance at postures (k, n) that no plan can lower [mm^2]
+        rival_effects : -> the fields of `doe.discrimination.design.EffectLibrary`
+    Theory
+        planar : a chain of links in a plane: Table I of the paper
+        theorem_joints : joints (from 0) in the planar theorem, None: it does not hold
+    """
 
-    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
-        """k points (space,), base, joints and tip [mm], at one posture q (n,)."""
-        ...
-
-    def with_tip_moved(self, offset: Array) -> Any:
-        """The model whose tip is moved by (3,) [mm] in its own frame: where a reflector looks."""
-        ...
-
-    # -- what is settled before a plan is made -------------------------------------------------------------------------
-    def placed(self) -> Any:
-        """The model as plans are made for it: what it leaves open is assumed, with a warning."""
-        ...
-
-    tied: bool  # whether some postures only can be measured, as those where a probe touches a surface
-
-    def tied_postures(
-        self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[Any]]
-    ) -> Array:
-        """(N, n) of these, to choose from, within limits (n,) and `feasible`;  units : (n,) that count as a radian."""
-        ...
-
-    def plan_columns(self, postures: Array) -> Mapping[str, Sequence[str]]:
-        """Columns of names that a plan file has besides postures (m, n)."""
-        ...
-
-    # -- accuracy where the arm will work ------------------------------------------------------------------------------
-    def tip_jacobian(self, postures: ArrayLike) -> Array:
-        """(k, P, c, p) derivative of the positions of P points [mm], their x, y and z first; else what is measured."""
-        ...
-
-    # -- designs for models that may be wrong --------------------------------------------------------------------------
-    covariance: Array | None  # (p, p) of the values, None: not known
-    machining: tuple[float, float, float]  # usual errors of lengths [mm] and angles [rad], and a usual lever [mm]
-    complete: bool  # whether nothing is missing in the model
-
-    def missing_effects(self, names: Sequence[str] | None, fastest: float) -> Any:
-        """What the model may lack; what that is, is between this and `with_effects`."""
-        ...
-
-    def with_effects(self, missing: Any) -> tuple[Any, Mapping[str, float], Callable[[Array], float]]:
-        """The model with it, (name -> standard deviation) of its parameters, and the mean square of the tip's distance
-        at postures (k, n) [mm^2] that no plan can lower."""
-        ...
-
-    def rival_effects(self) -> tuple[Any, ...]:
-        """The fields of `doe.discrimination.misidentification.EffectLibrary`."""
-        ...
-
-    # -- theory --------------------------------------------------------------------------------------------------------
-    planar: bool  # a chain of links in a plane: Table I of the paper
-    theorem_joints: tuple[int, ...] | None  # joints (from 0) in the planar theorem, None: it does not hold
+    joint_types: tuple[str, ...]
+    constraints: Sequence[Any]
+    space: int
+    reach: float
+    symbolic_points: Callable[[ca.SX], list[ca.SX]]
+    with_tip_moved: Callable[[Array], Any]
+    placed: Callable[[], Any]
+    tied: bool
+    tied_postures: Callable[..., Array]
+    plan_columns: Callable[[Array], Mapping[str, Sequence[str]]]
+    tip_jacobian: Callable[[ArrayLike], Array]
+    covariance: Array | None
+    complete: bool
+    machining: tuple[float, float, float]
+    missing_effects: Callable[[Sequence[str] | None, float], Any]
+    with_effects: Callable[[Any], tuple[Any, Mapping[str, float], Callable[[Array], float]]]
+    rival_effects: Callable[[], tuple[Any, ...]]
+    planar: bool
+    theorem_joints: tuple[int, ...] | None
 
 
-REQUIRED = tuple(name for name in vars(DesignModel) if not name.startswith("_"))
+REQUIRED = (*DesignModel.__annotations__, "symbolic_position")
 
 
 def check_model(model: Any) -> None:

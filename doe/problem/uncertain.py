@@ -15,8 +15,7 @@ as before (doe/README.md, "Prior information").
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -33,51 +32,30 @@ KINDS = {"average": Average, "worst": Worst}
 
 
 # -- several arms ------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
 class EnsembleModel:
-    """K arms measured at the same postures. draws : (K, p) parameter vectors [mm, rad]."""
+    """K arms measured at the same postures: a `DesignModel` with K d coordinates and K p parameters, the number of the
+    draw in their names. draws : (K, p) parameter vectors [mm, rad]."""
 
-    model: DesignModel
-    draws: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "model", design_model(self.model))
-        draws = readonly(np.atleast_2d(self.draws))
-        p = len(self.model.parameters)
-        if draws.shape[1] != p or not np.all(np.isfinite(draws)):
-            raise InputError(f"draws: shape {draws.shape}, allowed: (K, {p}) finite numbers")
-        object.__setattr__(self, "draws", draws)
-
-    joint_types = property(lambda self: self.model.joint_types, doc="(n) as of the model.")
-    lower = property(lambda self: self.model.lower, doc="(n,) as of the model.")
-    upper = property(lambda self: self.model.upper, doc="(n,) as of the model.")
-    sigma = property(lambda self: self.model.sigma, doc="As of the model.")
-
-    @cached_property
-    def parameters(self) -> ParameterSet:
-        """(K p) parameters of the model, with the number of the draw in their names."""
-        draws = range(1, len(self.draws) + 1)
-        return ParameterSet(replace(p, name=f"{p.name} [draw {k}]") for k in draws for p in self.model.parameters)
+    def __init__(self, model: Any, draws: Array) -> None:
+        self.model: DesignModel = design_model(model)
+        self.draws, p = readonly(np.atleast_2d(draws)), len(self.model.parameters)
+        if self.draws.shape[1] != p or not np.all(np.isfinite(self.draws)):
+            raise InputError(f"draws: shape {self.draws.shape}, allowed: (K, {p}) finite numbers")
+        self.joint_types, self.sigma = self.model.joint_types, self.model.sigma
+        self.lower, self.upper = self.model.lower, self.model.upper
+        self.parameters = ParameterSet(
+            replace(one, name=f"{one.name} [draw {k}]") for k in self._numbers for one in self.model.parameters
+        )
+        self.dimension, self.values = self.model.dimension * len(self.draws), self.draws.ravel()
+        self.prior: Mapping[str, float] = self.of_draws(self.model.prior)
 
     @property
-    def prior(self) -> dict[str, float]:
-        """That of the model, for every draw."""
-        return self.of_draws(self.model.prior)
+    def _numbers(self) -> range:
+        return range(1, len(self.draws) + 1)
 
     def of_draws(self, deviations: Mapping[str, float]) -> dict[str, float]:
         """Standard deviations of the model's parameters as those of every draw."""
-        numbers = range(1, len(self.draws) + 1)
-        return {f"{name} [draw {k}]": size for k in numbers for name, size in deviations.items()}
-
-    @property
-    def dimension(self) -> int:
-        """K d coordinates per posture."""
-        return self.model.dimension * len(self.draws)
-
-    @property
-    def values(self) -> Array:
-        """(K p) the draws."""
-        return self.draws.ravel()
+        return {f"{name} [draw {k}]": size for k in self._numbers for name, size in deviations.items()}
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(K d) positions of the K arms."""

@@ -300,8 +300,8 @@ def advice_document(advice: Advice) -> Document:
         star, sure = " *" if (design.efficiency or 0.0) >= 0.999 else "  ", design.deviations  # of the bound
         row = {"runs": str(advice.runs[k]), "efficiency": f"{number(design.efficiency, 5)}{star}"}
         if not advice.of_tip and any(one.deviations for one in advice.designs):
-            row["length\nstd\n[mm]"] = number(None if sure is None else sure.largest_length, 5)
-            row["angle\nstd\n[deg]"] = number(None if sure is None else np.degrees(sure.largest_angle), 5)
+            row["length\nstd\n[mm]"] = number(None if sure is None else sure.largest("mm"), 5)
+            row["angle\nstd\n[deg]"] = number(None if sure is None else np.degrees(sure.largest("rad")), 5)
         for key, heading in [*TIP_ERRORS.items()][: 4 if missing else 2] if advice.tip_errors else ():
             row[heading] = number(getattr(advice.tip_errors[k], key), 4)
         for heading, cell in row.items():
@@ -374,8 +374,7 @@ def cross_check_table(compared: list[dict[str, Any]]) -> Sheet:
 # -- missing effects ---------------------------------------------------------------------------------------------------
 def discriminating_parts(result: DiscriminationDesign) -> list[Any]:
     """The efficiency that the plan gives up, and what it can detect in return."""
-    from doe.discrimination.design import MOST_SEEN
-    from doe.discrimination.misidentification import LAMBDA
+    from doe.discrimination.design import LAMBDA, MOST_SEEN
 
     parts: list[Any] = [
         f"D-efficiency relative to the best plan found: {result.relative_efficiency:.4f}",

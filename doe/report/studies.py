@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from doe.report.page import svg
 from doe.studies.blind.study import ALL, FURTHER_RUNS, KEEPS, NOTHING, OUTSIDE, BlindStudy
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL, StudyResult
-from doe.studies.paper import PaperStudy
+from doe.studies.paper import passed
 from identification import Array
 from identification.document import Sheet, picture_bytes
 from identification.files.io import write_together
@@ -178,13 +179,12 @@ def monte_carlo_parts(result: StudyResult) -> list[Any]:
 
 
 # -- armcal study paper ------------------------------------------------------------------------------------------------
-def paper_parts(result: PaperStudy) -> list[Any]:
+def paper_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
     """Verdict, printed, theory and simulation side by side, and the errata with their evidence."""
-    tables = result.tables
     every = [verdict for name in ("table_1", "table_2", "table_3", "text") for verdict in tables[name]["verdict"]]
     words = {"agrees": "agree", "erratum": "are errata", "not identifiable": "cannot be identified"}
     counts = ", ".join(f"{every.count(word)} {text}" for word, text in (words | {"added": "added here"}).items())
-    sentence = f"theory and simulation {'agree everywhere' if result.passed else 'DISAGREE somewhere'}"
+    sentence = f"theory and simulation {'agree everywhere' if passed(tables) else 'DISAGREE somewhere'}"
     parts: list[Any] = [f"The paper reproduced: {sentence}. Printed statements: {counts}."]
     formats = {"printed": ".3f", "theory": ".5f", "simulated": ".5f"}
     headings = ["place", "links", "runs", "item", *formats, "unit", "verdict"]
@@ -205,11 +205,10 @@ def paper_parts(result: PaperStudy) -> list[Any]:
     return [*parts, Sheet(names, errata, "Errata, each checked by numbers")]
 
 
-def paper_pictures(folder: Path, result: PaperStudy) -> None:
-    """figure_1.svg and figure_2.svg in the folder, replaced if they are there."""
-    pictures = {"figure_1": figure_1_picture, "figure_2": figure_2_picture}
-    for name, drawn in pictures.items():
-        write_together({folder / f"{name}.svg": svg(drawn(result.tables[name]))}, force=True)
+def paper_pictures(tables: Mapping[str, pl.DataFrame]) -> dict[str, str]:
+    """Name of a file -> its content: Figures 1 and 2."""
+    figures = {"figure_1": figure_1_picture, "figure_2": figure_2_picture}
+    return {f"{name}.svg": svg(drawn(tables[name])) for name, drawn in figures.items()}
 
 
 def figure_1_picture(data: pl.DataFrame) -> Figure:

@@ -10,7 +10,7 @@ its projection on its neighbor, is orthogonal to all columns so far. Going from 
   signs s a character of order two such that s times the neighbor is orthogonal.
 
 A phase of a wide joint changes no |H_jk| and leaves H_jk = 0 across that joint. So a plan is of one group of m
-elements, or of smaller groups, each with its own phases, that make up m: the mean of their matrices H is optimal again.
+elements, or of smaller ones of one size, each with its own phases: the mean of their matrices H is optimal again.
 With no limits the plan of one group is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random phases:
 any columns of the DFT matrix (doe/README.md, "Information matrix"), in shuffled order, since the plan f_j = j hides
 missing effects (identification/README.md, "Lessons"). With all ranges below pi it is the two-level factorial,
@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from doe.bounds.planar_theorem import applies, chain_joints
 from doe.plan.spacing import neighbor_counts, replicates_allowed, too_near
@@ -32,12 +31,12 @@ from doe.problem.problem import DesignProblem, Stop, never
 from doe.solvers.solver import Budget, Offer
 from identification import Array, JobError
 
-Columns = NDArray[np.complex128]
 Pattern = tuple[Array, Array]  # (b, J) angles above the lower limits [rad] and (J,) their free phase [rad]
 ROUNDING = 1e-9  # [rad] by which a range may fall short; and of a mean product of columns that counts as zero
 ALL, SAMPLE = 64, 32  # runs up to which all characters are tried; number tried of a larger group
 TURN = 2.0 * np.pi
 PATTERNS = 16  # different plans of one size, and times that those too near others are placed again
+WHOLE = 8192  # runs up to which one group of so many is tried
 
 
 @dataclass(frozen=True)
@@ -77,109 +76,63 @@ def optimal_plans(
         return
     joints = list(chain_joints(problem))
     lower, upper = problem.lower[joints], problem.upper[joints]
-    whole, small = runs <= 2048, None  # one group of so many runs is tried
     apart = problem.minimum_distance if replicates_allowed(problem) == 1.0 else 0.0  # where no joint is free
+    small: list[Pattern] | None = None
 
     def placed(pattern: Pattern) -> Array:
-        """(b, J) joint angles with random phases."""
-        return np.minimum(lower + pattern[0] + generator.uniform(0.0, pattern[1]), upper)
+        """(m, n) postures with random phases; joints that play no part stay in the middle."""
+        plan = np.tile((problem.lower + problem.upper) / 2.0, (len(pattern[0]), 1))
+        plan[:, joints] = np.minimum(lower + pattern[0] + generator.uniform(0.0, pattern[1]), upper)
+        return plan
+
+    def drawn() -> Array:
+        return placed(small[generator.integers(len(small))]) if small else np.empty((0, problem.joints))
 
     while True:
-        angles, crowded = np.empty((0, len(joints))), True
-        for _ in range(8 if whole else 0):  # plans of one group before smaller ones are put together
-            pattern = next(character_plans(upper - lower, runs, tries, generator), None)
-            if pattern is None:
-                whole = False
+        plan = None
+        for _ in range(8 if runs <= WHOLE else 0):  # plans of one group before smaller ones are put together
+            pattern = next(_character_plans(upper - lower, runs, tries, generator), None)
+            if pattern is None or not len(too_near(problem, trial := placed(pattern))):
+                plan = None if pattern is None else trial
                 break
-            angles = placed(pattern)
-            crowded = len(too_near(problem, full_plan(problem, joints, angles))) > 0
-            if not crowded:
-                break
-        if crowded:
-            small = small_groups(upper - lower, runs, tries, generator, stop) if small is None else small
+        if plan is None:
+            small = _small_groups(upper - lower, runs, tries, generator, stop) if small is None else small
             if not small:
                 return
-            sizes = random_sizes(list(small), runs, generator)
-            groups = [placed(drawn(small[size], generator)) for size in sizes]
-            edges = np.cumsum([0, *sizes])
-            for _ in range(PATTERNS if apart > 0.0 else 0):
-                near = np.flatnonzero(neighbor_counts(np.concatenate(groups), apart))
-                for group in np.unique(np.searchsorted(edges, near, side="right") - 1).tolist():
-                    groups[group] = placed(drawn(small[sizes[group]], generator))
-            angles = np.concatenate(groups)
-        yield generator.permutation(full_plan(problem, joints, angles))
+            size = len(small[0][0])
+            groups = [drawn() for _ in range(runs // size)]
+            for _ in range(PATTERNS if apart > 0.0 else 0):  # those too near others are placed again
+                near = np.flatnonzero(neighbor_counts(np.concatenate(groups)[:, joints], apart))
+                for group in np.unique(near // size).tolist():
+                    groups[group] = drawn()
+            plan = np.concatenate(groups)
+        yield generator.permutation(plan)
 
 
-def full_plan(problem: DesignProblem, joints: list[int], angles: Array) -> Array:
-    """(m, n) postures with these angles (m, J) whose other joints stay in the middle."""
-    plan = np.tile((problem.lower + problem.upper) / 2.0, (len(angles), 1))
-    plan[:, joints] = angles
-    return plan
-
-
-def drawn(patterns: list[Pattern], generator: np.random.Generator) -> Pattern:
-    """A random one."""
-    return patterns[generator.integers(len(patterns))]
-
-
-def small_groups(
-    widths: Array, runs: int, tries: int, generator: np.random.Generator, stop: Stop
-) -> dict[int, list[Pattern]]:
-    """Size -> plans of groups, the smallest sizes that make up the number of runs; empty where none do."""
-    groups: dict[int, list[Pattern]] = {}
-    if halves(widths) and runs % 2:
-        return groups
-    # of up to 48 elements, or as many as the factorial of all joints has
+def _small_groups(widths: Array, runs: int, tries: int, generator: np.random.Generator, stop: Stop) -> list[Pattern]:
+    """Plans of one group, of the smallest size that divides the number of runs; empty where there is none of up to 48
+    elements, or as many as the factorial of all joints has."""
     for size in range(len(widths) + 1, min(runs // 2, max(48, 2 ** len(widths))) + 1):
-        if groups and size % np.gcd.reduce(list(groups)) == 0:
-            continue  # nothing that the smaller sizes cannot make, but for the smallest multiples
         if stop():
             break
-        if patterns := list(islice(character_plans(widths, size, tries, generator), PATTERNS)):
-            groups[size] = patterns
-        if groups and reachable_sums(list(groups), runs)[runs]:
-            return groups
-    return {}
-
-
-def reachable_sums(sizes: list[int], runs: int) -> list[bool]:
-    """(runs + 1) True for numbers that are sums of these sizes."""
-    made = [True] + [False] * runs
-    for total in range(1, runs + 1):
-        made[total] = any(size <= total and made[total - size] for size in sizes)
-    return made
-
-
-def random_sizes(sizes: list[int], runs: int, generator: np.random.Generator) -> list[int]:
-    """Random sizes that add up to the number of runs, which they can make."""
-    made, chosen, left = reachable_sums(sizes, runs), list[int](), runs
-    while left:
-        fitting = [size for size in sizes if size <= left and made[left - size]]
-        chosen.append(fitting[generator.integers(len(fitting))])
-        left -= chosen[-1]
-    return chosen
+        if runs % size == 0 and (found := list(islice(_character_plans(widths, size, tries, generator), PATTERNS))):
+            return found
+    return []
 
 
 # -- plans of one group ------------------------------------------------------------------------------------------------
-def character_plans(widths: Array, size: int, tries: int, generator: np.random.Generator) -> Iterator[Pattern]:
+def _character_plans(widths: Array, size: int, tries: int, generator: np.random.Generator) -> Iterator[Pattern]:
     """Those of a number of random constructions that come to their end; widths (J,) of the joints' ranges [rad]."""
     twos = (size & -size).bit_length() - 1
     groups = [(2,) * t + (size // 2**t,) for t in range(twos + 1)]  # Z_2^t x Z_(b / 2^t), as lists of moduli
     room = 2 ** (len(groups) - 1) if np.all(widths < np.pi - ROUNDING) else size  # dimension that columns may have
-    if room <= len(widths) or (halves(widths) and size % 2):  # as many orthogonal columns as links
-        return
-    for k in range(tries):
-        pattern = constructed(widths, groups[k % len(groups)], generator)
-        if pattern is not None:
+    odd = size % 2 and np.any(widths < np.pi - ROUNDING)  # half the runs stand at each limit of a narrow joint
+    for k in range(0 if room <= len(widths) or odd else tries):  # as many orthogonal columns as links
+        if (pattern := _constructed(widths, groups[k % len(groups)], generator)) is not None:
             yield pattern
 
 
-def halves(widths: Array) -> bool:
-    """True if half the runs must stand at each limit of some joint: their number is even."""
-    return bool(np.any(widths < np.pi - ROUNDING))
-
-
-def constructed(widths: Array, group: tuple[int, ...], generator: np.random.Generator) -> Pattern | None:
+def _constructed(widths: Array, group: tuple[int, ...], generator: np.random.Generator) -> Pattern | None:
     """One random choice of directions and characters; None in a dead end."""
     moduli, elements = np.array(group), np.indices(group).reshape(len(group), -1).T
     angles, free_phase = np.empty((len(elements), len(widths))), np.zeros(len(widths))
@@ -190,9 +143,10 @@ def constructed(widths: Array, group: tuple[int, ...], generator: np.random.Gene
         joint, neighbor = (right, columns[:, -1]) if to_right else (left - 1, columns[:, 0])
         wide = widths[joint] >= np.pi - ROUNDING
         if wide:
-            offered = (characters(elements, moduli, generator)[:, :, None] * columns[:, None, :]).reshape(
-                len(columns), -1
-            )
+            few = len(elements) <= ALL  # characters of the group: all of a small one, else a random choice
+            chosen = elements if few else elements[generator.integers(len(elements), size=SAMPLE)]
+            characters = np.exp(TURN * 1j * (elements @ (chosen / moduli).T % 1.0))
+            offered = (characters[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
         else:
             even = moduli % 2 == 0
             bits = np.arange(1, min(2 ** int(even.sum()), SAMPLE * ALL))
@@ -203,7 +157,7 @@ def constructed(widths: Array, group: tuple[int, ...], generator: np.random.Gene
         for k in generator.permutation(np.flatnonzero(products < ROUNDING * len(columns))).tolist():
             if wide:
                 column = offered[:, k]
-                angles[:, joint], needed = arc(np.angle(column / neighbor if to_right else neighbor / column))
+                angles[:, joint], needed = _arc(np.angle(column / neighbor if to_right else neighbor / column))
                 free_phase[joint] = max(widths[joint] - needed, 0.0)
             else:
                 column, needed = neighbor * np.exp(0.5j * widths[joint] * signs[:, k]), widths[joint]
@@ -217,13 +171,7 @@ def constructed(widths: Array, group: tuple[int, ...], generator: np.random.Gene
     return angles, free_phase
 
 
-def characters(elements: NDArray[np.intp], moduli: NDArray[np.intp], generator: np.random.Generator) -> Columns:
-    """(b, k) characters of the group: all of a small one, else a random choice."""
-    chosen = elements if len(elements) <= ALL else elements[generator.integers(len(elements), size=SAMPLE)]
-    return np.exp(TURN * 1j * (elements @ (chosen / moduli).T % 1.0))
-
-
-def arc(angles: Array) -> tuple[Array, float]:
+def _arc(angles: Array) -> tuple[Array, float]:
     """Angles counted from the start of the shortest arc that holds them, and its length [rad]."""
     turned = np.sort(np.mod(angles, TURN))
     gaps = np.concatenate([turned[1:], turned[:1] + TURN]) - turned

@@ -148,6 +148,8 @@ def solve(
         raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(names)}")
     if begin is None or not problem.feasible(begin).any():
         random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
+    best, best_value, best_name, done, agreeing = None, -np.inf, chosen.name, 0, 0
+    status, p = Status.starts_finished, problem.parameters
     with single_thread():
         limit = LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds
         deadline = None if limit is None else began + limit
@@ -157,66 +159,52 @@ def solve(
         first, late = whole.part(0.5), bound is None and problem.many_parameters and not applies(problem)
         best_bound = None if late else bound or best_known_bound(problem, runs, first.ended)
         budget = first if late else whole
-        postures, value, name, done, status = _search(problem, runs, chosen, solver is None, seed, begin, accepted,
-                                                      best_bound, budget, progress)  # fmt: skip
+        try:
+            for name, offer in _offers(problem, runs, chosen, solver is None, seed, begin, budget):
+                postures = separated(problem, problem.clip(offer.postures))
+                value = allowed_value(problem, postures)
+                done += offer.starts
+                if best is None or (value > best_value and accepted(postures)):
+                    agreeing = 0 if value > best_value + AGREES else agreeing
+                    best, best_value, best_name = postures, value, name
+                agreeing += offer.independent and abs(value - best_value) <= AGREES
+                progress(budget.used(done), budget.starts, f"best {best_value:.7g}")
+                if best_bound is not None and problem.criterion.efficiency(best_value, best_bound.value, p) >= REACHED:
+                    status = Status.bound_reached
+                elif done >= budget.starts:
+                    status = Status.starts_finished
+                elif budget.may_agree and agreeing >= AGREEMENT:
+                    status = Status.agreed
+                elif budget.out_of_time:
+                    status = Status.time_limit
+                else:
+                    continue
+                break
+        except KeyboardInterrupt:
+            if best is None:
+                raise
+            status = Status.interrupted
+        if best is None:
+            raise JobError(f"design: no plan that identifies all {p} parameters was found by {chosen.name}")
         best_bound = best_known_bound(problem, runs, whole.ended) if late else best_bound
-        if np.isfinite(value):  # else the plan is refused, and no room for it may be left
-            postures = spread_free_joints(problem, postures, np.random.default_rng([seed, runs]))
-        plan = Plan(problem.clip(postures), joint_types=problem.model.joint_types, fit=problem.fit)
-        design = Design(problem, plan, best_bound, status, name, done, perf_counter() - began)
+        if np.isfinite(best_value):  # else the plan is refused, and no room for it may be left
+            best = spread_free_joints(problem, best, np.random.default_rng([seed, runs]))
+        plan = Plan(problem.clip(best), joint_types=problem.model.joint_types, fit=problem.fit)
+        design = Design(problem, plan, best_bound, status, best_name, done, perf_counter() - began)
         if bound is None:
             held = bound_that_holds(problem, best_bound, design.plan.postures, design.value, whole.ended)
             design = replace(design, bound=held)
-    return _judged_identifiable(design, throw=throw)
+    if not np.isfinite(design.value):
+        if throw:
+            raise JobError(_reason(design))
+        return replace(design, status=Status.not_identifiable)
+    if throw and not np.isfinite(allowed_value(problem, design.plan.postures)):
+        apart = f"postures {problem.spacing} apart"
+        raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
+    return design
 
 
-def _search(
-    problem: DesignProblem,
-    runs: int,
-    solver: Solver,
-    theory_first: bool,
-    seed: int,
-    begin: Array | None,
-    accepted: Callable[[Array], bool],
-    bound: Bound | None,
-    budget: Budget,
-    progress: Progress,
-) -> tuple[Array, float, str, int, Status]:
-    """The best plan offered (m, n), its value and solver, starts used, and how the search ended. After the first plan
-    only those that are `accepted` take its place. Raises `JobError` where there is none."""
-    best, best_value, best_name, starts, agreeing = None, -np.inf, solver.name, 0, 0
-    status, p = Status.starts_finished, problem.parameters
-    try:
-        for name, offer in _named_offers(problem, runs, solver, theory_first, seed, begin, budget):
-            postures = separated(problem, problem.clip(offer.postures))
-            value = allowed_value(problem, postures)
-            starts += offer.starts
-            if best is None or (value > best_value and accepted(postures)):
-                agreeing = 0 if value > best_value + AGREES else agreeing
-                best, best_value, best_name = postures, value, name
-            agreeing += offer.independent and abs(value - best_value) <= AGREES
-            progress(budget.used(starts), budget.starts, f"best {best_value:.7g}")
-            if bound is not None and problem.criterion.efficiency(best_value, bound.value, p) >= REACHED:
-                status = Status.bound_reached
-            elif starts >= budget.starts:
-                status = Status.starts_finished
-            elif budget.may_agree and agreeing >= AGREEMENT:
-                status = Status.agreed
-            elif budget.out_of_time:
-                status = Status.time_limit
-            else:
-                continue
-            break
-    except KeyboardInterrupt:
-        if best is None:
-            raise
-        status = Status.interrupted
-    if best is None:
-        raise JobError(f"design: no plan that identifies all {p} parameters was found by {solver.name}")
-    return best, best_value, best_name, starts, status
-
-
-def _named_offers(
+def _offers(
     problem: DesignProblem,
     runs: int,
     solver: Solver,
@@ -272,27 +260,15 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
             raise InputError(f"runs: {postures}, allowed: at most {most:.0f} in the limits")
 
 
-def _judged_identifiable(design: Design, *, throw: bool) -> Design:
-    """The design, with status `not_identifiable` where the plan does not identify all parameters.
-
-    throw : raise `JobError` with the reason instead, and where the plan is not allowed
-    """
+def _reason(design: Design) -> str:
+    """Why a plan does not identify all parameters."""
     problem, p = design.problem, design.problem.parameters
-    if np.isfinite(design.value):
-        if throw and not np.isfinite(allowed_value(problem, design.plan.postures)):
-            apart = f"postures {problem.spacing} apart"
-            raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
-        return design
-    if not throw:
-        return replace(design, status=Status.not_identifiable)
-    message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
     if problem.choices is None:
         many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
     else:
         many = listed_candidates(problem, problem.choices)
     aliases = identifiability(plan_jacobians(problem, many), problem.model.parameters.names, np.ones(p)).combinations
     if aliases and problem.choices is not None:
-        message = f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
-    elif aliases:
-        message = f"{message}; {NEUTRAL}: {'; '.join(aliases)}"
-    raise JobError(message)
+        return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
+    message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
+    return f"{message}; {NEUTRAL}: {'; '.join(aliases)}" if aliases else message

@@ -6,8 +6,8 @@ A row is one run of one solver: its cost, and the quality of its plan by our own
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,6 @@ from identification import Arm, InputError, Model, Progress, dump_arm, nearest, 
 if TYPE_CHECKING:
     from doe.design import Design
 
-Subject = Arm | DesignProblem  # an arm, or the problem of another model
 AGREES = 1e-9  # between the solver's value and ours
 HIT = 1e-6  # a run has found the best known plan if its loss of efficiency is below this
 PROBLEM = ("arm", "arm_hash", "criterion", "runs")
@@ -38,24 +37,17 @@ COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds", "peak_memor
 class Comparison:
     """What is compared: problems x solvers x settings x repeats.
 
-    arms : the arms;  runs : numbers of measurements m
     solvers : names as in `armcal design --solver`, or settings objects (see `doe.solvers.solver.Solver`) whose classes
         can be imported where the runs happen; names must be unique
-    starts : numbers of starts of one run, None: the solver's default
-    repeats : runs of each combination, each with a different seed
-    seconds : time limit of one run [s]: given to the solver, and enforced by killing the run
-    criteria : names as in `armcal design --criterion`, of those in `CRITERIA`
-    problems : name -> problem of another model, compared under each criterion like the arms
     """
 
     arms: Sequence[Arm]
-    runs: Sequence[int]
+    runs: Sequence[int]  # numbers of measurements m
     solvers: Sequence[str | Solver]
-    starts: Sequence[int | None] = (None,)
-    repeats: int = 5
-    seconds: float = 60.0
-    criteria: Sequence[str] = ("D",)
-    problems: Mapping[str, DesignProblem] = field(default_factory=dict)
+    starts: Sequence[int | None] = (None,)  # of one run, None: the solver's default
+    repeats: int = 5  # runs of each combination, each with a different seed
+    seconds: float = 60.0  # time limit of one run: given to the solver, and enforced by killing the run
+    criteria: Sequence[str] = ("D",)  # names as in `armcal design --criterion`, of those in `CRITERIA`
 
     def __post_init__(self) -> None:
         for arm in self.arms:
@@ -87,15 +79,10 @@ def compare(
     Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers; only times do: for
     comparable times use one process fewer than there are cores.
     """
-    subjects: dict[str, tuple[str, Subject]] = {short_hash(dump_arm(arm)): (arm.name, arm) for arm in comparison.arms}
-    for name, problem in comparison.problems.items():  # known by the information of a few postures to six decimals
-        postures = np.linspace(problem.lower, problem.upper, 7)
-        information = np.round(problem.information(postures), 6).tobytes()
-        content = [",".join(problem.model.parameters.names).encode(), postures.tobytes(), information]
-        subjects[short_hash(b"".join(content))] = name, problem
+    arms = {short_hash(dump_arm(arm)): arm for arm in comparison.arms}
     solvers = {solver if isinstance(solver, str) else solver.name: solver for solver in comparison.solvers}
     grid = product(
-        ({"arm": name, "arm_hash": digest} for digest, (name, _) in subjects.items()),
+        ({"arm": arm.name, "arm_hash": digest} for digest, arm in arms.items()),
         comparison.criteria,
         comparison.runs,
         ({"solver": name, "settings": s if isinstance(s, str) else repr(s)} for name, s in solvers.items()),
@@ -103,36 +90,35 @@ def compare(
         range(comparison.repeats),
     )
     keys: list[Key] = [
-        {**subject, "criterion": name, "runs": m, **setting, "starts": starts or OWN}
+        {**arm, "criterion": name, "runs": m, **setting, "starts": starts or OWN}
         | {"limit_s": comparison.seconds, "repeat": repeat}
-        for subject, name, m, setting, starts, repeat in grid
+        for arm, name, m, setting, starts, repeat in grid
     ]
 
-    def payload(key: Key) -> tuple[Subject, str | Solver]:
-        return subjects[key["arm_hash"]][1], solvers[key["solver"]]
+    def payload(key: Key) -> tuple[Arm, str | Solver]:
+        return arms[key["arm_hash"]], solvers[key["solver"]]
 
     return run_tasks(run_of, keys, table or RowTable(), workers, seed=seed, payload=payload, progress=progress)
 
 
-def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: tuple[Subject, str | Solver]) -> list[Row]:
-    """The row of one run, in a new process."""
+def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: tuple[Arm, str | Solver]) -> list[Row]:
+    """The row of one run, in a new process, killed some time after its limit."""
     number = int(seed.generate_state(1)[0])
-    limit = 1.5 * key["limit_s"] + 10.0  # after which it is killed
-    outcome = call(solve_and_evaluate, *task, key, number, seconds=limit)
+    outcome = call(solve_and_evaluate, *task, key, number, seconds=1.5 * key["limit_s"] + 10.0)
     measured = {"status": outcome.status, "error": outcome.error, "peak_memory_mb": outcome.peak_memory_mb}
     return [{**measured, "seconds": outcome.seconds, **(outcome.value or {})}]
 
 
-def solve_and_evaluate(subject: Subject, solver: str | Solver, key: dict[str, Any], seed: int) -> Row:
+def solve_and_evaluate(arm: Arm, solver: str | Solver, key: dict[str, Any], seed: int) -> Row:
     """Runs the solver in this process; `seconds` is the search alone."""
-    problem = compared_problem(subject, key["criterion"])
+    problem = compared_problem(arm, key["criterion"])
     design = solve(problem, key["runs"], solver, seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
     return evaluated(problem, key["runs"], design)
 
 
-def compared_problem(subject: Subject, name: str) -> DesignProblem:
-    """What is compared: an arm or another problem, and a criterion of `CRITERIA`."""
-    problem = subject if isinstance(subject, DesignProblem) else DesignProblem.of(Model(subject))
+def compared_problem(arm: Arm, name: str) -> DesignProblem:
+    """Of an arm, with a criterion of `CRITERIA`."""
+    problem = DesignProblem.of(Model(arm))
     return replace(problem, criterion=criterion(name, units=problem.model.parameters.units))
 
 

@@ -232,15 +232,11 @@ def load_study(path: Path | str, replications: int | None = None) -> Study:
 # -- the run -----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class StudyResult:
-    """What a study found.
+    """What a study found."""
 
-    cells : one row per cell and parameter, see `pooled_rows`;  blocks : one row per block of replications and parameter
-    plans : one row per plan that a solver made
-    """
-
-    cells: pl.DataFrame
-    blocks: pl.DataFrame
-    plans: pl.DataFrame
+    cells: pl.DataFrame  # one row per cell and parameter, see `pooled_rows`
+    blocks: pl.DataFrame  # one row per block of replications and parameter
+    plans: pl.DataFrame  # one row per plan that a solver made
 
     def __str__(self) -> str:
         done = self.blocks.filter(self.blocks["status"] == "done")

@@ -13,25 +13,22 @@ table is one row per printed statement:
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from doe.bounds.planar_theorem import pair_means
-from doe.jobs import Key, Row, Workers, frame_of, parquet, run_tasks, tables
+from doe.jobs import Row, frame_of
 from doe.studies.monte_carlo import Study, TruthTable, dft_postures, run_study
 from identification import (
     Arm,
     Array,
     InputError,
-    JobError,
     Model,
     Progress,
     estimate,
@@ -42,7 +39,6 @@ from identification import (
     silent,
     spectrum,
 )
-from identification.files.io import check_writable, write_together
 from identification.simulate import simulate
 
 PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text())
@@ -52,18 +48,17 @@ LENGTHENED = LENGTHS + LENGTH_ERRORS  # [mm]
 TURNED = np.cumsum(np.radians(JOINT_OFFSETS_DEG))  # orientation offsets [rad]
 REPLICATIONS = 10_000
 ALLOWED = 100, 100_000  # replications
-LIMITED = "4 links within joint limits"
-ARM_NAMES = ("2 links", "3 links", "4 links", LIMITED)  # names of the arms of `table_3`
 RUNS = tuple(range(4, 21))  # the axis of Figure 2
 ALERT = 4.5  # standard errors between simulation and theory; 100 rows from one fixed seed: 1 in 1,500 by chance
-PARTS = "parts.parquet"
 
 
 def paper_arm(links: int = 4, limited: bool = False) -> Arm:
     """The first links of the paper's arm; `limited`: within the joint limits of doe/README.md, "Planar theorem"."""
     lower, upper = (np.radians(PAPER["joint_limits_deg"][side][:links]) for side in ("lower", "upper"))
-    arm = Arm(planar_chain(LENGTHS[:links]), sigma=SIGMA, name=f"{links} links")
-    return Arm(arm.chain, lower, upper, SIGMA, LIMITED) if limited else arm
+    chain, name = planar_chain(LENGTHS[:links]), f"{links} links"
+    if limited:
+        return Arm(chain, lower, upper, SIGMA, f"{name} within joint limits")
+    return Arm(chain, sigma=SIGMA, name=name)
 
 
 def paper_truth(links: int = 4) -> dict[str, Any]:
@@ -126,14 +121,13 @@ def table_2(runs: int = 20) -> pl.DataFrame:
     return frame_of(rows)
 
 
-def table_3(replications: int = REPLICATIONS, seed: int = 0, arm_names: Sequence[str] = ARM_NAMES) -> pl.DataFrame:
+def table_3(replications: int = REPLICATIONS, seed: int = 0) -> pl.DataFrame:
     """Table III by simulation, and what it leaves out: joint offsets, 4 links with 4 runs, joint limits.
 
     Theory is eq. 25 with the TRUE lengths l_j + dl_j, which simulation follows: a difference of 0.6 % at most.
     """
     rows: list[Row] = []
-    for arm_name in arm_names:
-        limited, links = arm_name == LIMITED, int(arm_name[0])
+    for links, limited in ((2, False), (3, False), (4, False), (4, True)):
         grid: dict[str, Any] = {"runs": [4, 20] if limited else [3, 4, 20], "truths": [paper_truth(links)]}
         plans = ["exchange_ipopt" if limited else "dft"]
         study = Study.of([paper_arm(links, limited)], plans, replications=replications, **grid)
@@ -227,25 +221,11 @@ def figure_2(replications: int = REPLICATIONS, seed: int = 0, runs: Sequence[int
 
 
 # -- errata ------------------------------------------------------------------------------------------------------------
-class Shown(NamedTuple):
-    """Relative distance of what is printed, and of its correction, from the truth; accuracy of the check.
-
-    The truth comes from finite differences of eq. 1 and 3, from the information matrix itself, or from simulation,
-    never from the statement under test.
-    """
-
-    printed_error: float
-    correct_error: float
-    tolerance: float
-
-    @property
-    def confirmed(self) -> bool:
-        """True if the numbers show both that the statement is wrong and that the correction is right."""
-        # rounding in the paper explains less than one per cent
-        return bool(self.printed_error > 0.01 and self.correct_error <= self.tolerance)
-
-
-Check = Callable[[np.random.Generator, int], Shown]  # by random plans, or so many simulated calibrations
+# Errors relative to the truth of what is printed, and of its correction, and the tolerance of the latter; by random
+# plans, or so many simulated calibrations. The truth comes from finite differences of eq. 1 and 3, from the information
+# matrix itself, or from simulation, never from the statement under test.
+Shown = tuple[float, float, float]
+Check = Callable[[np.random.Generator, int], Shown]
 
 
 def distance(value: Array | float, truth: Array | float) -> float:
@@ -282,7 +262,7 @@ def deviations(links: int, expected: Mapping[tuple[int, str], tuple[float, float
         simulated = {(row["runs"], row["parameter"]): row["std"] for row in cells.iter_rows(named=True)}
         ratios = np.array([np.array(values) / simulated[place] for place, values in expected.items()])
         wrong, right = np.abs(ratios - 1.0).T.tolist()
-        return Shown(min(wrong), max(right), 4.5 / np.sqrt(2.0 * replications) + room)
+        return min(wrong), max(right), 4.5 / np.sqrt(2.0 * replications) + room
 
     return check
 
@@ -299,7 +279,7 @@ def no_closed_form(generator: np.random.Generator, replications: int) -> Shown:
     once = np.linalg.lstsq(jacobian, (data.positions - model.position(postures)).ravel(), rcond=None)[0]
     unit = model.scales / (SIGMA / np.sqrt(20.0))
     wrong, right = (float(np.max(np.abs((values - steps) * unit))) for values in (once, exact))
-    return Shown(wrong, right, 1e-8)
+    return wrong, right, 1e-8
 
 
 def derivative_of_the_sum(generator: np.random.Generator, replications: int) -> Shown:
@@ -311,7 +291,7 @@ def derivative_of_the_sum(generator: np.random.Generator, replications: int) -> 
     truth = float(up - down) / 2e-5 / 2.0  # eq. 4 leaves the factor 2 out
     links = np.exp(1j * (theta + TURNED)) * LENGTHS
     by_link = np.real(np.conj(1j * links) * (tips(theta, LENGTHS, TURNED) - measured)[:, None]).sum(axis=0)
-    return Shown(distance(by_link[k:].sum(), truth), distance(by_link[k], truth), 1e-7)
+    return distance(by_link[k:].sum(), truth), distance(by_link[k], truth), 1e-7
 
 
 def last_column_of_the_jacobian(generator: np.random.Generator, replications: int) -> Shown:
@@ -319,27 +299,27 @@ def last_column_of_the_jacobian(generator: np.random.Generator, replications: in
     theta, step = random_orientations(generator), 1e-5 * np.eye(4)[3]
     truth = np.imag(tips(theta, LENGTHS, step) - tips(theta, LENGTHS, -step)) / 2e-5
     entries = LENGTHS * np.cos(theta)
-    return Shown(min(distance(entries[:, j], truth) for j in range(3)), distance(entries[:, 3], truth), 1e-8)
+    return min(distance(entries[:, j], truth) for j in range(3)), distance(entries[:, 3], truth), 1e-8
 
 
 def size_of_the_noise(generator: np.random.Generator, replications: int) -> Shown:
     """Length of eps_a = [eps_1 .. eps_m], two coordinates each, of m = 10 points and n = 4 links."""
     length = float(generator.standard_normal((10, 2)).size)
-    return Shown(distance(2.0 * 4, length), distance(2.0 * 10, length), 0.0)
+    return distance(2.0 * 4, length), distance(2.0 * 10, length), 0.0
 
 
 def off_diagonal_blocks(generator: np.random.Generator, replications: int) -> Shown:
     """The blocks of sum J^T J, against B = L S printed and B = -L S."""
     total, _, s = blocks(random_orientations(generator))
     b, c, ls = total[:4, 4:], total[4:, :4], LENGTHS[:, None] * s
-    return Shown(min(distance(ls, b), distance(ls, c)), max(distance(-ls, b), distance(s * LENGTHS, c)), 1e-12)
+    return min(distance(ls, b), distance(ls, c)), max(distance(-ls, b), distance(s * LENGTHS, c)), 1e-12
 
 
 def scaling_of_the_criterion(generator: np.random.Generator, replications: int) -> Shown:
     """det C' of the optimal plan must be 1 (Section V); m = 10, n = 4."""
     _, c, _ = blocks(np.cumsum(dft_postures(4, 10), axis=1))
     by_links, by_runs = (distance(float(np.linalg.det(c / count)), 1.0) for count in (4, 10))
-    return Shown(by_links, by_runs, 1e-12)
+    return by_links, by_runs, 1e-12
 
 
 def d_optimality_and_units(generator: np.random.Generator, replications: int) -> Shown:
@@ -351,7 +331,7 @@ def d_optimality_and_units(generator: np.random.Generator, replications: int) ->
         for unit in (np.eye(8), units)
     )
     traces = [float(np.trace(np.linalg.inv(total))) for total in (first, second)]  # printed: no difference
-    return Shown(distance(*traces), distance(converted, gain), 1e-9)
+    return distance(*traces), distance(converted, gain), 1e-9
 
 
 def criterion_without_teeth(generator: np.random.Generator, replications: int) -> Shown:
@@ -368,7 +348,7 @@ def criterion_without_teeth(generator: np.random.Generator, replications: int) -
         h = z.conj().T @ z / 8.0
         optimal, (det_c, det_s, det_h) = det_h, (float(np.linalg.det(part).real) for part in (h.real, h.imag, h))
     best = abs(det_c - 1.0) < 1e-12 and abs(det_s) < 1e-12
-    return Shown(distance(det_h**2, 1.0) if best else 0.0, distance(optimal**2, 1.0), 1e-12)
+    return distance(det_h**2, 1.0) if best else 0.0, distance(optimal**2, 1.0), 1e-12
 
 
 def names_in_table_1(generator: np.random.Generator, replications: int) -> Shown:
@@ -377,7 +357,7 @@ def names_in_table_1(generator: np.random.Generator, replications: int) -> Shown
     q = np.diff(theta, axis=1, prepend=0.0)
     element = float(blocks(theta)[0][4, 7])  # lengths 1 and 4: sum cos(theta_1 - theta_4)
     wrong, right = (float(np.cos(angle).sum()) for angle in (q[:, 1] + q[:, 3], q[:, 1:].sum(axis=1)))
-    return Shown(distance(wrong, element), distance(right, element), 1e-10)
+    return distance(wrong, element), distance(right, element), 1e-10
 
 
 def four_links_three_points(generator: np.random.Generator, replications: int) -> Shown:
@@ -385,7 +365,7 @@ def four_links_three_points(generator: np.random.Generator, replications: int) -
     model = Model(paper_arm(4))
     plans = generator.uniform(-np.pi, np.pi, (100, 3, 4))
     rank = float(max(spectrum(model.jacobian(plan), model.scales).rank for plan in plans))
-    return Shown(distance(8.0, rank), distance(6.0, rank), 0.0)
+    return distance(8.0, rank), distance(6.0, rank), 0.0
 
 
 def of_length(links: int, printed: Mapping[int, float]) -> Check:
@@ -423,82 +403,46 @@ CHECKS: tuple[Check, ...] = (
 )
 
 
-def errata(replications: int = REPLICATIONS, seed: int = 0, numbers: Sequence[int] | None = None) -> pl.DataFrame:
-    """One row per erratum: place, printed, correct, the fields of `Shown`, and `confirmed`. `numbers`: places in
-    `CHECKS`, None: all."""
+def errata(replications: int = REPLICATIONS, seed: int = 0) -> pl.DataFrame:
+    """One row per erratum: place, printed, correct, relative distance of what is printed, and of its correction, from
+    the truth, `tolerance` of the check, and `confirmed`: the statement is wrong and the correction right."""
     rows = []
-    for k in range(len(CHECKS)) if numbers is None else numbers:
-        shown = CHECKS[k](np.random.default_rng([seed, k]), replications)
-        rows.append({**PAPER["errata"][k], **shown._asdict(), "confirmed": shown.confirmed})
+    for k, (erratum, check) in enumerate(zip(PAPER["errata"], CHECKS, strict=True)):
+        wrong, right, tolerance = check(np.random.default_rng([seed, k]), replications)
+        # rounding in the paper explains less than one per cent
+        shown = {"printed_error": wrong, "correct_error": right, "tolerance": tolerance}
+        rows.append({**erratum, **shown, "confirmed": bool(wrong > 0.01 and right <= tolerance)})
     return frame_of(rows)
 
 
 # -- everything together -----------------------------------------------------------------------------------------------
-# table -> its pieces, of those that take long, and what makes it from replications, seed and pieces
-PIECES: dict[str, tuple[Sequence[Any], Callable[[int, int, Any], pl.DataFrame]]] = {
-    "table_1": ([None], lambda *_: table_1()),
-    "table_2": ([None], lambda *_: table_2()),
-    "table_3": (ARM_NAMES, lambda number, seed, piece: table_3(number, seed, [piece])),
-    "text": ([None], lambda *_: text_figures()),
-    "errata": (range(len(CHECKS)), lambda number, seed, piece: errata(number, seed, [piece])),
-    "figure_1": ([None], lambda number, seed, _: figure_1(number, seed)),
-    "figure_2": (RUNS, lambda number, seed, piece: figure_2(number, seed, [piece])),
-}
-
-
-@dataclass(frozen=True)
-class PaperStudy:
-    """Everything of the paper, computed again.
-
-    tables : by the names in `PIECES`
-    """
-
-    tables: dict[str, pl.DataFrame]
-
-    @property
-    def passed(self) -> bool:
-        """Whether theory and simulation agree everywhere and every erratum is confirmed."""
-        return consistent(self.tables["table_3"]) and bool(self.tables["errata"]["confirmed"].all())
-
-
 def paper_study(
-    replications: int | None = None,
-    folder: Path | None = None,
-    workers: Workers | None = None,
-    *,
-    seed: int = 0,
-    resume: bool = False,
-    force: bool = False,
-    progress: Progress = silent,
-) -> PaperStudy:
-    """Everything of the paper.
+    replications: int | None = None, *, seed: int = 0, progress: Progress = silent
+) -> dict[str, pl.DataFrame]:
+    """Everything of the paper by the names of the functions here, `text` for `text_figures`.
 
-    replications : simulated calibrations per table entry;  folder : for a Parquet file of each table
-    Raises `InputError` for too few replications to estimate a deviation, or more than memory holds; `JobError` with the
-    reason if a part failed.
+    replications : simulated calibrations per table entry. Raises `InputError` for too few to estimate a deviation, or
+        more than memory holds.
     """
-    least, most = ALLOWED
-    if replications is not None and not least <= replications <= most:
-        raise InputError(f"--replications: found {replications}, allowed for the paper: {least} to {most:,}")
-    common = {"replications": replications or REPLICATIONS, "seed": seed}
-    keys: list[Key] = [{"table": name, "piece": piece, **common} for name in PIECES for piece in PIECES[name][0]]
-    rows: dict[str, list[Row]] = {name: [] for name in PIECES}
-    with tables(folder, PARTS, resume=resume, force=force) as (table,):
-        for name in PIECES if folder is not None else ():
-            check_writable(folder / f"{name}.parquet", resume or force)  # type: ignore[operator]
-        table.rows = {key: done for key, done in table.rows.items() if done[0]["status"] == "done"}
-        for row in run_tasks(part, keys, table, workers, seed=seed, progress=progress).iter_rows(named=True):
-            if row["status"] != "done":
-                raise JobError(f"{row['table']}: {row['error']}; go on with --resume")
-            rows[row["table"]] += json.loads(row["rows"])
-    frames = {name: frame_of(entries) for name, entries in rows.items()}
-    if folder is not None:
-        files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in frames.items()}
-        write_together(files, force=True)
-    return PaperStudy(frames)
+    (least, most), number = ALLOWED, replications or REPLICATIONS
+    if not least <= number <= most:
+        raise InputError(f"--replications: found {number}, allowed for the paper: {least} to {most:,}")
+    made: dict[str, Callable[[], pl.DataFrame]] = {
+        "table_1": table_1,
+        "table_2": table_2,
+        "table_3": lambda: table_3(number, seed),
+        "text": text_figures,
+        "errata": lambda: errata(number, seed),
+        "figure_1": lambda: figure_1(number, seed),
+        "figure_2": lambda: figure_2(number, seed),
+    }
+    found = {}
+    for k, (name, make) in enumerate(made.items()):
+        progress(k, len(made), name)
+        found[name] = make()
+    return found
 
 
-def part(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
-    """A piece of a table as one row: its own rows as JSON, as tables differ in their columns."""
-    made = PIECES[key["table"]][1](key["replications"], key["seed"], key["piece"])
-    return [{"rows": json.dumps(made.to_dicts())}]
+def passed(tables: Mapping[str, pl.DataFrame]) -> bool:
+    """Whether theory and simulation agree everywhere and every erratum is confirmed."""
+    return consistent(tables["table_3"]) and bool(tables["errata"]["confirmed"].all())

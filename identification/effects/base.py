@@ -148,7 +148,7 @@ class Effect:
     nuisance : True if it is no fault of the arm, so that `diagnose` does not search for it
     of_commands : True if it acts between command and encoder reading, so that models of the readings ignore it
         (identification/simulate.py)
-    scatter : True if it acts on the noise, so that the model of the mean ignores it (identification/effects/noise.py)
+    scatter : True if it acts on the noise (`disturb`), so that the model of the mean ignores it
     once : True if it belongs to the session of the identification; in later sessions its final state applies
     of_positions : True if it is of the frame in which positions are measured, which other instruments do not have
     tabulated : True if it is a table of values (`EffectSpec.curve`) without parameters

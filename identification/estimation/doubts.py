@@ -18,14 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from identification.arm import Arm, Machining
+from identification.arm import Arm, Calibration, Machining
 from identification.arrays import Array, rows_in_words
-from identification.estimation.problem import Earlier
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, product_inverse
 from identification.inspection.readings import DRAWN, read_differently
-from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR, KinematicChain
-from identification.kinematics.closed_form import PlanarClosedForm
+from identification.kinematics.chain import (
+    BASE,
+    ROTATION_ERROR,
+    TOOL,
+    TRANSLATION_ERROR,
+    KinematicChain,
+    PlanarClosedForm,
+)
 from identification.kinematics.counting import in_columns, turned_into
 from identification.kinematics.parameters import (
     FILE_UNITS,
@@ -275,10 +280,10 @@ class Contradiction(NamedTuple):
     instead: tuple[str, ...] = ()
 
 
-def contradiction(name: str, before: Earlier, fit: Identification, instead: tuple[str, ...]) -> Contradiction:
+def contradiction(name: str, before: Calibration, fit: Identification, instead: tuple[str, ...]) -> Contradiction:
     """Of a parameter before, and of a fit without that prior."""
-    p, k = fit.model.parameters[now := fit.names.index(name)], before.names.index(name)
-    figures = before.values[k], np.sqrt(before.covariance[k, k]), fit.parameters[now], fit.std[now]
+    p, k = fit.model.parameters[now := fit.names.index(name)], before.parameter_names.index(name)
+    figures = before.values[name], np.sqrt(np.asarray(before.covariance)[k, k]), fit.parameters[now], fit.std[now]
     prior, prior_std, value, std = (float(x * p.to_file) for x in figures)
     return Contradiction(name, p.file_unit, prior, prior_std, value, std, instead)
 

@@ -1,13 +1,8 @@
 """Fits: of one data set with all that follows from it, or of many at once.
 
-A problem is posed, solved, and stated: what is estimable, how sure it is, and what is doubtful. With a normal prior of
-some parameters the minimum is the mode of the posterior. What the noise amounts to decides how far the data may move
-what has a prior: it is the noise of the largest marginal likelihood (`problem.likeliest`), and no less than a sigma
-that is given.
-
-Many data sets (Monte Carlo studies, bootstraps, fleets of one arm, random plans) with a closed form take a few
-multiplications per fit. Any other model starts there and goes on with Levenberg-Marquardt; on one plan, steps by
-inverse normal matrices that are made once come first (the chord method, `chord_steps`).
+With a normal prior of some parameters the minimum is the mode of the posterior. What the noise amounts to decides how
+far the data may move what has a prior: it is the noise of the largest marginal likelihood (`problem.likeliest`), and no
+less than a sigma that is given. Many data sets on one plan are fitted by the chord method (`chord_steps`).
 """
 
 from __future__ import annotations
@@ -23,18 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
 from identification.estimation.doubts import contradiction, doubts, far_from_drawing, far_rows, flange_turns
-from identification.estimation.levenberg_marquardt import (
-    GRADIENT_TOLERANCE,
-    ITERATIONS,
-    Index,
-    Solution,
-    outcomes,
-)
+from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.estimation.problem import (
     METHODS,
     Prior,
     Problem,
     check_measurements,
+    conditioned,
     contradicted,
     likeliest,
     starts,
@@ -46,7 +36,6 @@ from identification.information import (
     Spectrum,
     covariances,
     identifiability,
-    information_matrix,
     spectrum,
 )
 from identification.inspection.readings import placed_with_zeros
@@ -77,17 +66,13 @@ def estimate(
         for every other model) or `paper_steps`
     sigma : standard deviation of one coordinate [mm], one number or (m,), which intervals then rely on; "given": the
         same with the data's sigma per row, else the arm's; "estimated": from the residuals, whatever the data say. Left
-        out: as "given" as long as chi2 does not contradict it; where it does, or where none is given, the scatter of
-        the residuals, robustly where something is left unexplained (`Identification.uncertainty`)
-    weights : (m,) relative weights >= 0 of the rows, on top of sigma: the variance of row i is sigma^2 / weights_i, so
-        a row of weight 3 moves the estimates as three equal rows would; rows of weight 0 are left out
+        out: as "given" as long as chi2 does not contradict it, else the scatter of the residuals
+    weights : (m,) relative weights >= 0 of the rows, on top of sigma: the variance of row i is sigma^2 / weights_i;
+        rows of weight 0 are left out
 
-    Where a spatial arm stands and where its measured points are is found from nothing, unless the arm says so. Its
-    geometry is held by the prior of its machining (`Model.prior`), as by `estimate_with_prior`.
-
-    A plan that does not make everything estimable is no error: what is estimable is estimated, the rest is named in
-    `not_identifiable`, and `status` says so. Raises `InputError` for data that do not fit the model, `JobError` if the
-    method fails.
+    Where a spatial arm stands and where its measured points are is found from nothing, unless the arm says so; its
+    geometry is held by the prior of its machining, as by `estimate_with_prior`. What a plan does not determine is named
+    in `not_identifiable`. Raises `InputError` for data that do not fit the model, `JobError` if the method fails.
     """
     check_measurements(model, measurements)
     if prior := model.prior:
@@ -167,10 +152,10 @@ def estimate_with_prior(
     fit = replace(fit, covariance_seen=least.noise**2 * seen)
     if not names:
         return fit
-    others = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
+    others = {name: earlier.values[name] for name in earlier.parameter_names if name not in names}
     held = replace(model, held={**model.fixed, **others})
     free = estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
-    before = earlier.conditioned_on(others)
+    before = conditioned(earlier, others)
     return replace(fit, contradictions=tuple(contradiction(name, before, free, names[name]) for name in names))
 
 
@@ -239,12 +224,7 @@ def _with_likeliest_noise(
 
 
 def _identification(
-    problem: Problem,
-    data: Measurements,
-    method: str,
-    solution: Solution,
-    decomposed: Spectrum,
-    determined: float,
+    problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, determined: float
 ) -> Identification:
     """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit.
 
@@ -346,33 +326,32 @@ def estimate_batch(
             x[part], rss[part] = solve(measured[part])
         status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
         return solution.finished()
-    # from the closed form, by the chord method with one matrix for all, then with their own; last one by one
+    # from the closed form, by the chord method with one matrix for all, then by Levenberg-Marquardt
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
     usable = np.all(np.isfinite(x), axis=1)
     center = np.mean(x[usable], axis=0) if usable.any() else problem.start
-    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])[None]
-    for attempt in range(4):
+    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])
+    for last in (False, True):
         rest = np.flatnonzero(status != Status.converged)
         for part in _chunks(len(rest), m):
             sets = rest[part]
             problems = problem.rows(sets)
-            if attempt == 3:
-                last = problems.minimized(x[sets])
-                x[sets], rss[sets], status[sets] = last.parameters, last.rss, last.status
-                continue
-            jacobians = shared if attempt == 0 else problems.linearize(x[sets], np.arange(len(sets)))[1]
-            x[sets], rss[sets], stationary = chord_steps(problems, jacobians, x[sets])
-            status[sets[stationary]] = Status.converged
+            if last:
+                each = problems.minimized(x[sets])
+                x[sets], rss[sets], status[sets] = each.parameters, each.rss, each.status
+            else:
+                x[sets], rss[sets], stationary = chord_steps(problems, shared, x[sets])
+                status[sets[stationary]] = Status.converged
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
     return solution.finished()
 
 
-def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Parameters (k, p), weighted sums of squares (k,) and stationary (k,); of data sets that are left to others the
     last parameters inside the bounds to which steps led quickly.
 
-    jacobians : (k, N, p) of each data set with the rows of the prior; (1, N, p): one for all
+    jacobian : (N, p) with the rows of the prior, one for all
 
     Steps are N^-1 J(p)^T W r with N^-1 taken at one point, where J(p)^T W r comes exactly from CasADi's reverse mode at
     the price of a few position evaluations: no Jacobian, no decomposition per step. The matrix only sets the speed:
@@ -381,9 +360,9 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
     lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
     held = problem.prior_rows.T @ problem.prior_rows
     table = problem.model.condition_table(problem.postures, problem.conditions)
-    lengths = np.linalg.norm(jacobians, axis=1)
-    unit = jacobians / lengths[:, None]
-    inverse = np.linalg.inv(information_matrix(unit[:, :, None])) / lengths[:, None]  # for scaled gradients
+    lengths = np.linalg.norm(jacobian, axis=0)
+    unit = jacobian / lengths
+    inverse = np.linalg.inv(unit.T @ unit) / lengths  # for scaled gradients
     parameters, squares, stationary = starts.copy(), np.full(len(starts), np.nan), np.zeros(len(starts), dtype=bool)
     index, x, last = np.arange(len(starts)), starts, np.full(len(starts), np.inf)
     data, rounding = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0)), problem.rounding
@@ -405,10 +384,7 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
             break
         index, last, rounding = index[going], size[going], rounding[going]
         data = data if going.all() else np.ascontiguousarray(data[:, going])
-        if len(inverse) > 1:
-            lengths, inverse = lengths[going], inverse[going]
-        down = gradient[going]
-        x = x[going] + (down @ inverse[0] if len(inverse) == 1 else (down[:, None] @ inverse)[:, 0])
+        x = x[going] + gradient[going] @ inverse
     return parameters, squares, stationary
 
 

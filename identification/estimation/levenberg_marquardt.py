@@ -4,14 +4,9 @@
 
 Each step solves min |E s - r|^2 + damping |s|^2 over the columns E of the exact Jacobian, scaled to unit length
 (Marquardt 1963), undamped until one lowers |r|^2 by far less than predicted; then the damping is in proportion to how
-stiff the direction of the step is, however flat the valley. Every problem has its own damping. Parameters on a bound
-that the gradient or the step would leave on the wrong side are held (active set; without the step's, a cut step need
-not descend); what a step takes beyond a bound from inside is cut off there. Combinations of parameters that the data do
-not determine get no step: singular values below `tolerance` are zero (`information.significant`).
-
-Tall problems are made small by QR first (`compressed`): the triangular factor has all that a step needs. Orthogonal
-transformations change neither sums of squares nor products of columns, and least squares see nothing else (A. Bjorck,
-"Numerical Methods for Least Squares Problems", 1996, section 2.4).
+stiff the direction of the step is, however flat the valley. Parameters on a bound that the gradient or the step would
+leave on the wrong side are held (without the step's, a cut step need not descend); what a step takes beyond a bound
+from inside is cut off there. Combinations of parameters that the data do not determine get no step.
 """
 
 from __future__ import annotations
@@ -33,7 +28,6 @@ SMALL_FALL = 1e-8  # of a sum of squares, relative
 RIDGE = 1e-14  # of a normal matrix of unit columns: keeps its inverse alive where it is singular and not used
 NORMAL = 1e10  # condition of a normal matrix up to which it gives steps: four digits, and the next step mends the rest
 VANISHED = 1e-4  # of the length that a column had at the start: its parameter has no effect to speak of
-BLOCK = 2048  # rows at a time, which stay in the processor's cache
 Index = NDArray[np.intp]
 Linearize = Callable[[Array, Index], tuple[Array, Array]]
 
@@ -202,7 +196,8 @@ def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points
             lower = end.squares < (1.0 - SMALL_FALL) * solution.rss[end.problems]
             rows = end.problems[lower]
             solution.parameters[rows], solution.rss[rows] = end.parameters[lower], end.squares[lower]
-            solution.active[rows], solution.status[rows] = active[ended][lower], outcomes(good[ended], *status)[lower]
+            solution.active[rows] = active[ended][lower]
+            solution.status[rows] = outcomes(good[ended], *status)[lower]
         points = points.at(~ended)
         if len(points.problems) == 0:
             break
@@ -225,17 +220,12 @@ def _lengths(jacobians: Array) -> Array:
 
 def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
     """Residuals (k, q) and Jacobians (k, q, p), q = p + 1, of the same least-squares problems as tall (k, N) and
-    (k, N, p); those that are not tall as they are."""
-    rows = jacobians.shape[1]
+    (k, N, p), by QR, which changes neither sums of squares nor products of columns (A. Bjorck, "Numerical Methods for
+    Least Squares Problems", 1996, section 2.4); those that are not tall as they are."""
     # from 20 rows per column the triangle pays: a step passes over the rows some ten times
-    if rows < 20 * (jacobians.shape[2] + 1):
+    if jacobians.shape[1] < 20 * (jacobians.shape[2] + 1):
         return residuals, jacobians
-    triangles = []
-    for residual, jacobian in zip(residuals, jacobians, strict=True):
-        parts = [slice(start, start + BLOCK) for start in range(0, rows, BLOCK)]
-        parts_made = [np.linalg.qr(np.column_stack([jacobian[k], residual[k]]), mode="r") for k in parts]
-        triangles.append(parts_made[0] if len(parts) == 1 else np.linalg.qr(np.concatenate(parts_made), mode="r"))
-    triangle = np.array(triangles)
+    triangle: Array = np.linalg.qr(np.concatenate([jacobians, residuals[:, :, None]], axis=2), mode="r")  # type: ignore[assignment]
     return triangle[:, :, -1], triangle[:, :, :-1]
 
 
@@ -280,11 +270,7 @@ def damped_steps(
     normal = columns @ across if wide else across @ columns
     diagonal = np.arange(normal.shape[1])
     normal[:, diagonal, diagonal] += RIDGE if wide else RIDGE + held
-    try:
-        inverse = np.linalg.inv(normal)
-    except np.linalg.LinAlgError:  # one of them has a pivot that is exactly zero
-        steps, gradient, stiffness = truncated_steps(columns, residuals, damping, tolerance)
-        return np.where(held, 0.0, steps), gradient, stiffness
+    inverse = np.linalg.inv(normal)
     # in the 1-norm, which is never less than the ratio of the eigenvalues
     condition = np.linalg.norm(normal, 1, axis=(1, 2)) * np.linalg.norm(inverse, 1, axis=(1, 2))
     if (damped := damping > 0.0).any():
@@ -301,17 +287,14 @@ def damped_steps(
 
 def truncated_steps(columns: Array, residuals: Array, damping: Array, tolerance: float) -> tuple[Array, Array, Array]:
     """`damped_steps` by singular values."""
-    # the triangle of [E, r] holds all that the step needs; rows can be millions, columns are few
-    triangle: Array = np.linalg.qr(np.concatenate([columns, residuals[:, :, None]], axis=2), mode="r")  # type: ignore[assignment]
-    left, values, right = np.linalg.svd(triangle[:, :, :-1], full_matrices=False)
-    rotated = (np.swapaxes(left, 1, 2) @ triangle[:, :, -1:])[:, :, 0]
+    left, values, right = np.linalg.svd(columns, full_matrices=False)
+    rotated = (np.swapaxes(left, 1, 2) @ residuals[:, :, None])[:, :, 0]
     count = significant(values, tolerance)
     squares = np.where(count, values**2 + damping[:, None], 1.0)
     factors = np.where(count, values, 0.0) / squares * rotated
-    directions = np.swapaxes(right, 1, 2)
-    steps = directions @ factors[:, :, None]
-    gradient = directions @ np.where(count, values * rotated, 0.0)[:, :, None]
-    return steps[:, :, 0], gradient[:, :, 0], _stiffness(factors, factors / squares)
+    along = np.stack([factors, np.where(count, values * rotated, 0.0)], axis=2)
+    steps, gradient = np.moveaxis(np.swapaxes(right, 1, 2) @ along, 2, 0)
+    return steps, gradient, _stiffness(factors, factors / squares)
 
 
 def _stiffness(steps: Array, softer: Array) -> Array:

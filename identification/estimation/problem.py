@@ -1,20 +1,16 @@
 """The least-squares problem of a fit: data, model and prior, its noise, and the methods that solve it.
 
-What is known of parameters before the data is a normal distribution, as extra rows of the problem. Independent
+What is known of parameters before the data is a normal distribution, as extra rows of the problem: independent
 parameters of zero mean and standard deviations d_k each add one residual (0 - x_k) / d_k, in units of the noise; an
-earlier calibration, mean x_0 and covariance L L^T, adds the residuals L^-1 (x_0 - x). The minimum is the mode of the
-posterior, and the inverse of the normal matrix with these rows its covariance (for a linear model both exactly: ridge
-regression; A. E. Hoerl, R. W. Kennard, 1970).
-
-Noise and sizes of the prior are those of the largest marginal likelihood, the parameters without a prior integrated out
-(restricted maximum likelihood, H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are
-unequal", 1971), of a problem that is linear about its solution. Sizes are tried from a few values each: factors on
-those of the machining and of the zeros of joints.
+earlier calibration, mean x_0 and covariance L L^T, adds L^-1 (x_0 - x). Noise and sizes of the prior are those of the
+largest marginal likelihood, the parameters without a prior integrated out (restricted maximum likelihood, H. D.
+Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", 1971), of a problem that is
+linear about its solution; sizes are tried from a few values each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -24,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, fdtrc
 
-from identification.arrays import Array, ByValue, readonly
+from identification.arm import Calibration
+from identification.arrays import Array, ByValue
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import (
     ITERATIONS,
@@ -36,14 +33,8 @@ from identification.estimation.levenberg_marquardt import (
     levenberg_marquardt,
     outcomes,
 )
-from identification.information import (
-    PRODUCT_TOLERANCE,
-    RANK_TOLERANCE,
-    product_inverse,
-    significant,
-    spectrum,
-)
-from identification.kinematics.closed_form import PlanarClosedForm
+from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, product_inverse, significant, spectrum
+from identification.kinematics.chain import PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -64,46 +55,21 @@ SOURCES = {  # what an effect needs -> where it comes from
 
 
 # -- the prior ---------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True, eq=False)
-class Earlier(ByValue):
-    """A normal distribution of k parameters, as an earlier calibration left them.
-
-    values : (k,) means;  covariance : (k, k), its diagonal > 0 [API units]
-    """
-
-    names: tuple[str, ...]
-    values: Array
-    covariance: Array
-
-    def __post_init__(self) -> None:
-        for name in ("values", "covariance"):
-            object.__setattr__(self, name, readonly(getattr(self, name)))
-        _check_positive("variance", zip(self.names, np.diag(self.covariance).tolist(), strict=True))
-
-    def about(self, names: Collection[str]) -> Earlier:
-        """Of some of the parameters, whatever the others are."""
-        kept = [k for k, name in enumerate(self.names) if name in names]
-        return Earlier(tuple(self.names[k] for k in kept), self.values[kept], self.covariance[np.ix_(kept, kept)])
-
-    def conditioned_on(self, values: Mapping[str, float]) -> Earlier:
-        """Of the others, where some of the parameters have these values."""
-        named = np.array([name in values for name in self.names], dtype=bool)
-        crossed, among = self.covariance[np.ix_(~named, named)], self.covariance[np.ix_(named, named)]
-        off = np.array([values[name] for name in self.names if name in values]) - self.values[named]
-        gain = crossed @ product_inverse(among)
-        left = self.covariance[np.ix_(~named, ~named)] - gain @ crossed.T
-        return Earlier(tuple(name for name in self.names if name not in values), self.values[~named] + gain @ off, left)
-
-
-def _check_positive(what: str, named: Iterable[tuple[str, float]]) -> None:
-    for name, value in named:
-        if not 0.0 < value < np.inf:
-            raise InputError(f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
+def conditioned(calibration: Calibration, values: Mapping[str, float]) -> Calibration:
+    """A calibration's normal distribution of the others, where some of its parameters have these values."""
+    names, covariance = calibration.parameter_names, np.asarray(calibration.covariance)
+    means = np.array([calibration.values[name] for name in names])
+    named = np.array([name in values for name in names], dtype=bool)
+    crossed, off = covariance[np.ix_(~named, named)], [values[name] for name in names if name in values] - means[named]
+    gain = crossed @ product_inverse(covariance[np.ix_(named, named)])
+    free = tuple(name for name in names if name not in values)
+    moved = dict(zip(free, (means[~named] + gain @ off).tolist(), strict=True))
+    return Calibration(moved, free, covariance[np.ix_(~named, ~named)] - gain @ crossed.T)
 
 
 @dataclass(frozen=True, eq=False)
 class Prior(ByValue):
-    """Independent normal distributions of zero mean, and that of an earlier calibration, which comes first.
+    """Independent normal distributions of zero mean, and that of an earlier calibration, with its covariance.
 
     deviations : parameter name -> standard deviation > 0 [API unit]; parameters that are not named are free, names
         that a model does not have do not matter
@@ -112,31 +78,30 @@ class Prior(ByValue):
     """
 
     deviations: Mapping[str, float]
-    earlier: Earlier | None = None
+    earlier: Calibration | None = None
     own_error: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_positive("standard deviation", self.deviations.items())
-        first = () if self.earlier is None else self.earlier.names
-        independent = {name: deviation for name, deviation in self.deviations.items() if name not in first}
+        first = Calibration({}, (), np.zeros((0, 0))) if self.earlier is None else self.earlier
+        variances = dict(zip(first.parameter_names, np.asarray(first.covariance).diagonal().tolist(), strict=True))
+        for what, named in (("variance", variances), ("standard deviation", self.deviations)):
+            for name, value in named.items():
+                if not 0.0 < value < np.inf:
+                    raise InputError(f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
+        independent = {name: deviation for name, deviation in self.deviations.items() if name not in variances}
         object.__setattr__(self, "deviations", MappingProxyType(independent))
 
     @property
     def names(self) -> frozenset[str]:
         """Of all parameters that have one."""
-        return frozenset(self.deviations) | frozenset(() if self.earlier is None else self.earlier.names)
+        return frozenset(self.deviations) | frozenset(() if self.earlier is None else self.earlier.parameter_names)
 
     def released(self, names: Collection[str], machining: Mapping[str, float]) -> Prior:
         """Without what the earlier calibration says of these; that of the machining (name -> deviation) stays."""
         assert self.earlier is not None
-        kept = self.earlier.about(set(self.earlier.names) - set(names))
+        kept = self.earlier.about(set(self.earlier.parameter_names) - set(names))
         machined = {name: size for name, size in machining.items() if name in names}
-        return Prior({**machined, **self.deviations}, kept if kept.names else None)
-
-    def center(self, parameters: ParameterSet) -> Array:
-        """(p,) means; zero where there is none."""
-        means = {} if self.earlier is None else dict(zip(self.earlier.names, self.earlier.values.tolist(), strict=True))
-        return parameters.vector(means, default=0.0)
+        return Prior({**machined, **self.deviations}, kept if kept.parameter_names else None)
 
     def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
         """(r, p) rows for the Jacobian, one for each parameter that has a prior; its residuals are rows @ (center -
@@ -154,11 +119,12 @@ class Prior(ByValue):
         if self.earlier is None:
             return np.zeros((2, len(parameters), 0))
         here = self.earlier.about(parameters.names)
-        sizes = np.sqrt(np.diag(here.covariance))  # combinations known better than rounding are held as well as that
-        values, vectors = np.linalg.eigh(here.covariance / np.outer(sizes, sizes))
+        covariance = np.asarray(here.covariance)
+        sizes = np.sqrt(np.diag(covariance))  # combinations known better than rounding are held as well as that
+        values, vectors = np.linalg.eigh(covariance / np.outer(sizes, sizes))
         root = np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
-        roots = np.zeros((2, len(parameters), len(here.names)))
-        roots[:, [parameters.index(name) for name in here.names]] = (
+        roots = np.zeros((2, len(parameters), len(sizes)))
+        roots[:, [parameters.index(name) for name in here.parameter_names]] = (
             sizes[:, None] * vectors * root,
             vectors / root / sizes[:, None],
         )
@@ -292,14 +258,15 @@ class Problem:
     @cached_property
     def prior_rows(self) -> Array:
         """(r, p) rows of the prior in the Jacobian, see `Prior.rows`."""
-        nothing = np.zeros((0, len(self.model.parameters)))
-        return nothing if self.prior is None else self.prior.rows(self.model.parameters, self.noise)
+        parameters = self.model.parameters
+        return np.zeros((0, len(parameters))) if self.prior is None else self.prior.rows(parameters, self.noise)
 
     @cached_property
     def prior_center(self) -> Array:
-        """(p,) means of the prior, see `Prior.center`."""
-        parameters = self.model.parameters
-        return np.zeros(len(parameters)) if self.prior is None else self.prior.center(parameters)
+        """(p,) means of the prior; zero where there is none."""
+        earlier = None if self.prior is None else self.prior.earlier
+        means = {} if earlier is None else {name: earlier.values[name] for name in earlier.parameter_names}
+        return self.model.parameters.vector(means, default=0.0)
 
     def residuals(self, parameters: Array) -> Array:
         """(K, m, d) measured less computed [mm], for parameters (p,) or (K, p)."""
@@ -418,16 +385,17 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
 
 
 # -- an earlier calibration that the measurements contradict -----------------------------------------------------------
-def posterior_squares(
-    problem: Problem, x: Array, residual: Array, jacobian: Array, prior: Prior, noise: float
-) -> float:
-    """Least weighted squares, of measurements and a prior together, in units of the noise, linear about x."""
-    rows = prior.rows(problem.model.parameters, noise)
+def posterior_squares(problem: Problem, x: Array, residual: Array, jacobian: Array) -> float:
+    """Least weighted squares, of measurements and prior together, in units of the noise, linear about x (p,).
+
+    residual, jacobian : of `Problem.linearized`
+    """
+    rows = problem.prior_rows
     whole = np.concatenate([jacobian, rows])
-    target = np.concatenate([residual, rows @ (prior.center(problem.model.parameters) - x)])
+    target = np.concatenate([residual, rows @ (problem.prior_center - x)])
     scaled = whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
     left = target - scaled @ np.linalg.lstsq(scaled, target, rcond=None)[0]
-    return float(left @ left) / noise**2
+    return float(left @ left) / problem.noise**2
 
 
 def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]], float, Array]:
@@ -456,10 +424,13 @@ def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]]
         if freedom < 1.0 or noise <= LEAST:
             return explained, *first
 
-        left, rest = dict[str, float](), [name for name in prior.earlier.names if name in {*model.names} - {*explained}]
+        left, rest = (
+            dict[str, float](),
+            [name for name in prior.earlier.parameter_names if name in {*model.names} - {*explained}],
+        )
         for name in ("", *rest):
-            released = prior.released([*explained, name], model.prior)
-            left[name] = posterior_squares(problem, x, residual, jacobian, released, noise)
+            released = replace(problem, prior=prior.released([*explained, name], model.prior), noise=noise)
+            left[name] = posterior_squares(released, x, residual, jacobian)
         if (worst := worst_contradicted(left, freedom)) is None:
             return explained, *first
         explained |= worst

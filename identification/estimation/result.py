@@ -1,9 +1,8 @@
 """What an identification found, with its uncertainty, and the values to type in.
 
-Corrected values are those that a controller or a kinematic table has, not errors: lengths, zeros of joints, frames,
-effects. In space they are functions of several parameters; their standard deviations follow from the covariance by
-first derivatives (delta method). The corrected Denavit-Hartenberg table is a complete set of values, none of which is
-arbitrary.
+Corrected values are those that a controller or a kinematic table has, not errors. In space they are functions of
+several parameters, their standard deviations by first derivatives (delta method). The corrected Denavit-Hartenberg
+table is a complete set of values, none of which is arbitrary.
 """
 
 from __future__ import annotations
@@ -67,10 +66,9 @@ UNBOUNDED = (-np.inf, np.inf)
 class Identification:
     """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
 
-    parameters : (p,) estimates; along what is not estimable, values of the size of the others (from the nominal arm and
-        the model without effects), good for computing positions and for nothing else
-    covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 16) or the one that holds with misfit (see `uncertainty`), zero
-        along what is not estimable; NaN if sigma is unknown and no equation is left over to estimate it
+    parameters : (p,) estimates; along what is not estimable, values of the size of the others
+    covariance : (p, p), see `uncertainty`, zero along what is not estimable; NaN if sigma is unknown and no equation is
+        left over to estimate it
     identifiable : (p,) True where the parameter itself is estimable from the data
     not_identifiable : combinations of parameters that the data do not determine, in words
     sigma : standard deviation of one coordinate [mm] (with sigma per row: their root mean square; with relative
@@ -78,11 +76,9 @@ class Identification:
     chi2 : weighted sum of squares in units of sigma^2, None if sigma was not known
     dof : d m equations minus the number of estimable combinations
     residuals_before, residuals_after : (m, d) measured minus computed [mm], with the arm as it was and as identified
-    uncertainty : what covariance and intervals rely on
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
     postures : (k, n) measured [rad, mm], each once for every marker and session;  determined : how many combinations
         the data determine, the effective number of parameters
-    doubts : what is doubtful about the fit, in sentences
     outlier_rows : numbers from 1 of single rows that the model does not explain, which are in the fit all the same
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it

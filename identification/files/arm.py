@@ -27,11 +27,7 @@ from identification.errors import InputError, JobError, nearest
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import (
     CONSTRAINTS,
-    ArmFile,
-    DHTable,
     GravityTable,
-    MachiningTable,
-    PoseTable,
     require_count,
     validated_arm,
 )
@@ -60,6 +56,10 @@ Plain = dict[str, Any]
 Effects = list[tuple[EffectSpec, "Effect"]]
 Names = Mapping[str, tuple[str, float]]  # name in files -> API name, factor from API to file unit; or API name -> ...
 CURVE, CURVE_KEYS = "joint_error_curve", ("from_deg", "to_deg", "values_deg", "geometry")
+COUNTED = (  # keys with a value for each joint
+    *("gravity.link_masses_kg", "gravity.center_of_mass", "calibration.length_errors_mm"),
+    *("calibration.joint_offsets_deg", "joints.sign", "joints.coupled_to", "joints.zero_deg", "gear_ratio"),
+)
 MARKER = re.compile(r"tool\[.*\]\.(r?)[xyz]")
 HEADER = re.compile(r"\[\[?\s*([\w-]+)[\w.\"' -]*\]\]?\s*(#.*)?")  # of a table
 CLASSES = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
@@ -163,7 +163,10 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".") -> Arm:
     file = validated_arm(tables)
     chain = _drawn_chain(file, folder)
     n = len(chain)
-    file.require_counts(n)
+    for place in COUNTED:
+        table, _, key = place.rpartition(".")
+        if (values := getattr(getattr(file, table) if table else file, key, None)) is not None:
+            require_count(place, values, n)
     counting = None
     if file.joints is not None:  # what it leaves out is as usual
         usual: Plain = {"sign": (1,) * n, "coupled_to": (0,) * n, "zero": (0.0,) * n}
@@ -176,7 +179,7 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".") -> Arm:
         chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in limits))
     calibration, halves = None, Plain(center_of_mass=(0.5,) * n)
     if file.calibration is not None:
-        calibration, chain = _calibration(file, chain, effects)
+        calibration, chain = _calibration(file, chain, effects, tables["calibration"].get("provenance", {}))
     return Arm(
         chain,
         lower=lower,
@@ -193,7 +196,7 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".") -> Arm:
     )
 
 
-def _drawn_chain(file: ArmFile, folder: PathLike) -> KinematicChain:
+def _drawn_chain(file: Any, folder: PathLike) -> KinematicChain:
     """The geometry as drawn, with base and measured points where the file gives them; joint limits of the URDF.
 
     folder : where the URDF file is
@@ -238,16 +241,16 @@ def _drawn_chain(file: ArmFile, folder: PathLike) -> KinematicChain:
     return replace(chain, instrument=instrument)
 
 
-def _row(table: DHTable) -> DHRow:
+def _row(table: Any) -> DHRow:
     return DHRow(table.a_mm, math.radians(table.alpha_deg), table.d_mm, math.radians(table.offset_deg), table.joint)
 
 
-def _pose(table: PoseTable) -> Array:
+def _pose(table: Any) -> Array:
     angles = np.radians((table.rx_deg, table.ry_deg, table.rz_deg)).tolist()
     return pose((table.x_mm, table.y_mm, table.z_mm), from_own_axes(*angles))
 
 
-def _with_tools(chain: KinematicChain, tables: Mapping[str, PoseTable]) -> KinematicChain:
+def _with_tools(chain: KinematicChain, tables: Mapping[str, Any]) -> KinematicChain:
     """With measured points, by the names of their markers, of which a single one may have none."""
     poses = {name or "1": _pose(table) for name, table in tables.items()}
     tools = {name: readonly(matrix[:3, 3]) for name, matrix in poses.items()}
@@ -255,7 +258,7 @@ def _with_tools(chain: KinematicChain, tables: Mapping[str, PoseTable]) -> Kinem
 
 
 def _joint_limits(
-    file: ArmFile, chain: KinematicChain, counting: Counting | None
+    file: Any, chain: KinematicChain, counting: Counting | None
 ) -> tuple[Array, Array, list[ColumnLimits]]:
     """(n,) lower and (n,) upper limits of the joints [rad, mm], and the controller's of joints that it couples.
 
@@ -281,7 +284,7 @@ def _joint_limits(
     return limits[0], limits[1], tied
 
 
-def _effects(file: ArmFile, chain: KinematicChain) -> Effects:
+def _effects(file: Any, chain: KinematicChain) -> Effects:
     """The entries of `[[effects]]`, values in API units. Raises `InputError` for what arm or instrument do not have."""
     if not file.effects:
         return []
@@ -341,11 +344,16 @@ def _effects(file: ArmFile, chain: KinematicChain) -> Effects:
     return effects
 
 
-def _calibration(file: ArmFile, chain: KinematicChain, effects: Effects) -> tuple[Calibration, KinematicChain]:
+def _calibration(
+    file: Any, chain: KinematicChain, effects: Effects, provenance: Plain
+) -> tuple[Calibration, KinematicChain]:
     """In API units, and the chain whose errors it has. Raises `InputError` for parameters that arm and effects do not
     have."""
     table = file.calibration
-    assert table is not None
+    for j, (length, error) in enumerate(zip(file.links_mm or (), table.length_errors_mm or (), strict=False), start=1):
+        if length + error <= 0.0:
+            state = f"found {error:g} for link {j} of {length:g} mm"
+            raise InputError(f"calibration.length_errors_mm: {state}, allowed: more than {-length:g}")
     if table.tools:  # which the file has where they are not known
         chain = _with_tools(chain, table.tools)
     names = _names(chain.parameters(), effects)
@@ -369,7 +377,7 @@ def _calibration(file: ArmFile, chain: KinematicChain, effects: Effects) -> tupl
         values,
         tuple(api for api, _ in order),
         None if matrix is None else matrix / np.outer(factors, factors),
-        MappingProxyType(table.provenance.model_dump(exclude_unset=True)),
+        MappingProxyType(dict(provenance)),
         base,
         tools,
         dict(chain.tool_axes) if tools and chain.angle_scale is not None else {},
@@ -454,7 +462,7 @@ def dump_arm(arm: Arm) -> str:
     if arm.sigma is not None:
         tables.setdefault("measurement", {})["sigma_mm"] = float(arm.sigma)
     if arm.machining != Machining():
-        tables["machining"] = _in_table(MachiningTable.model_fields, arm.machining)
+        tables["machining"] = _in_table(("translation_mm", "rotation_deg"), arm.machining)
     if arm.gravity is not None:
         tables["gravity"] = _in_table(GravityTable.model_fields, arm.gravity)
     for constraint in (each for each in arm.constraints if not isinstance(each, ColumnLimits)):

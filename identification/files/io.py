@@ -11,7 +11,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,8 +31,10 @@ def read_bytes(path: PathLike) -> bytes:
     """The whole file. Raises `InputError` for a missing file, a directory, an unreadable or an empty file."""
     try:
         mode = os.stat(path).st_mode
-        if stat.S_ISBLK(mode) or (stat.S_ISCHR(mode) and not _is_terminal(path)):  # /dev/zero never ends
-            raise InputError(f"{path}: is a device, allowed: a file")
+        if stat.S_ISBLK(mode) or stat.S_ISCHR(mode):  # /dev/zero never ends
+            with open(path, "rb") as stream:
+                if not stream.isatty():
+                    raise InputError(f"{path}: is a device, allowed: a file")
         content = Path(path).read_bytes()
     except FileNotFoundError:
         raise InputError(f"{path}: no such file, allowed: the name of an existing file") from None
@@ -45,11 +47,6 @@ def read_bytes(path: PathLike) -> bytes:
     if not content.strip():
         raise InputError(f"{path}: the file is empty, allowed: a file with content")
     return content
-
-
-def _is_terminal(path: PathLike) -> bool:
-    with open(path, "rb") as stream:
-        return stream.isatty()
 
 
 def decode(path: PathLike, content: bytes) -> str:
@@ -69,21 +66,20 @@ def read_text(path: PathLike) -> str:
 
 def read_toml(path: PathLike) -> dict[str, Any]:
     """The tables of a TOML file. Raises `InputError` as `read_text` does; a syntax error has line and column."""
-    text = read_text(path)
+    text, allowed = read_text(path), "TOML 1.0"
     if key := TOO_LONG_KEY.search(text):
-        line = text.count("\n", 0, key.start()) + 1
+        line, allowed = text.count("\n", 0, key.start()) + 1, "TOML 1.0, less nested"
         reason = f"line {line} has a key of more than {PARTS} parts"
-        raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0, less nested")
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0") from None
-    except ValueError:  # as Python says it of its own limit
-        reason = f"a whole number of more than {sys.get_int_max_str_digits()} digits"
-        raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0") from None
-    except RecursionError:
-        raise InputError(f"{path}: not valid TOML: nested too deeply, allowed: TOML 1.0, less nested") from None
+    else:
+        try:
+            return tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            reason = " ".join(str(error).split())
+        except ValueError:  # as Python says it of its own limit
+            reason = f"a whole number of more than {sys.get_int_max_str_digits()} digits"
+        except RecursionError:
+            reason, allowed = "nested too deeply", "TOML 1.0, less nested"
+    raise InputError(f"{path}: not valid TOML: {reason}, allowed: {allowed}")
 
 
 def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
@@ -101,19 +97,11 @@ def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
     return path
 
 
-def write_whole(path: PathLike, content: str | bytes, force: bool = False) -> None:
-    """Writes the file whole or not at all.
-
-    Raises `InputError` if the file exists and `force` is false, or its folder is missing or not writable.
-    """
-    write_together({path: content}, force)
-
-
 def write_together(contents: Mapping[AnyPath, str | bytes], force: bool = False) -> None:
     """Writes all files or none: every one is complete beside its target before the first target is touched, and if a
     later one cannot take its place the earlier ones are put back.
 
-    Raises `InputError` as `write_whole` does.
+    Raises `InputError` if a file exists and `force` is false, or its folder is missing or not writable.
     """
     targets = {_checked_target(path, force): content for path, content in contents.items()}
     backup = len(targets) > 1
@@ -136,7 +124,7 @@ def write_together(contents: Mapping[AnyPath, str | bytes], force: bool = False)
 
 
 def check_writable(path: PathLike | None, force: bool = False) -> None:
-    """Raises the `InputError` of `write_whole` before long work starts rather than after it. None: nothing to write."""
+    """Raises the `InputError` of `write_together` before long work starts, not after it. None: nothing to write."""
     if path is not None:
         _checked_target(path, force)
 
@@ -145,24 +133,24 @@ def _checked_target(path: PathLike, force: bool) -> Path:
     target = Path(os.path.realpath(path))  # a link stays a link: its target is replaced
     try:
         os.stat(target)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         pass
-    except NotADirectoryError:
-        raise InputError(f"{path}: {str(Path(path).parent)!r} is no folder, allowed: a file in a folder") from None
     except OSError as error:  # a name that is too long, links that lead in a circle
         raise InputError(f"{path}: cannot be written ({error.strerror}), allowed: another file name") from None
-    if not target.parent.is_dir():
-        raise InputError(
-            f"{path}: there is no folder {str(Path(path).parent)!r}, allowed: a file in an existing folder"
-        )
-    if target.is_dir():
-        raise InputError(f"{path}: is a directory, allowed: a file name")
-    if os.path.exists(path) and not os.path.isfile(path):  # the pipe behind /dev/stdout has no path
-        raise InputError(f"{path}: is not a regular file, allowed: a new file name")
-    if not os.access(target.parent, os.W_OK):
-        raise InputError(f"{path}: the folder cannot be written to, allowed: a file in a writable folder")
-    if target.exists() and not force:
-        raise InputError(f"{path}: {EXISTS}")
+    folder = str(Path(path).parent)
+    for wrong, sentence in (
+        (not target.parent.is_dir(), f"there is no folder {folder!r}, allowed: a file in an existing folder"),
+        (target.is_dir(), "is a directory, allowed: a file name"),
+        # the pipe behind /dev/stdout has no path
+        (os.path.exists(path) and not os.path.isfile(path), "is not a regular file, allowed: a new file name"),
+        (
+            not os.access(target.parent, os.W_OK),
+            "the folder cannot be written to, allowed: a writable one",
+        ),
+        (target.exists() and not force, EXISTS),
+    ):
+        if wrong:
+            raise InputError(f"{path}: {sentence}")
     return target
 
 
@@ -186,10 +174,9 @@ def _place(new: Path, target: Path, *, fresh: bool) -> None:
 
 
 def _write_new(path: Path, content: str | bytes, mode_of: Path) -> None:
-    data = content.encode() if isinstance(content, str) else content
     descriptor = _unnamed(path.parent)
     with open(path, "xb") if descriptor is None else open(descriptor, "wb") as stream:
-        stream.write(data)
+        stream.write(content.encode() if isinstance(content, str) else content)
         stream.flush()
         os.fsync(stream.fileno())  # so that a crash leaves the old file or the new one, not an empty one
         if descriptor is not None:
@@ -200,12 +187,10 @@ def _write_new(path: Path, content: str | bytes, mode_of: Path) -> None:
 
 def _unnamed(folder: Path) -> int | None:
     """A new unnamed file, of which a killed process leaves nothing; None where the system has no such files."""
-    if not (hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS)):
-        return None
-    try:
-        return os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
-    except OSError:
-        return None
+    with suppress(OSError):
+        if hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS):
+            return os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
+    return None
 
 
 def provide_temporary_folder(*folders: Path) -> None:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args
+from collections.abc import Callable, Iterable, Mapping
+from typing import Annotated, Any, Literal, NoReturn, TypeVar, get_args
 
 import numpy as np
 from pydantic import (
@@ -20,6 +20,7 @@ from pydantic import (
     Field,
     ValidationError,
     ValidationInfo,
+    create_model,
     model_validator,
 )
 from pydantic.fields import FieldInfo
@@ -83,11 +84,14 @@ def _refuse(key: str, sentence: str) -> NoReturn:
     raise PydanticCustomError("key", "{sentence}", {"key": key, "sentence": sentence})
 
 
-T = TypeVar("T")
+def _only(dimension: int, kind: Any, *, needed: bool = False) -> Any:
+    """The type of a key that only arms of a dimension have, or need, and what it is where it is left out."""
+    return Annotated[kind | None, Field(json_schema_extra={"of": dimension, "needed": needed})], None
+
+
 F = TypeVar("F", bound=BaseModel)
-InSpace = Annotated[T | None, Field(json_schema_extra={"of": 3})]
-NeededInPlane = Annotated[T | None, Field(json_schema_extra={"of": 2, "needed": True})]
-NeededInSpace = Annotated[T | None, Field(json_schema_extra={"of": 3, "needed": True})]
+Tables: Any = list
+Named: Any = dict
 ARMS = {2: "a planar arm", 3: "a spatial arm"}
 NUMBERS = {2: "two numbers", 3: "three numbers"}
 Coordinate = Annotated[float, Field(ge=-LARGEST_LENGTH, le=LARGEST_LENGTH)]
@@ -97,7 +101,7 @@ Mass = Annotated[float, Field(ge=0, le=LARGEST_MASS)]
 Acceleration = Annotated[float, Field(ge=-LARGEST_ACCELERATION, le=LARGEST_ACCELERATION)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-HalfTurn = Annotated[float, Field(gt=0, le=180)]
+Sigma = Annotated[float, Field(ge=SIGMA_RANGE[0], le=SIGMA_RANGE[1])]
 PerAxis = _checked("AXES", lambda values, dimension: len(values) == dimension)
 Point = Annotated[list[float], PerAxis]
 Triple = _checked(NUMBERS[3], lambda values, _: len(values) == 3)
@@ -127,9 +131,8 @@ class StrictTable(BaseModel):
                 _refuse(key, f"found outside of a table, allowed: under [{below[0]}]")
             _refuse(key, f"unknown key, {nearest(key, fields, OTHER_KEYS)}")
         for key in (key for key in values if key not in fields):
-            _refuse(
-                key, f"found in the file of {ARMS[_dimension(info)]}, allowed: in that of {ARMS[5 - _dimension(info)]}"
-            )
+            this, other = ARMS[_dimension(info)], ARMS[5 - _dimension(info)]
+            _refuse(key, f"found in the file of {this}, allowed: in that of {other}")
         for key, field in fields.items():
             if key not in values and (field.is_required() or _mark(field).get("needed")):
                 _refuse(key, "is missing, allowed: a value for it")
@@ -145,150 +148,101 @@ def _of(field: FieldInfo, dimension: int) -> bool:
     return bool(_mark(field).get("of", dimension) == dimension)
 
 
-class LimitsTable(StrictTable):
-    """`[joint_limits_deg]` of the turning joints, `[joint_limits_mm]` of the prismatic ones."""
+def _table(name: str, needed: str = "", check: Callable[..., Any] | None = None, /, **keys: Any) -> Any:
+    """A table of these keys, each with the type of its value, or with that and what it is where it is left out.
 
-    lower: list[Angle]
-    upper: list[Angle]
-
-
-class JointsTable(StrictTable):
-    """`[joints]`: how the controller counts them (identification/kinematics/counting.py)."""
-
-    sign: list[int] | None = None
-    coupled_to: list[int] | None = None
-    zero_deg: list[Angle] | None = None
-
-
-class DHTable(StrictTable):
-    """`[[dh]]`: one joint."""
-
-    a_mm: Coordinate
-    alpha_deg: Angle
-    d_mm: Coordinate
-    offset_deg: Angle = 0.0
-    convention: Literal["standard", "modified"] | None = None
-    joint: Literal["revolute", "prismatic"] = "revolute"
-
-
-class PoseTable(StrictTable):
-    """`[base]`, `[tool]` or `[tool.MARKER]`: a pose, its rotation about its own x, then y, then z.
-
-    A tool is a measured point in the frame of the tip; only where orientations are measured its rotation counts.
+    needed : keys that may not be left out;  check : of the whole table
     """
-
-    x_mm: Coordinate = 0.0
-    y_mm: Coordinate = 0.0
-    z_mm: Coordinate = 0.0
-    rx_deg: Angle = 0.0
-    ry_deg: Angle = 0.0
-    rz_deg: Angle = 0.0
+    fields = {key: kind if isinstance(kind, tuple) else (kind | None, None) for key, kind in keys.items()}
+    fields |= {key: (keys[key], ...) for key in needed.split()}
+    validators: dict[str, Any] = {} if check is None else {"check": model_validator(mode="after")(check)}
+    return create_model(name, __base__=StrictTable, __validators__=validators, **fields)  # type: ignore[call-overload]
 
 
-class MachiningTable(StrictTable):
-    """`[machining]`."""
-
-    translation_mm: Length | None = None
-    rotation_deg: Annotated[float, Field(gt=0, le=LARGEST_ANGLE)] | None = None
-
-
-class MeasurementTable(StrictTable):
-    """`[measurement]`."""
-
-    sigma_mm: Annotated[float, Field(ge=SIGMA_RANGE[0], le=SIGMA_RANGE[1])] | None = None
-    sigma_deg: InSpace[Positive] = None
-
-
-class GravityTable(StrictTable):
-    """`[gravity]`."""
-
-    acceleration_m_s2: Annotated[list[Acceleration], PerAxis]
-    link_masses_kg: list[Mass]
-    center_of_mass: list[Annotated[float, Field(ge=0, le=1)]] | None = None
-    payload_kg: Mass = 0.0
-    payload_at_mm: InSpace[Annotated[list[Coordinate], Triple]] = None
+def _has_keys_of_its_kind(table: Any, kinds_of: Mapping[str, Iterable[str]], dimension: int) -> None:
+    """Refuses a kind that is none of these, and keys that it does not have, or lacks; ? behind what may be left out."""
+    keys = {kind: set(words) for kind, words in kinds_of.items()}
+    if table.kind not in keys:
+        _refuse("kind", f"found {table.kind!r} for {ARMS[dimension]}, {nearest(table.kind, keys)}")
+    for key in type(table).model_fields.keys() - {"kind"}:
+        present, optional = getattr(table, key) is not None, f"{key}?"
+        if present and not {key, optional} & keys[table.kind]:
+            owners = sorted(kind for kind, words in keys.items() if {key, optional} & words)
+            allowed = f"for {', '.join(owners)}" if owners else "left out"
+            _refuse(key, f"found for kind {table.kind}, allowed: {allowed}")
+        if not present and key in keys[table.kind]:
+            _refuse(key, "is missing, allowed: a value for it")
 
 
-class TableOfKind(StrictTable):
-    """A table whose kind decides which other keys it has."""
-
-    kind: str
-
-    @classmethod
-    def kinds(cls, dimension: int) -> dict[str, str]:
-        """Of an arm: kind -> its keys, ? behind those that may be left out."""
-        raise NotImplementedError
-
-    @model_validator(mode="after")
-    def _has_the_keys_of_its_kind(self, info: ValidationInfo) -> Self:
-        keys = {kind: set(words.split()) for kind, words in self.kinds(_dimension(info)).items()}
-        if self.kind not in keys:
-            _refuse("kind", f"found {self.kind!r} for {ARMS[_dimension(info)]}, {nearest(self.kind, keys)}")
-        for key in type(self).model_fields.keys() - {"kind"}:
-            present = getattr(self, key) is not None
-            if present and not {key, f"{key}?"} & keys[self.kind]:
-                owners = sorted(kind for kind, words in keys.items() if {key, f"{key}?"} & words)
-                _refuse(
-                    key, f"found for kind {self.kind}, allowed: {'for ' if owners else 'left out'}{', '.join(owners)}"
-                )
-            if not present and key in keys[self.kind]:
-                _refuse(key, "is missing, allowed: a value for it")
-        return self
+def _constraint(table: Any, info: ValidationInfo) -> Any:
+    dimension = _dimension(info)
+    keys = {kind: of[dimension].split() for kind, of in CONSTRAINTS.items() if dimension in of}
+    _has_keys_of_its_kind(table, keys, dimension)
+    for key, other in (("end_mm", "start_mm"), ("toward_mm", "tracker_mm")):
+        if (value := getattr(table, key)) is not None and value == getattr(table, other):
+            _refuse(key, f"found {value}, allowed: another point than {other}")
+    if table.acceptance_deg is not None and table.facing is None:
+        _refuse("acceptance_deg", "found without facing, allowed: with facing")
+    return table
 
 
-class ConstraintTable(TableOfKind):
-    """`[[constraints]]`."""
-
-    kind: str = Field(json_schema_extra={"enum": [*CONSTRAINTS]})
-    x_mm: Annotated[list[float], Rising] | None = None
-    y_mm: Annotated[list[float], Rising] | None = None
-    z_mm: Annotated[list[float], Rising] | None = None
-    center_mm: Point | None = None
-    radius_mm: Positive | None = None
-    start_mm: Point | None = None
-    end_mm: Point | None = None
-    tracker_mm: Point | None = None
-    half_angle_deg: HalfTurn | None = None
-    toward_mm: Point | None = None
-    range_mm: Annotated[list[NotNegative], Rising] | None = None
-    facing: Direction | None = None
-    acceptance_deg: HalfTurn | None = None
-
-    @classmethod
-    def kinds(cls, dimension: int) -> dict[str, str]:
-        return {kind: of[dimension] for kind, of in CONSTRAINTS.items() if dimension in of}
-
-    @model_validator(mode="after")
-    def _has_directions(self) -> Self:
-        for key, other in (("end_mm", "start_mm"), ("toward_mm", "tracker_mm")):
-            if (value := getattr(self, key)) is not None and value == getattr(self, other):
-                _refuse(key, f"found {value}, allowed: another point than {other}")
-        if self.acceptance_deg is not None and self.facing is None:
-            _refuse("acceptance_deg", "found without facing, allowed: with facing")
-        return self
+def _instrument(table: Any, info: ValidationInfo) -> Any:
+    of_arm = kinds("xyz"[: _dimension(info)])
+    keys = {kind: [f"{key}?" for key in each.keys] for kind, each in of_arm.items()}
+    _has_keys_of_its_kind(table, keys, _dimension(info))
+    if "normal?" in keys[table.kind] and (table.normal is None) != (table.center_mm is None):
+        here, missing = ("center_mm", "normal") if table.normal is None else ("normal", "center_mm")
+        _refuse(missing, f"is missing beside {here}, allowed: both or none")
+    return table
 
 
-class InstrumentTable(TableOfKind):
-    """`[instrument]`: what is measured where it is not positions."""
+def _covariance(table: Any) -> Any:
+    """Symmetric and positive semidefinite, but for rounding."""
+    if table.covariance is None:
+        return table
+    if (names := table.parameters) is None:
+        _refuse("parameters", "is missing, allowed: the names of the rows of covariance")
+    counts = {"rows": {len(table.covariance)}, "values in a row": {len(row) for row in table.covariance}}
+    for what, count in ((what, count) for what, found in counts.items() for count in found - {len(names)}):
+        _refuse("covariance", f"found {count} {what} for {len(names)} parameters, allowed: {len(names)}")
+    matrix: Array = np.array(table.covariance).reshape(len(names), len(names))
+    deviations = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    largest = np.outer(deviations, deviations)  # at a correlation of one
+    wrong = (np.abs(matrix) > (1.0 + ROUNDED) * largest) | (np.abs(matrix - matrix.T) > ROUNDED * largest)
+    if wrong.any():
+        i, j = np.argwhere(wrong)[0].tolist()
+        pair = f"{matrix[i, j]:g} and {matrix[j, i]:g} of {names[i]} and {names[j]}"
+        _refuse("covariance", f"found {pair}, allowed: a symmetric matrix, correlations of -1 to 1")
+    correlations = matrix / np.where(largest > 0.0, largest, 1.0)
+    if matrix.size and (least := float(np.linalg.eigvalsh(correlations)[0])) < -ROUNDED * len(matrix):
+        _refuse("covariance", f"found correlations with eigenvalue {least:.3g}, allowed: positive semidefinite")
+    return table
 
-    kind: str = Field(json_schema_extra={"enum": [*KINDS]})
-    radius_mm: Positive | None = None
-    center_mm: Point | None = None
-    normal: Direction | None = None
-    cups: dict[str, Point] | None = None
-    distances_mm: list[Annotated[tuple[str, str, Length], Field(strict=False)]] | None = None
 
-    @classmethod
-    def kinds(cls, dimension: int) -> dict[str, str]:
-        of_arm = kinds("xyz"[:dimension])
-        return {kind: " ".join(f"{key}?" for key in each.keys) for kind, each in of_arm.items()}
+def _together(file: Any) -> Any:
+    """Keys that need or exclude each other."""
+    if file.kind == "spatial" and (file.urdf is None) == (file.dh is None):
+        state = "neither is there" if file.urdf is None else "both are there"
+        _refuse("urdf, dh", f"{state}, allowed: a URDF file or [[dh]] tables")
+    for key in ("base_link", "tip_link"):
+        if (getattr(file, key) is None) != (file.urdf is None):
+            _refuse(key, f"{'is missing' if file.urdf else 'found without urdf'}, allowed: with urdf, a link of it")
+    for place, table in (
+        ("measurement.sigma_deg", "instrument"),
+        ("instrument.center_mm", "base"),
+        ("calibration.base", "base"),
+        ("calibration.tools", "tool"),
+    ):
+        owner, _, key = place.partition(".")
+        if getattr(getattr(file, owner), key, None) and getattr(file, table) is not None:
+            _refuse(place, f"found beside [{table}], allowed: one of them")
+    return file
 
-    @model_validator(mode="after")
-    def _center_and_normal_go_together(self) -> Self:
-        if "normal" in KINDS[self.kind].keys and (self.normal is None) != (self.center_mm is None):
-            here, missing = ("center_mm", "normal") if self.normal is None else ("normal", "center_mm")
-            _refuse(missing, f"is missing beside {here}, allowed: both or none")
-        return self
+
+def _by_marker(table: Any) -> Any:
+    """Tables of markers by name; the table of an arm with a single marker under an empty name."""
+    several = isinstance(table, dict) and table and all(isinstance(value, dict) for value in table.values())
+    return table if several or not isinstance(table, dict) else {"": table}
 
 
 class EffectTable(BaseModel):
@@ -296,7 +250,6 @@ class EffectTable(BaseModel):
 
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
     __pydantic_extra__: dict[str, float]
-
     name: str
     joint: int | None = None
     from_deg: Angle | None = None
@@ -314,108 +267,96 @@ class ProvenanceTable(BaseModel):
     joint_range_mm: list[Range] = []
 
 
-class CalibrationTable(StrictTable):
-    """`[calibration]`; `base` and `tools` are what the corrections of values amount to, where they were estimated."""
-
-    length_errors_mm: NeededInPlane[list[float]] = None
-    joint_offsets_deg: NeededInPlane[list[float]] = None
-    values: NeededInSpace[dict[str, float]] = None
-    base: InSpace[PoseTable] = None
-    tools: InSpace[dict[str, PoseTable]] = None
-    effects: dict[str, float] = {}
-    parameters: list[str] | None = None
-    covariance: list[list[float]] | None = None
-    provenance: ProvenanceTable = ProvenanceTable()
-
-    @model_validator(mode="after")
-    def _covariance_can_be(self) -> Self:
-        """Symmetric and positive semidefinite, but for rounding."""
-        if self.covariance is None:
-            return self
-        if (names := self.parameters) is None:
-            _refuse("parameters", "is missing, allowed: the names of the rows of covariance")
-        counts = {"rows": {len(self.covariance)}, "values in a row": {len(row) for row in self.covariance}}
-        for what, count in ((what, count) for what, found in counts.items() for count in found - {len(names)}):
-            _refuse("covariance", f"found {count} {what} for {len(names)} parameters, allowed: {len(names)}")
-        matrix: Array = np.array(self.covariance).reshape(len(names), len(names))
-        deviations = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-        largest = np.outer(deviations, deviations)  # at a correlation of one
-        wrong = (np.abs(matrix) > (1.0 + ROUNDED) * largest) | (np.abs(matrix - matrix.T) > ROUNDED * largest)
-        if wrong.any():
-            i, j = np.argwhere(wrong)[0].tolist()
-            pair = f"{matrix[i, j]:g} and {matrix[j, i]:g} of {names[i]} and {names[j]}"
-            _refuse("covariance", f"found {pair}, allowed: a symmetric matrix, correlations of -1 to 1")
-        correlations = matrix / np.where(largest > 0.0, largest, 1.0)
-        if matrix.size and (least := float(np.linalg.eigvalsh(correlations)[0])) < -ROUNDED * len(matrix):
-            _refuse("covariance", f"found correlations with eigenvalue {least:.3g}, allowed: positive semidefinite")
-        return self
-
-
-def _by_marker(table: Any) -> Any:
-    """Tables of markers by name; the table of an arm with a single marker under an empty name."""
-    several = isinstance(table, dict) and table and all(isinstance(value, dict) for value in table.values())
-    return table if several or not isinstance(table, dict) else {"": table}
-
-
-class ArmFile(StrictTable):
-    """The whole file."""
-
-    kind: Literal["planar", "spatial"] = "planar"
-    name: str = "arm"
-    links_mm: NeededInPlane[Annotated[list[Length], Field(min_length=1, max_length=MAX_LINKS)]] = None
-    urdf: InSpace[str] = None
-    base_link: InSpace[str] = None
-    tip_link: InSpace[str] = None
-    dh: InSpace[Annotated[list[DHTable], Field(min_length=1, max_length=MAX_LINKS)]] = None
-    joint_limits_deg: LimitsTable | None = None
-    joint_limits_mm: InSpace[LimitsTable] = None
-    joints: JointsTable | None = None
-    base: InSpace[PoseTable] = None
-    tool: InSpace[Annotated[dict[str, PoseTable], BeforeValidator(_by_marker)]] = None
-    machining: InSpace[MachiningTable] = None
-    measurement: MeasurementTable | None = None
-    instrument: InstrumentTable | None = None
-    gravity: GravityTable | None = None
-    gear_ratio: list[NotNegative] | None = None
-    constraints: list[ConstraintTable] = []
-    effects: list[EffectTable] = []
-    calibration: CalibrationTable | None = None
-
-    @model_validator(mode="after")
-    def _keys_go_together(self) -> Self:
-        if self.kind == "spatial" and (self.urdf is None) == (self.dh is None):
-            state = "neither is there" if self.urdf is None else "both are there"
-            _refuse("urdf, dh", f"{state}, allowed: a URDF file or [[dh]] tables")
-        for key in ("base_link", "tip_link"):
-            if (getattr(self, key) is None) != (self.urdf is None):
-                _refuse(key, f"{'is missing' if self.urdf else 'found without urdf'}, allowed: with urdf, a link of it")
-        instrument, calibration = self.instrument, self.calibration
-        for key, one, other, table in (
-            ("measurement.sigma_deg", self.measurement and self.measurement.sigma_deg, instrument, "instrument"),
-            ("instrument.center_mm", instrument and instrument.center_mm, self.base, "base"),
-            ("calibration.base", calibration and calibration.base, self.base, "base"),
-            ("calibration.tools", calibration and calibration.tools, self.tool, "tool"),
-        ):
-            if one and other is not None:
-                _refuse(key, f"found beside [{table}], allowed: one of them")
-        return self
-
-    def require_counts(self, joints: int) -> None:
-        """Raises `InputError` for lists that do not have a value for each joint, and for links of no length."""
-        for place, table, keys in (
-            ("gravity.", self.gravity, ("link_masses_kg", "center_of_mass")),
-            ("calibration.", self.calibration, ("length_errors_mm", "joint_offsets_deg")),
-            ("joints.", self.joints, ("sign", "coupled_to", "zero_deg")),
-            ("", self, ("gear_ratio",)),
-        ):
-            for key in keys:
-                if (values := getattr(table, key, None)) is not None:
-                    require_count(f"{place}{key}", values, joints)
-        errors = getattr(self.calibration, "length_errors_mm", None) or ()
-        for j, (length, error) in enumerate(zip(self.links_mm or (), errors, strict=False), start=1):
-            if length + error <= 0.0:
-                state = f"found {error:g} for link {j} of {length:g} mm"
-                raise InputError(f"calibration.length_errors_mm: {state}, allowed: more than {-length:g}")
+# a pose, its rotation about its own x, then y, then z axis; of a tool a measured point in the frame of the tip, whose
+# rotation counts only where orientations are measured
+PoseTable = _table(
+    "PoseTable", **{f"{axis}_mm": (Coordinate, 0.0) for axis in "xyz"} | {f"r{x}_deg": (Angle, 0.0) for x in "xyz"}
+)
+LimitsTable = _table("LimitsTable", "lower upper", lower=list[Angle], upper=list[Angle])
+JointsTable = _table("JointsTable", sign=list[int], coupled_to=list[int], zero_deg=list[Angle])
+MachiningTable = _table("MachiningTable", translation_mm=Length, rotation_deg=Annotated[Angle, Field(gt=0)])
+MeasurementTable = _table("MeasurementTable", sigma_mm=Sigma, sigma_deg=_only(3, Positive))
+RowTable = _table(
+    "RowTable",
+    "a_mm alpha_deg d_mm",
+    a_mm=Coordinate,
+    alpha_deg=Angle,
+    d_mm=Coordinate,
+    offset_deg=(Angle, 0.0),
+    convention=Literal["standard", "modified"],
+    joint=(Literal["revolute", "prismatic"], "revolute"),
+)
+GravityTable = _table(
+    "GravityTable",
+    "acceleration_m_s2 link_masses_kg",
+    acceleration_m_s2=Annotated[list[Acceleration], PerAxis],
+    link_masses_kg=list[Mass],
+    center_of_mass=list[Annotated[float, Field(ge=0, le=1)]],
+    payload_kg=(Mass, 0.0),
+    payload_at_mm=_only(3, Annotated[list[Coordinate], Triple]),
+)
+ConstraintTable = _table(
+    "ConstraintTable",
+    "kind",
+    _constraint,
+    kind=Annotated[str, Field(json_schema_extra={"enum": [*CONSTRAINTS]})],
+    **dict.fromkeys(("x_mm", "y_mm", "z_mm"), Annotated[list[float], Rising]),
+    **dict.fromkeys(("center_mm", "start_mm", "end_mm", "tracker_mm", "toward_mm"), Point),
+    **dict.fromkeys(("half_angle_deg", "acceptance_deg"), Annotated[float, Field(gt=0, le=180)]),
+    radius_mm=Positive,
+    range_mm=Annotated[list[NotNegative], Rising],
+    facing=Direction,
+)
+InstrumentTable = _table(
+    "InstrumentTable",
+    "kind",
+    _instrument,
+    kind=Annotated[str, Field(json_schema_extra={"enum": [*KINDS]})],
+    radius_mm=Positive,
+    center_mm=Point,
+    normal=Direction,
+    cups=dict[str, Point],
+    distances_mm=list[Annotated[tuple[str, str, Length], Field(strict=False)]],
+)
+CalibrationTable = _table(
+    "CalibrationTable",
+    "",
+    _covariance,
+    length_errors_mm=_only(2, list[float], needed=True),
+    joint_offsets_deg=_only(2, list[float], needed=True),
+    values=_only(3, dict[str, float], needed=True),
+    base=_only(3, PoseTable),
+    tools=_only(3, Named[str, PoseTable]),
+    effects=(dict[str, float], {}),
+    parameters=list[str],
+    covariance=list[list[float]],
+    provenance=(ProvenanceTable, ProvenanceTable()),
+)
+ArmFile = _table(
+    "ArmFile",
+    "",
+    _together,
+    kind=(Literal["planar", "spatial"], "planar"),
+    name=(str, "arm"),
+    links_mm=_only(2, Annotated[list[Length], Field(min_length=1, max_length=MAX_LINKS)], needed=True),
+    urdf=_only(3, str),
+    base_link=_only(3, str),
+    tip_link=_only(3, str),
+    dh=_only(3, Annotated[Tables[RowTable], Field(min_length=1, max_length=MAX_LINKS)]),
+    joint_limits_deg=LimitsTable,
+    joint_limits_mm=_only(3, LimitsTable),
+    joints=JointsTable,
+    base=_only(3, PoseTable),
+    tool=_only(3, Annotated[Named[str, PoseTable], BeforeValidator(_by_marker)]),
+    machining=_only(3, MachiningTable),
+    measurement=MeasurementTable,
+    instrument=InstrumentTable,
+    gravity=GravityTable,
+    gear_ratio=list[NotNegative],
+    constraints=(Tables[ConstraintTable], []),
+    effects=(list[EffectTable], []),
+    calibration=CalibrationTable,
+)
 
 
 def require_count(key: str, values: list[Any], count: int, whose: str = "joints") -> None:
@@ -425,7 +366,7 @@ def require_count(key: str, values: list[Any], count: int, whose: str = "joints"
 
 
 # -- validation --------------------------------------------------------------------------------------------------------
-def validated_arm(tables: Mapping[str, Any], place: str = "") -> ArmFile:
+def validated_arm(tables: Mapping[str, Any], place: str = "") -> Any:
     """The tables of an arm file. Raises `InputError` naming key, what was found and what is allowed.
 
     place : before the key in messages

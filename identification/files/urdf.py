@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -48,7 +48,7 @@ class Urdf:
     @property
     def ends(self) -> tuple[str, ...]:
         """The links that carry no joint, in the order of the file."""
-        parents = {self._attribute(joint, "parent", "link") for joint in self.by_child.values()}
+        parents = {self.link(joint, "parent") for joint in self.by_child.values()}
         return tuple(link for link in self.links if link not in parents)
 
     def masses(self, base: str, tip: str) -> tuple[float, ...]:
@@ -58,7 +58,7 @@ class Urdf:
         for element in self.elements(base, tip):
             if element.get("type") != FIXED:
                 masses.append(0.0)
-            mass = of_links.get(self._attribute(element, "child", "link"))
+            mass = of_links.get(self.link(element, "child"))
             if masses and mass is not None:
                 masses[-1] += self._number("mass", str(mass.get("value")))
         return tuple(masses)
@@ -74,7 +74,7 @@ class Urdf:
             if link not in self.by_child or len(joints) > len(self.by_child):
                 raise InputError(f"{self.path}: link {tip!r} is not below {base!r}, allowed: a tip below the base")
             joints.append(self.by_child[link])
-            link = self._attribute(joints[-1], "parent", "link")
+            link = self.link(joints[-1], "parent")
         return joints[::-1]
 
     def chain(self, base: str, tip: str, limited: Collection[str] = ()) -> KinematicChain:
@@ -85,7 +85,7 @@ class Urdf:
         joints: list[Joint] = []
         before = np.eye(4)
         for element in self.elements(base, tip):
-            before = before @ self._origin(element)
+            before = before @ self.origin(element)
             if element.get("type") == FIXED:
                 continue
             joints.append(self._joint(element, before, limited))
@@ -96,33 +96,32 @@ class Urdf:
 
     def _joint(self, element: ElementTree.Element, origin: Array, limited: Collection[str]) -> Joint:
         name, kind = str(element.get("name")), str(element.get("type"))
-        if kind not in MOVING:
-            allowed = f"allowed: {', '.join(MOVING)} and {FIXED}"
-            raise InputError(f"{self.path}: joint {name!r} of the chain is of type {kind!r}, {allowed}")
-        if element.find("mimic") is not None:
-            raise InputError(f"{self.path}: joint {name!r} of the chain mimics another, allowed: joints of their own")
-        axis = self._numbers(element, "axis", "xyz", (1.0, 0.0, 0.0))
-        if not np.any(axis):
-            raise InputError(f"{self.path}: joint {name!r}: axis 0 0 0, allowed: a direction")
-        if kind == "continuous" or MOVING[kind] in limited:
+        limit, axis = element.find("limit"), self._numbers(element, "axis", "xyz", (1.0, 0.0, 0.0))
+        ends = [None] if limit is None else [limit.get("lower"), limit.get("upper")]
+        free = kind == "continuous" or MOVING.get(kind) in limited
+        for wrong, sentence in (
+            (kind not in MOVING, f" of the chain is of type {kind!r}, allowed: {', '.join(MOVING)} and {FIXED}"),
+            (element.find("mimic") is not None, " of the chain mimics another, allowed: joints of their own"),
+            (not np.any(axis), ": axis 0 0 0, allowed: a direction"),
+            (not free and None in ends, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
+        ):
+            if wrong:
+                raise InputError(f"{self.path}: joint {name!r}{sentence}")
+        if free:
             return Joint(name, origin, axis, MOVING[kind], -np.pi, np.pi)
-        limit = element.find("limit")
-        if limit is None or limit.get("lower") is None or limit.get("upper") is None:
-            missing = "limit, lower or upper is missing"
-            raise InputError(f"{self.path}: joint {name!r}: {missing}, allowed: both for a {kind} joint")
-        lower, upper = (self._number(f"joint {name!r}: limit", str(limit.get(key))) for key in ("lower", "upper"))
+        lower, upper = (self._number(f"joint {name!r}: limit", str(end)) for end in ends)
         if lower >= upper:
             raise InputError(f"{self.path}: joint {name!r}: limits {lower:g} to {upper:g}, allowed: lower < upper")
         unit = METER if kind == "prismatic" else 1.0
         return Joint(name, origin, axis, MOVING[kind], lower * unit, upper * unit)
 
-    def _origin(self, element: ElementTree.Element) -> Array:
-        """(4, 4) [mm]."""
+    def origin(self, element: ElementTree.Element) -> Array:
+        """(4, 4) [mm] of a joint."""
         place = self._numbers(element, "origin", "xyz", (0.0, 0.0, 0.0)) * METER
-        return pose(place, from_roll_pitch_yaw(*self._roll_pitch_yaw(element)))
+        return pose(place, from_roll_pitch_yaw(*self.angles(element)))
 
-    def _roll_pitch_yaw(self, element: ElementTree.Element) -> Array:
-        """(3,) roll, pitch and yaw [rad]."""
+    def angles(self, element: ElementTree.Element) -> Array:
+        """(3,) roll, pitch and yaw [rad] of a joint."""
         return self._numbers(element, "origin", "rpy", (0.0, 0.0, 0.0))
 
     def _numbers(self, element: ElementTree.Element, tag: str, key: str, default: Sequence[float]) -> Array:
@@ -145,11 +144,12 @@ class Urdf:
             raise InputError(f"{self.path}: {where} has {word!r}, allowed: finite numbers")
         return value
 
-    def _attribute(self, element: ElementTree.Element, tag: str, key: str) -> str:
-        part = element.find(tag)
-        if part is None or part.get(key) is None:
-            raise InputError(f"{self.path}: joint {element.get('name')!r} has no {tag} {key}, allowed: one")
-        return str(part.get(key))
+    def link(self, joint: ElementTree.Element, tag: str) -> str:
+        """The `parent` or `child` link of a joint."""
+        part = joint.find(tag)
+        if part is None or part.get("link") is None:
+            raise InputError(f"{self.path}: joint {joint.get('name')!r} has no {tag} link, allowed: one")
+        return str(part.get("link"))
 
 
 def read_urdf(path: PathLike) -> Urdf:
@@ -178,7 +178,7 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
     by_child: dict[str, ElementTree.Element] = {}
     urdf = Urdf(str(path), text, by_child, links, root)
     for joint in root.findall("joint"):
-        child = urdf._attribute(joint, "child", "link")
+        child = urdf.link(joint, "child")
         if child in by_child:
             raise InputError(f"{path}: link {child!r} hangs on two joints, allowed: one")
         by_child[child] = joint
@@ -200,18 +200,37 @@ def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> s
 
     origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`
     """
-    corrected, drawn = dict[str, Array](), dict[str, Array]()
+    corrected = dict[str, tuple[Array, Array]]()  # name of a joint -> origin, and angles as drawn
     remaining, fixed = list(origins), np.eye(4)
     for element in urdf.elements(base, tip):
         if element.get("type") == FIXED:
-            fixed = fixed @ urdf._origin(element)
+            fixed = fixed @ urdf.origin(element)
         else:
-            corrected[str(element.get("name"))] = np.linalg.inv(fixed) @ remaining.pop(0)
-            drawn[str(element.get("name"))] = urdf._roll_pitch_yaw(element)
-            fixed = np.eye(4)
-    text = urdf.text.encode()
-    for start, end, name, closed in sorted(_origin_places(text, corrected), reverse=True):
-        text = text[:start] + _origin_element(corrected[name], closed, drawn[name]).encode() + text[end:]
+            origin = np.linalg.inv(fixed) @ remaining.pop(0)
+            corrected[str(element.get("name"))], fixed = (origin, urdf.angles(element)), np.eye(4)
+    # where the start tags of the joints' `origin` elements begin and end; of a joint without one right after its tag
+    text, places, path = urdf.text.encode(), dict[str, tuple[int, int]](), list[str]()
+    parser = expat.ParserCreate("utf-8")  # as the text was decoded, whatever it says of itself
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        at = parser.CurrentByteIndex
+        closing = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(text, at)  # not those inside quotes
+        end = len(text) if closing is None else closing.end()
+        joint = path[1] if len(path) == 2 else ""
+        if len(path) == 1 and tag == "joint":
+            tag = attributes.get("name", "")
+            places[tag] = end, end
+        elif tag == "origin" and joint in places and places[joint][0] == places[joint][1]:
+            places[joint] = at, end
+        path.append(tag)
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: path.pop()
+    parser.Parse(_declared_first(urdf.text).encode(), True)
+    for (begin, end), name in sorted(((places[name], name) for name in corrected), reverse=True):
+        origin, drawn = corrected[name]
+        closed = begin == end or text[:end].endswith(b"/>")
+        text = text[:begin] + _origin_element(origin, closed, drawn).encode() + text[end:]
     return text.decode()
 
 
@@ -219,15 +238,17 @@ def urdf_text(chain: KinematicChain, name: str) -> str:
     """A URDF file of bare links and joints for a chain that comes from no such file; links `base_link`, `link_1`, ..,
     `tip`."""
     lines = ['<?xml version="1.0"?>', f'<robot name="{_escaped(name)}">', f'  <link name="{BASE_LINK}"/>']
-    before, n = BASE_LINK, len(chain)
-    for j, joint in enumerate(chain.joints, start=1):
-        unit = METER if joint.type == PRISMATIC else 1.0
-        axis = " ".join(f"{float(x):.17g}" for x in joint.axis)
-        limits = f'lower="{joint.lower / unit:.17g}" upper="{joint.upper / unit:.17g}" effort="0" velocity="0"'
-        inner = f'{_origin_element(joint.origin, True)}<axis xyz="{axis}"/><limit {limits}/>'
-        lines += _link(f"link_{j}", _escaped(joint.name), joint.type, before, inner)
-        before = f"link_{j}"
-    lines += _link(TIP, f"joint_{n + 1}_fixed", FIXED, before, _origin_element(chain.end, True))
+    before = BASE_LINK
+    for j, joint in enumerate([*chain.joints, None], start=1):
+        link, head, inner = TIP, f'"joint_{j}_fixed" type="{FIXED}"', _origin_element(chain.end, True)
+        if joint is not None:
+            unit, axis = METER if joint.type == PRISMATIC else 1.0, " ".join(f"{float(x):.17g}" for x in joint.axis)
+            limits = f'lower="{joint.lower / unit:.17g}" upper="{joint.upper / unit:.17g}" effort="0" velocity="0"'
+            link, head = f"link_{j}", f'"{_escaped(joint.name)}" type="{joint.type}"'
+            inner = f'{_origin_element(joint.origin, True)}<axis xyz="{axis}"/><limit {limits}/>'
+        ends = f'<parent link="{before}"/><child link="{link}"/>'
+        lines += [f'  <link name="{link}"/>', f"  <joint name={head}>{ends}{inner}</joint>"]
+        before = link
     return "\n".join([*lines, "</robot>\n"])
 
 
@@ -236,45 +257,7 @@ def _escaped(text: str) -> str:
     return escape(printable(text), {'"': "&quot;", "'": "&apos;"})
 
 
-def _link(name: str, joint: str, kind: str, parent: str, inner: str) -> list[str]:
-    """A link and the joint that carries it."""
-    ends = f'<parent link="{parent}"/><child link="{name}"/>'
-    return [f'  <link name="{name}"/>', f'  <joint name="{joint}" type="{kind}">{ends}{inner}</joint>']
-
-
 def _origin_element(matrix: Array, closed: bool, near: Array | None = None) -> str:
     place = " ".join(f"{float(x):.17g}" for x in matrix[:3, 3] / METER)
     turn = " ".join(f"{float(x):.17g}" for x in roll_pitch_yaw(matrix[:3, :3], near))
     return f'<origin xyz="{place}" rpy="{turn}"{"/>" if closed else ">"}'
-
-
-def _origin_places(text: bytes, names: Mapping[str, Array]) -> Iterator[tuple[int, int, str, bool]]:
-    """Where the start tags of the joints' `origin` elements begin and end; a joint without one: right after its tag."""
-    parser = expat.ParserCreate("utf-8")  # as the text was decoded, whatever it says of itself
-    path: list[str] = []
-    places: dict[str, tuple[int, int, bool]] = {}
-    opened: dict[str, int] = {}
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        at = parser.CurrentByteIndex
-        if len(path) == 1 and tag == "joint":
-            path.append(attributes.get("name", ""))
-            opened[path[-1]] = _tag_end(text, at)
-            return
-        if len(path) == 2 and tag == "origin" and path[1] in names and path[1] not in places:
-            end = _tag_end(text, at)
-            places[path[1]] = (at, end, text[:end].endswith(b"/>"))
-        path.append(tag)
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda tag: path.pop()
-    parser.Parse(_declared_first(text.decode()).encode(), True)
-    for name in names:
-        at, end, closed = places.get(name, (opened[name], opened[name], True))
-        yield at, end, name, closed
-
-
-def _tag_end(text: bytes, start: int) -> int:
-    """Index after the `>` that closes the tag that begins at `start`; those inside quotes do not count."""
-    tag = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(text, start)
-    return len(text) if tag is None else tag.end()

@@ -84,10 +84,10 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     for block, at in places.values():
         if block.span is None:
             continue
-        # beside the geometry that goes with it: what the two exchange makes no difference to any point
+        # beside all else that goes with it: what they exchange makes no difference to any point
         joint, start, stop = block.span
         functions = curve_waves(np.linspace(start, stop, 2 * WAVES + 1), start, stop)
-        beside = beside_known(covariance, at, np.arange(g))
+        beside = beside_known(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
         std = np.sqrt(np.maximum(np.sum((functions @ beside) * functions, axis=1), 0.0))
         # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
         parts = zip(library.base.names, (response[:, at] @ mean[at]).tolist(), strict=True)

@@ -35,7 +35,7 @@ from identification.gap.fit import Fit
 from identification.gap.likelihood import Products
 from identification.gap.noise import Finding, Misfit
 from identification.gap.replication import Replication
-from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, Posterior
+from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, Posterior, log_odds_of_sizes
 from identification.information import spectrum
 from identification.kinematics.counting import joint_range
 from identification.measurements import Measurements, repeats_of
@@ -264,7 +264,7 @@ def trials(posterior: Posterior, products: Products) -> tuple[Trial, ...]:
         for key in {block.key for block in one.effects}:
             shares[key] += one.probability  # that the effect is missing
     whole = replace(products, freedom=posterior.whole.products.freedom)  # shifts of rows cost none
-    ratios = logsumexp(whole.added(whole.state()), axis=1) - np.log(whole.limits)
+    ratios = logsumexp(whole.added(whole.state()) + log_odds_of_sizes(())[1], axis=1)
     total, best = sum(block.weight for block in blocks), dict[str, Trial]()
     for k, block in enumerate(blocks):
         if block.effect is not None:

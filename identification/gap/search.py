@@ -5,6 +5,10 @@ two, but where many are seen further ones are expected (a beta mixture of binomi
 are has a probability in proportion to their weights. An outlying row does not count as a block: each is outlying with
 the odds `WRONG`; nor does the rest of the library, which is there with the odds `REST_ODDS`.
 
+What one robot lacks is of like sizes: the sizes of its K blocks are drawn around a common one, which may be any of
+`SIZES`, so p(s_1, .., s_K) = mean over c of prod_i p(s_i | c). Where many small effects are seen, a further small one
+is expected, and no huge one. The size of an outlying row, or of the rest of the library, says nothing about the others.
+
 A step takes a block x, or nothing, out of a set A of k blocks and puts one back, size included, or none. The climb
 takes the likeliest, as long as that is likelier. The walk takes each out with probability 1 / (k + 1) and draws with
 odds in proportion to p(A' + x) / (|A' + x| + 1), A' = A - x: a Gibbs step of the joint distribution of A and x, so that
@@ -22,7 +26,7 @@ from math import lgamma
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, zeta
+from scipy.special import logsumexp, softmax, zeta
 
 from identification.arrays import Array
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
@@ -36,6 +40,8 @@ from identification.running import Tell, say_nothing
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
 REST_ODDS = 0.1  # prior odds of the rest of the library: many small effects beside what can be named
+SPREAD = 1.5  # prior: octaves by which sizes differ from the common one; those of one effect alone scatter by that much
+STRAY = 0.2  # prior: share of blocks whose size has nothing to do with the others', such as a wrong payload
 NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out, and of a set not listed
 MOVES = 700  # effort: of the walk
 MOST = 10  # effort: pairs of blocks, candidates, and explanations cross-validated
@@ -45,6 +51,10 @@ ROUNDING = 1e-6  # numerical: of a log likelihood
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
 PASSES = 3  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
+
+_OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
+# derived: (S, S) p(s | c) of a size, by column, around a common one
+AROUND: Array = (1.0 - STRAY) * softmax(-0.5 * np.square(_OCTAVES / SPREAD), axis=1) + STRAY / len(SIZES)
 
 Weighed = tuple[Key, float]  # a set with its likeliest sizes, and its log posterior odds against nothing
 
@@ -80,8 +90,13 @@ class Search:
 
     def log_odds(self, state: State) -> float:
         """Log posterior odds of a set with its sizes against nothing missing."""
-        of_sizes = -float(np.sum(np.log(self.products.limits[list(state.blocks)])))
+        alike, others = self._sizes(state)
+        of_sizes = log_odds_of_sizes(alike)[0] - float(np.sum(np.log(self.products.limits[others])))
         return state.ratio + state.signed + self.log_prior(state.blocks) + of_sizes
+
+    def _sizes(self, state: State) -> tuple[list[int], list[int]]:
+        """Numbers of the sizes of the blocks that count, and the other blocks."""
+        return [s for b, s in state.key if self.counted[b]], [b for b in state.blocks if not self.counted[b]]
 
     def climb(self, start: Sequence[int] = ()) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
@@ -188,12 +203,14 @@ class Search:
             chosen, inside = set(left.blocks), list(left.blocks)
             count = int(np.sum(self.counted[inside]))
             step = np.where(self.counted, log_odds_of_count(count + 1) - log_odds_of_count(count), 0.0)
-            prior = step + self._log_weights - np.log(self.products.limits)
+            prior = step + self._log_weights
             prior[inside + [({a, b} - chosen).pop() for a, b in self.apart if len({a, b} & chosen) == 1]] = -np.inf
             if not chosen & self.givers:
                 others = set(range(len(prior))) - self.givers if chosen & self.needy else self.needy
                 prior[list(others)] = -np.inf
-            self._tables[left.key] = self.products.added(left) + prior[:, None]
+            alike = log_odds_of_sizes(self._sizes(left)[0])[1]
+            of_size = np.where(self.counted[:, None], alike, -np.log(self.products.limits)[:, None])
+            self._tables[left.key] = self.products.added(left) + prior[:, None] + of_size
         return self._tables[left.key]
 
 
@@ -209,6 +226,13 @@ def log_sums(table: Array) -> Array:
 def log_odds_of_count(count: int) -> float:
     """log p(K) / p(0), times the K! orders in which the same blocks can be drawn."""
     return float(-np.log(zeta(TAIL)) - TAIL * np.log(count)) + lgamma(count + 1) if count else 0.0
+
+
+def log_odds_of_sizes(sizes: Sequence[int]) -> tuple[float, Array]:
+    """log p(s_1, .., s_K) of blocks with the numbers of these sizes, and (S,) log p(s | s_1, .., s_K) of another's."""
+    common = np.sum(np.log(AROUND[:, list(sizes)]), axis=1)
+    total = float(logsumexp(common))
+    return total - float(np.log(len(SIZES))), np.log(np.exp(common - total) @ AROUND)
 
 
 # -- of a data set -----------------------------------------------------------------------------------------------------

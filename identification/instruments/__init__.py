@@ -13,13 +13,17 @@ from identification.instruments.base import (
     kinds,
     register_instrument,
 )
-from identification.instruments.distance import Distance, distance_to_center
-from identification.instruments.planar_distance import PlanarDistance
-from identification.instruments.plane import Plane
+from identification.instruments.library import (
+    TRACKER,
+    Distance,
+    PlanarDistance,
+    Plane,
+    Socket,
+    Sphere,
+    Tracker,
+    distance_to_center,
+)
 from identification.instruments.search import Placement, Unplaced
-from identification.instruments.socket import Socket
-from identification.instruments.sphere import Sphere
-from identification.instruments.tracker import TRACKER, Tracker
 
 __all__ = [
     "IN_PLANE",

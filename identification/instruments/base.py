@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.instruments.search import Placement, Unplaced, searched
-from identification.kinematics.frames import AXES, own_axes_angles
-from identification.kinematics.parameters import Parameter
+from identification.instruments.search import Placement, Unplaced, random_starts, searched
+from identification.kinematics.frames import own_axes_angles
+from identification.kinematics.parameters import AXES, Parameter
 from identification.vectorize import Evaluate, vectorize
+
+PLACE = "base"  # kind of a parameter that says where something stands, as that of the base
+OWN = "identification.instruments"
 
 
 class Coordinate(NamedTuple):
@@ -84,11 +87,14 @@ class Instrument:
     unsaid : number of the target where nothing is said of it
     offers : what effects may need of it (`Effect.needs`)
     reads_positions : whether a reading is the position of the measured point, or with its orientation the pose
+    hides : names of those parameters of the base that move arm and instrument together, or turn the frame of the
+        instrument about what it reads: no reading depends on them
     guide : what the first files say of it, where it has a `kind`
+    size_is_open : where an arm twice as large would read the same: what reads so, and what to do about it; else empty
     """
 
     kind: ClassVar[str] = ""
-    axes: ClassVar[str] = "xyz"
+    axes: ClassVar[str] = AXES
     keys: ClassVar[frozenset[str]] = frozenset()
     coordinates: ClassVar[tuple[Coordinate, ...]] = ()
     target: ClassVar[str] = ""
@@ -96,7 +102,9 @@ class Instrument:
     unsaid: ClassVar[float] = 0.0
     offers: ClassVar[frozenset[str]] = frozenset()
     reads_positions: ClassVar[bool] = False
+    hides: ClassVar[frozenset[str]] = frozenset()
     guide: ClassVar[Guide]
+    size_is_open: ClassVar[Any] = ("", "")
 
     # -- what a row reads ------------------------------------------------------------------------------------------
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
@@ -133,11 +141,6 @@ class Instrument:
         """Its own, which are estimated with those of the arm."""
         return ()
 
-    @property
-    def neutral(self) -> Array:
-        """(k,) values of these where nothing is known."""
-        return np.array([parameter.neutral for parameter in self.parameters])
-
     def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
         """Rows of the corrected values at values of its own parameters."""
         for p in self.parameters:
@@ -145,12 +148,8 @@ class Instrument:
             yield OwnValue(p.name, p.name, value, {p.name: p.to_file}, p.file_unit, self.kind)
 
     def hidden(self, base: Array) -> frozenset[str]:
-        """Names of those parameters of the base that move arm and instrument together, or turn the frame of the
-        instrument about what it reads: no reading depends on them.
-
-        base : (4, 4) about where the base stands in the frame of the instrument
-        """
-        return frozenset()
+        """`hides` of a base (4, 4) that stands about there in the frame of the instrument."""
+        return self.hides
 
     @property
     def places(self) -> bool:
@@ -158,19 +157,16 @@ class Instrument:
         return not self.hidden(np.eye(4))
 
     def between(self, first: Array, base: Array) -> tuple[dict[str, float], frozenset[str]]:
-        """What brings a base (4, 4) to where it stands in a later session, `x y z wx wy wz` [mm, rad] (`session_base`),
-        and those of them on which no reading depends."""
-        return relative(first, base), frozenset()
-
-    @property
-    def size_is_open(self) -> tuple[str, str]:
-        """Where an arm twice as large would read the same: what reads so, and what to do about it; empty else."""
-        return "", ""
+        """What brings a base (4, 4) to where it stands in a later session, `x y z wx wy wz` [mm, rad] (`session_base`):
+        a shift along the axes of the instrument and rotations about its own; and those on which no reading depends."""
+        shift, turn = base[:3, 3] - first[:3, 3], own_axes_angles(first[:3, :3].T @ base[:3, :3])
+        movement = dict(zip(["x", "y", "z", "wx", "wy", "wz"], [*shift.tolist(), *turn.tolist()], strict=True))
+        return movement, frozenset(name.partition(".")[2].replace("r", "w") for name in self.hides)
 
     # -- where a fit starts ----------------------------------------------------------------------------------------
     def place(self, rows: Unplaced) -> Placement:
         """Base and measured point that explain readings best, from nothing."""
-        return searched(self, rows)
+        return searched(self, rows, random_starts(self, rows))
 
     def settled(self, starts: Array, residuals: Callable[[Array], Array], own: list[int]) -> tuple[Array, list[int]]:
         """Starts (K, p) with its own parameters, whose numbers are `own`, as they explain the readings best, and the
@@ -198,7 +194,7 @@ class Instrument:
     # -- postures that touch, for plans --------------------------------------------------------------------------------
     def stands(self, base: Array) -> bool:
         """Whether what is measured from, or touched, has a place, where that of the base (4, 4) is not known."""
-        return not np.array_equal(base, np.eye(4))
+        return bool(self.targets) if self.own_targets else not np.array_equal(base, np.eye(4))
 
     def unknown(self, values: Mapping[str, float]) -> str:
         """The key of arm files without which no plan can say where it touches; empty: all is known."""
@@ -220,9 +216,6 @@ class Instrument:
         return {"kind": self.kind}
 
 
-PLACE = "base"  # kind of a parameter that says where something stands, as that of the base
-
-
 @lru_cache(maxsize=32)
 def _linearized(instrument: Instrument) -> Evaluate:
     """Compiled once for equal instruments."""
@@ -233,15 +226,8 @@ def _linearized(instrument: Instrument) -> Evaluate:
     return vectorize(ca.Function("reading", [point, values, target], ca.cse(outputs)))
 
 
-def relative(first: Array, base: Array) -> dict[str, float]:
-    """Shift along the axes of the instrument and rotations about the own axes from a base (4, 4) to another."""
-    shift, turn = base[:3, 3] - first[:3, 3], own_axes_angles(first[:3, :3].T @ base[:3, :3])
-    return {name: float(x) for name, x in zip((*AXES, *(f"w{axis}" for axis in AXES)), (*shift, *turn), strict=True)}
-
-
 KINDS: dict[str, type[Instrument]] = {}  # word of files of arms in space -> class
 IN_PLANE: dict[str, type[Instrument]] = {}  # the same of planar arms
-OWN = "identification.instruments"
 
 
 def kinds(axes: str) -> dict[str, type[Instrument]]:
@@ -254,8 +240,11 @@ def register_instrument(cls: type[Instrument]) -> type[Instrument]:
 
     A user's own class may be defined again, as in notebooks. Raises `InputError` for a word that is taken.
     """
-    taken = kinds(cls.axes).get(cls.kind)
+    known = kinds(cls.axes)
+    taken = known.get(cls.kind)
     if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):
         raise InputError(f"instrument: the kind {cls.kind!r} is taken, allowed: another word")
-    kinds(cls.axes)[cls.kind] = cls
+    in_order = sorted({**known, cls.kind: cls}.items())
+    known.clear()
+    known.update(in_order)
     return cls

@@ -1,7 +1,13 @@
-"""Where a fit starts that knows neither base nor measured point, for an instrument of which nothing else is known.
+"""Where the arm stands and where its tool is, from nothing: the start of a fit that needs no guess.
 
-Least squares of readings from many random bases at once, by damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963):
-the start that ends with the least squares wins.
+    y_i = B (p_i + R_i t) + b,    B, b: pose of the base for the instrument;  t: measured point in the tip's frame
+
+Positions are a closed form (`placed`): for a given t the best base is a rigid registration of two clouds of points
+(Kabsch 1976, Arun 1987), for a given base the best t a mean; taken in turns the sum of squares falls to a minimum.
+
+Any other reading is searched (`searched`): least squares from many starts at once, by damped Gauss-Newton steps
+(Levenberg 1944, Marquardt 1963); the start that ends with the least squares wins. Starts are random bases, or what the
+instrument makes of each t: those of t lie around the tip.
 """
 
 from __future__ import annotations
@@ -13,8 +19,10 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.kinematics.frames import pose
+from identification.kinematics.parameters import Parameter
 
 ENOUGH = 1e-6  # relative fall of the sum of squares in a round, below which a least-squares fit goes on from here
+ROUNDING = 1e-12  # of lengths, in reaches
 
 
 class Placement(NamedTuple):
@@ -40,108 +48,132 @@ class Unplaced(NamedTuple):
     tool: Array | None = None
     hopeless: float = np.inf
 
+    @property
+    def tools(self) -> Array:
+        """(s, 3) places [mm] from which the measured point is looked for: that known, or 7 around the tip."""
+        if self.tool is not None:
+            return self.tool[None]
+        return np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * self.reach
+
+    def points(self, tools: Array) -> Array:
+        """(s, m, 3) measured points in the base for tools (s, 3)."""
+        return self.frames[:, :3, 3] + np.tensordot(tools, self.frames[:, :3, :3], (1, 2))
+
 
 class Reads(Protocol):
     """What is asked of an instrument here, see `Instrument`."""
 
     @property
-    def neutral(self) -> Array: ...
-    def linearized(self, points: Array, values: Array, session: Array) -> tuple[Array, Array, Array]: ...
+    def parameters(self) -> tuple[Parameter, ...]: ...
+    def linearized(self, points: Array, values: Array, target: Array) -> tuple[Array, Array, Array]: ...
 
 
-class _Starts:
+class Starts(NamedTuple):
     """s starts: rotations (s, 3, 3), shifts (s, 3) of the base, tools (s, 3), own values (s, k) of the instrument."""
 
-    def __init__(self, rotations: Array, shifts: Array, tools: Array, values: Array) -> None:
-        self.parts = rotations, shifts, tools, values
+    rotations: Array
+    shifts: Array
+    tools: Array
+    values: Array
 
-    def best(self, squares: Array, count: int) -> _Starts:
+    @classmethod
+    def of(cls, rotations: Array, shifts: Array, tools: Array, values: Array) -> Starts:
+        """Each for all starts, or one for each of s tools (s, 3)."""
+        s = len(tools)
+        widths = (rotations, (s, 3, 3)), (shifts, (s, 3)), (tools, (s, 3)), (values, (s, np.shape(values)[-1]))
+        return cls(*(np.array(np.broadcast_to(part, shape)) for part, shape in widths))
+
+    def best(self, squares: Array, count: int) -> Starts:
         """Those of the smallest sums of squares (s,)."""
         chosen = np.argsort(squares, kind="stable")[:count]
-        return _Starts(*(part[chosen] for part in self.parts))
+        return Starts(*(part[chosen] for part in self))
 
-    def moved(self, steps: Array, scales: Array, free: Array) -> _Starts:
-        """After steps (s, f) of the free ones of shift, rotation about the axes of the instrument, tool and values."""
-        rotations, shifts, tools, values = self.parts
-        change = np.zeros((len(shifts), len(scales)))
-        change[:, free] = steps
-        change = change * scales
-        turned = _rotations(change[:, 3:6]) @ rotations
-        return _Starts(turned, shifts + change[:, :3], tools + change[:, 6:9], values + change[:, 9:])
+    def moved(self, change: Array) -> Starts:
+        """After steps (s, 9 + k) of shift, rotation about the axes of the instrument, tool and values."""
+        turned = _rotations(change[:, 3:6]) @ self.rotations
+        return Starts(turned, self.shifts + change[:, :3], self.tools + change[:, 6:9], self.values + change[:, 9:])
 
-    def choose(self, other: _Starts, better: NDArray[np.bool_]) -> _Starts:
+    def choose(self, other: Starts, better: NDArray[np.bool_]) -> Starts:
         """The other ones where better (s,)."""
-        pairs = zip(self.parts, other.parts, strict=True)
-        return _Starts(*(np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), b, a) for a, b in pairs))
+        pairs = zip(self, other, strict=True)
+        return Starts(*(np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), b, a) for a, b in pairs))
 
 
-def starts_of_tool(reach: float) -> Array:
-    """(7, 3) places around the tip [mm] from which the measured point is looked for."""
-    return np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * reach
+def random_starts(instrument: Reads, rows: Unplaced) -> Starts:
+    """Random bases, those of the tools in turns; of a base that is known one for each tool."""
+    neutral = np.array([parameter.neutral for parameter in instrument.parameters])
+    if rows.base is not None:
+        return Starts.of(rows.base[:3, :3], rows.base[:3, 3], rows.tools, neutral)
+    generator, count = np.random.default_rng(0), 3000  # effort
+    vectors = generator.standard_normal((count, 4))
+    angle = 2.0 * np.arctan2(np.linalg.norm(vectors[:, 1:], axis=1), vectors[:, 0])  # of a quaternion of any length
+    axes = vectors[:, 1:] / np.linalg.norm(vectors[:, 1:], axis=1, keepdims=True)
+    # bases are looked for within three times the reach
+    shifts = 3.0 * rows.reach * generator.uniform(-1.0, 1.0, (count, 3))
+    return Starts.of(_rotations(angle[:, None] * axes), shifts, np.resize(rows.tools, (count, 3)), neutral)
 
 
-def searched(instrument: Reads, rows: Unplaced) -> Placement:
-    """Base and measured point that explain readings best."""
-    frames, readings, reach, base, tool, hopeless = rows
-    # effort: 3,000 random starts
-    generator, count = np.random.default_rng(0), 3000 if base is None else len(starts_of_tool(reach))
-    if base is None:
-        vectors = generator.standard_normal((count, 4))
-        angle = 2.0 * np.arctan2(np.linalg.norm(vectors[:, 1:], axis=1), vectors[:, 0])  # of a quaternion of any length
-        axes = vectors[:, 1:] / np.linalg.norm(vectors[:, 1:], axis=1, keepdims=True)
-        turns = _rotations(angle[:, None] * axes)
-        # bases are looked for within three times the reach
-        shifts = 3.0 * reach * generator.uniform(-1.0, 1.0, (count, 3))
-    else:
-        turns, shifts = np.tile(base[:3, :3], (count, 1, 1)), np.tile(base[:3, 3], (count, 1))
-    tools = np.resize(starts_of_tool(reach), (count, 3)) if tool is None else np.tile(tool, (count, 1))
-    starts = _Starts(turns, shifts, tools, np.tile(instrument.neutral, (count, 1)))
-    k = starts.parts[3].shape[1]
-    scales = np.r_[np.full(3, reach), np.ones(3), np.full(3, 0.1 * reach), np.ones(k)]
-    # effort: rows that tell good starts, three times the nine unknowns and more; 100 of the starts are followed, the
+def searched(
+    instrument: Reads, rows: Unplaced, starts: Starts, of_base: slice = slice(0, 6), patience: int = 15
+) -> Placement:
+    """Base and measured point that explain readings best; arguments as of `followed`."""
+    # effort: of many starts 100 are followed with rows that tell good ones, three times the nine unknowns and more; the
     # best 5 with all rows
-    free = np.r_[np.full(6, base is None), np.full(3, tool is None), np.ones(k, dtype=bool)]
-    few = np.unique(np.linspace(0, len(frames) - 1, 30).astype(int))
-    squares = _linear(instrument, starts, frames[few], readings[few])[0]
-    starts = starts.best(squares, 100)
-    wanted = len(few) * hopeless**2
-    starts, squares = _followed(instrument, starts, frames[few], readings[few], scales, free, wanted)
-    starts = starts.best(squares, 5)
-    starts, squares = _followed(instrument, starts, frames, readings, scales, free, len(frames) * hopeless**2)
+    if len(starts.tools) > 100:
+        spread = np.unique(np.linspace(0, len(rows.frames) - 1, 30).astype(int))
+        few = rows._replace(frames=rows.frames[spread], readings=rows.readings[spread])
+        starts = starts.best(_linear(instrument, starts, few.frames, few.readings)[0], 100)
+        starts = Starts.best(*followed(instrument, few, starts, of_base, patience), 5)
+    starts, squares = followed(instrument, rows, starts, of_base, patience)
     best = int(np.argmin(squares))
-    rotation, shift, place, _ = (part[best] for part in starts.parts)
-    rms = float(np.sqrt(squares[best] / len(frames)))
-    return Placement(pose(shift, rotation) if base is None else base, place, rms)
+    base = pose(starts.shifts[best], starts.rotations[best]) if rows.base is None else rows.base
+    return Placement(base, starts.tools[best], float(np.sqrt(squares[best] / len(rows.frames))))
 
 
-def _followed(
-    instrument: Reads, starts: _Starts, frames: Array, readings: Array, scales: Array, free: Array, wanted: float
-) -> tuple[_Starts, Array]:
-    """Where damped Gauss-Newton steps of starts end, and their sums of squares (s,)."""
+def followed(
+    instrument: Reads, rows: Unplaced, starts: Starts, of_base: slice, patience: int, rounds: int = 60, hold: int = 0
+) -> tuple[Starts, Array]:
+    """Where damped Gauss-Newton steps of starts end, and their sums of squares (s,).
+
+    of_base : which of shift and rotation of the base are looked for, where it is not known
+    patience : steps after which what is `Unplaced.hopeless` is given up;  rounds : steps of each start at most
+    hold : own values of the instrument that stay as they are
+    """
+    frames, readings, reach, base, tool, hopeless = rows
+    k, wanted = starts.values.shape[1], len(frames) * hopeless**2
+    scales = np.r_[np.full(3, reach), np.ones(3), np.full(3, 0.1 * reach), np.ones(k)]
+    free = np.r_[np.zeros(6, dtype=bool), np.full(3, tool is None), np.arange(k) >= hold]
+    free[of_base] = base is None
     squares, gradient, matrix = _linear(instrument, starts, frames, readings, scales, free)
     damping = np.full(len(squares), 1e-3)  # what is added to a normal matrix, of its diagonal
-    for done in range(60):  # effort: steps of each start
+    for done in range(rounds):
         diagonal = np.einsum("sii->si", matrix)
-        floor = 1e-12 * np.max(diagonal, axis=1, keepdims=True) + np.finfo(float).tiny
+        floor = 1e-12 * np.max(diagonal, axis=1, keepdims=True, initial=0.0) + np.finfo(float).tiny
         added = np.eye(matrix.shape[-1]) * (damping[:, None] * np.maximum(diagonal, floor))[:, None]
-        moved = starts.moved(np.linalg.solve(matrix + added, gradient[..., None])[..., 0], scales, free)
+        step, change = (
+            np.linalg.solve(matrix + added, gradient[..., None])[..., 0],
+            np.zeros((len(squares), len(scales))),
+        )
+        change[:, free] = step
+        promised = np.einsum("sf,sf->s", gradient, step)  # fall of the sum of squares, half of it or more
+        settled = np.all(promised <= ENOUGH * squares + len(frames) * (ROUNDING * scales[0]) ** 2)
+        moved = starts.moved(change * scales)
         new = _linear(instrument, moved, frames, readings, scales, free)
         better = new[0] < squares
-        gained = bool(np.any(new[0] < squares * (1.0 - ENOUGH)))
         starts = starts.choose(moved, better)
         gradient, matrix = np.where(better[:, None], new[1], gradient), np.where(better[:, None, None], new[2], matrix)
         squares = np.where(better, new[0], squares)
         # so far that a step stands still, and is that of Gauss and Newton
         damping = np.clip(np.where(better, damping / 5.0, damping * 4.0), 1e-12, 1e12)
-        # nothing is gained, or 15 steps have shown that it is hopeless
-        if (not gained and np.all(damping > 1.0)) or (done >= 15 and np.min(squares) > wanted):
+        # nothing is to be gained, or some steps have shown that it is hopeless
+        if settled or (done >= patience and np.min(squares) > wanted):
             break
     return starts, squares
 
 
 def _linear(
     instrument: Reads,
-    starts: _Starts,
+    starts: Starts,
     frames: Array,
     readings: Array,
     scales: Array | None = None,
@@ -149,7 +181,7 @@ def _linear(
 ) -> tuple[Array, ...]:
     """(s,) sums of squares, infinite where there is no reading; with scales the gradient (s, f) and the normal matrix
     (s, f, f), too, of the free unknowns, each divided by its scale."""
-    rotations, shifts, tools, values = starts.parts
+    rotations, shifts, tools, values = starts
     local = frames[:, :3, 3] + np.tensordot(tools, frames[:, :3, :3], (1, 2))  # (s, m, 3) in the frame of the base
     arms = local @ np.swapaxes(rotations, 1, 2)
     with np.errstate(all="ignore"):
@@ -176,3 +208,59 @@ def _rotations(vectors: Array) -> Array:
     cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
     half = np.sinc(angles / (2.0 * np.pi))
     return np.eye(3) + np.sinc(angles / np.pi) * cross + 0.5 * half**2 * cross @ cross
+
+
+# -- positions ---------------------------------------------------------------------------------------------------------
+def registered(points: Array, measured: Array) -> Array:
+    """(4, 4) pose that brings points (m, 3) closest to the measured ones (m, d) in least squares; in the plane, d = 2,
+    it is a turn about z."""
+    d = measured.shape[1]
+    center, target = points[:, :d].mean(axis=0), measured.mean(axis=0)
+    left, _, right = np.linalg.svd((measured - target).T @ (points[:, :d] - center))
+    left[:, -1] *= np.sign(np.linalg.det(left @ right))  # no mirror
+    frame = np.eye(4)
+    frame[:d, :d] = left @ right
+    frame[:d, 3] = target - frame[:d, :d] @ center
+    return frame
+
+
+def placed(rows: Unplaced) -> Placement:
+    """Base and tool that explain measured points best, whatever is `hopeless`."""
+    frames, measured, _, base, tool, _ = rows
+    if base is not None and tool is None:  # that explains the measured points best, each in the frame of its tip
+        local = (measured - base[:3, 3]) @ base[:3, :3]  # in the base's frame
+        tool = np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames)
+    tool = _tool(rows) if tool is None else tool
+    points = frames[:, :3, 3] + frames[:, :3, :3] @ tool
+    base = registered(points, measured) if base is None else base
+    left = measured - (points @ base[:3, :3].T + base[:3, 3])[:, : measured.shape[1]]
+    return Placement(base, tool, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))))
+
+
+def _tool(rows: Unplaced) -> Array:
+    """(3,) by turns from each start.
+
+    All that a turn needs of the rows are means, of positions p and rotations R of the tip and measured points y, each
+    less its mean: so a turn costs the same for any number of them.
+    """
+    p, turn, y = (a - a.mean(axis=0) for a in (rows.frames[:, :3, 3], rows.frames[:, :3, :3], rows.readings))
+    m, tools = len(p), rows.tools
+    points, turns = y.T @ p / m, np.einsum("mk,mij->kij", y, turn) / m  # of y p^T (3, 3), of y_k R (3, 3, 3)
+    along, gram = np.einsum("mji,mj->i", turn, p) / m, np.einsum("mji,mjk->ik", turn, turn) / m  # of R^T p, of R^T R
+    values, axes = np.linalg.eigh(gram)
+    # what moves a point 1 mm from the flange's center by less than 0.01 mm (RMS) is lost in a drawing's errors
+    inverse = (axes * np.divide(1.0, values, out=np.zeros(3), where=values > 0.01**2)) @ axes.T
+    squared, before = float(np.sum(p**2 + y**2)) / m, np.full(len(tools), np.inf)
+    for _ in range(200):  # effort: turns of each start
+        left, _, right = np.linalg.svd(points + np.einsum("kij,sj->ski", turns, tools))
+        left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]  # no mirror
+        rotations = left @ right  # (s, 3, 3) best ones of the base for the tools (Kabsch)
+        crossed = np.einsum("ski,kij->sj", rotations, turns)
+        tools = (crossed - along) @ inverse
+        # (s,) mean squared distances left [mm^2]
+        squares = 2.0 * tools @ along + np.einsum("si,ij,sj->s", tools, gram, tools)
+        squares += squared - 2.0 * (np.einsum("ski,ki->s", rotations, points) + np.sum(crossed * tools, axis=1))
+        if np.all(squares > before * (1.0 - ENOUGH)):
+            break
+        before = squares
+    return np.asarray(tools[np.argmin(squares)])

@@ -6,15 +6,13 @@ session of its own, and stopped by a signal after a random part of that time. Wh
 
 from __future__ import annotations
 
-import io
 import os
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -40,8 +38,7 @@ block = 50
 """
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """What is killed.
 
     words : of the command line;  again : what a run after the kill has besides, if there are files
@@ -96,54 +93,47 @@ def prepare(folder: Path) -> Path:
     return folder
 
 
-def running(process: int) -> bool:
-    """Whether the process of this number works; one that has ended and waits to be collected does not."""
-    return _state_and_session(process)[0] not in "ZX"
-
-
-def _state_and_session(process: int) -> tuple[str, int]:
+def session_of(process: int) -> tuple[int, bool]:
+    """Session of a process, and whether it works; one that has ended and waits to be collected does not."""
     try:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:
-        return "X", 0
-    return fields[0], int(fields[3])
+        return 0, False
+    return int(fields[3]), fields[0] not in "ZX"
+
+
+def running(process: int) -> bool:
+    """Whether the process of this number works."""
+    return session_of(process)[1]
 
 
 def left_of(session: int) -> list[int]:
     """Processes of a session that still work."""
-    found = [(int(path.name), *_state_and_session(int(path.name))) for path in Path("/proc").glob("[0-9]*")]
-    return [number for number, state, its in found if its == session and state not in "ZX"]
+    numbers = (int(path.name) for path in Path("/proc").glob("[0-9]*"))
+    return [number for number in numbers if session_of(number) == (session, True)]
 
 
 def start(command: Command, folder: Path, more: str = "") -> subprocess.Popen[str]:
     """The command in a session of its own, both streams kept."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
     line = [sys.executable, "-m", "doe", *command.words.split(), *more.split(), "--json", "--quiet"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(line, cwd=folder, env=environment, text=True, start_new_session=True, **pipes)
 
 
 def content(command: Command, folder: Path) -> dict[str, Any]:
-    """Path -> what is in each file that the command wrote: text, bytes, or the rows of a table without times."""
-    found: dict[str, Any] = {}
-    for name in command.paths:
-        path = folder / name
+    """Path -> what is in each file that the command wrote: bytes, or the rows of a table without times."""
+    files: dict[str, Any] = {}
+    for path in (folder / name for name in command.paths):
         for file in sorted(path.iterdir()) if path.is_dir() else [path] if path.exists() else []:
-            found[str(file.relative_to(folder))] = _content(file)
-    return found
+            held: Any = "times" if file.name == "time.svg" else file.read_bytes()
+            if file.suffix == ".parquet":
+                held = pl.read_parquet(file).drop(TIMES, strict=False).write_json()
+            files[str(file.relative_to(folder))] = held
+    return files
 
 
-def _content(path: Path) -> Any:
-    if path.suffix == ".parquet":
-        frame = pl.read_parquet(path).drop(TIMES, strict=False)
-        buffer = io.BytesIO()
-        frame.write_parquet(buffer)
-        return buffer.getvalue()
-    return "times" if path.name == "time.svg" else path.read_bytes()
-
-
-@dataclass(frozen=True)
-class Reference:
+class Reference(NamedTuple):
     """A run to the end: its files, and how long it took [s]."""
 
     command: Command
@@ -159,6 +149,16 @@ class Reference:
         return cls(command, content(command, folder), time.monotonic() - began)
 
 
+def ended(process: subprocess.Popen[str]) -> str | None:
+    """What a process said on standard error; None where it had to be killed after `PATIENCE`."""
+    try:
+        return str(process.communicate(timeout=PATIENCE)[1])
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        return None
+
+
 def verdict(
     reference: Reference, folder: Path, number: signal.Signals, share: float, *, again: bool = True
 ) -> list[str]:
@@ -171,65 +171,36 @@ def verdict(
     time.sleep(share * reference.seconds)
     # Ctrl-C goes to all of them, as from a terminal
     (os.killpg if number is signal.SIGINT else os.kill)(process.pid, number)
-    if (errors := _ended(process)) is None:
+    if (errors := ended(process)) is None:
         return ["does not end"]
-    wrong = [*_of_processes(process.pid), *_of_files(reference, folder, process.returncode)]
-    wrong += _of_words(number, process.returncode, errors)
-    return wrong + (_of_rerun(reference, folder) if again else [])
-
-
-def _ended(process: subprocess.Popen[str]) -> str | None:
-    """What a process said on standard error; None where it had to be killed after `PATIENCE`."""
-    try:
-        return str(process.communicate(timeout=PATIENCE)[1])
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-        return None
-
-
-def _of_processes(session: int) -> list[str]:
-    deadline = time.monotonic() + 10.0
-    while (left := left_of(session)) and time.monotonic() < deadline:
+    wrong, code, deadline = [], process.returncode, time.monotonic() + 10.0
+    while (left := left_of(process.pid)) and time.monotonic() < deadline:
         time.sleep(0.05)
-    for number in left:
-        os.kill(number, signal.SIGKILL)
-    return ["processes left behind"] if left else []
-
-
-def _of_files(reference: Reference, folder: Path, code: int) -> list[str]:
-    """Each file is one of the reference, and as there, or a table with fewer rows, or, where nobody could tidy up,
-    the journal of a table."""
-    wrong = []
-    for name, found in content(reference.command, folder).items():
-        if name.endswith(".parquet.journal") and code < 0:
-            continue
-        if name not in reference.files:
+    for one in left:
+        os.kill(one, signal.SIGKILL)
+    wrong += ["processes left behind"] if left else []
+    for name, held in content(command, folder).items():
+        # as in the reference, or a table with fewer rows, or, where nobody could tidy up, the journal of a table
+        fewer = name.endswith(".parquet") or (command.best_so_far and code == 0)
+        if name not in reference.files and not (name.endswith(".parquet.journal") and code < 0):
             wrong.append(f"{name} left behind")
-        whole = name.endswith(".parquet") or (reference.command.best_so_far and code == 0)
-        if name in reference.files and not whole and found != reference.files[name]:
+        elif name in reference.files and not fewer and held != reference.files[name]:
             wrong.append(f"{name} is half written")
-    return wrong
-
-
-def _of_words(number: signal.Signals, code: int, errors: str) -> list[str]:
-    lines = errors.splitlines()
+    by = "Ctrl-C" if number is signal.SIGINT else number.name
+    said = errors.count("\n") == 1 and f"stopped by {by}" in errors
     if "Traceback" in errors or "Exception ignored" in errors:
-        return ["traceback: " + errors.strip().splitlines()[-1]]
-    if code in (-number, 0):
-        return []
-    said = len(lines) == 1 and f"stopped by {'Ctrl-C' if number is signal.SIGINT else number.name}" in lines[0]
-    return [] if code == 1 and said else [f"exit code {code}: {errors.strip()[-200:]!r}"]
-
-
-def _of_rerun(reference: Reference, folder: Path) -> list[str]:
-    command = reference.command
-    process = start(command, folder, command.again if content(command, folder) else "")
-    if (errors := _ended(process)) is None:
-        return ["the rerun does not end"]
-    if process.returncode != 0:
-        return [f"the rerun fails: {errors.strip()[-200:]!r}"]
-    return [] if content(command, folder) == reference.files else ["the rerun gives other bits"]
+        wrong.append("traceback: " + errors.strip().splitlines()[-1])
+    elif code not in (-number, 0) and not (code == 1 and said):
+        wrong.append(f"exit code {code}: {errors.strip()[-200:]!r}")
+    if again:
+        process = start(command, folder, command.again if content(command, folder) else "")
+        if (errors := ended(process)) is None:
+            wrong.append("the rerun does not end")
+        elif process.returncode != 0:
+            wrong.append(f"the rerun fails: {errors.strip()[-200:]!r}")
+        elif content(command, folder) != reference.files:
+            wrong.append("the rerun gives other bits")
+    return wrong
 
 
 def random_kills(reference: Reference, folder: Path, count: int, seed: int) -> dict[str, list[str]]:

@@ -83,8 +83,6 @@ def test_an_arm_file_is_written_as_it_is_read(tmp_path: Path, arm: Arm, space: b
         arm = Arm(chain_of(rows), counting=counting)
     (tmp_path / "again.toml").write_text(dump_arm(arm))
     again = load_arm(tmp_path / "again.toml")
-    assert again.counting is not None
-    assert arm.counting is not None
     assert again.counting.coupled_to == arm.counting.coupled_to
     np.testing.assert_allclose(again.counting.matrix, arm.counting.matrix)
     np.testing.assert_allclose(again.counting.zero, arm.counting.zero, atol=1e-14)
@@ -118,17 +116,13 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     np.testing.assert_allclose(plain.postures, by_hand, atol=1e-12)
     again = load_measurements(tmp_path / "data.csv", arm)
     np.testing.assert_allclose(again.postures, q, atol=1e-12)
-    assert again.commanded is not None
     np.testing.assert_allclose(again.commanded, q + 0.01, atol=1e-12)
-    assert again.directions is not None
-    assert data.directions is not None
     known = ~np.isnan(again.directions)
     assert known[:, :2].all()
     assert not known[:, 2].all()  # joint 2 falls, column 3 too: the joint may do either
     np.testing.assert_array_equal(again.directions[known], data.directions[known])
     (tmp_path / "targets.csv").write_text(plan_text(Plan(q), arm.joint_types))
     wanted = load_targets(tmp_path / "targets.csv", arm).postures
-    assert wanted is not None
     np.testing.assert_allclose(wanted, q, atol=1e-12)
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
     found = read_plan(tmp_path / "plan.csv", arm.joint_types, conditions=True).conditions["directions"]

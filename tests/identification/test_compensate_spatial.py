@@ -56,7 +56,6 @@ def test_commands_reach_where_the_nominal_arm_would_be() -> None:
     for slide in (False, True):
         given = arm(slide)
         chain = given.chain
-        assert chain is not None
         nominal = np.random.default_rng(4).uniform(0.9 * given.lower, 0.9 * given.upper, (30, given.links))
         found = compensate(given, postures=nominal)
         assert found.reached.all()
@@ -72,7 +71,6 @@ def test_commands_reach_where_the_nominal_arm_would_be() -> None:
 def test_positions_alone_and_what_is_out_of_reach() -> None:
     given = arm(slide=False)
     chain = given.chain
-    assert chain is not None
     near = tip(chain, np.array([0.3, -1.0, 0.8, 0.2, 1.0, 0.0]), {})
     far = np.asarray(BASE)[:3, 3] + np.array([5000.0, 0.0, 0.0])
     found = compensate(given, np.array([near, far]))
@@ -90,7 +88,6 @@ def test_poses() -> None:
     for slide in (False, True):
         given = arm(slide)
         chain = given.chain
-        assert chain is not None
         given = replace(given, chain=replace(chain, tool_axes={"1": TURN}))
         nominal = np.random.default_rng(5).uniform(0.9 * given.lower, 0.9 * given.upper, (8, given.links))
         nominal[:, -4] = np.linspace(0.6, 2.0, 8)  # the elbow: stretched, the arm's own errors decide what it reaches
@@ -113,7 +110,6 @@ def test_poses() -> None:
 def test_an_arm_that_measures_poses_keeps_those_of_its_nominal_postures() -> None:
     given = arm(slide=False)
     chain = given.chain
-    assert chain is not None
     nominal = np.random.default_rng(6).uniform(-1.5, 1.5, (4, 6))
     measures = replace(given, chain=replace(chain, tool_axes={"1": TURN}, angle_scale=300.0))
     found = compensate(measures, postures=nominal)
@@ -131,7 +127,6 @@ def test_target_files(tmp_path: Path) -> None:
     given = arm(slide=False)
     (tmp_path / "targets.csv").write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n1500,-200,900,10,20,30\n")
     wanted = load_targets(tmp_path / "targets.csv", given)
-    assert wanted.orientations is not None
     np.testing.assert_allclose(wanted.orientations[0], from_own_axes(*np.radians([10.0, 20.0, 30.0])), atol=1e-14)
     found = compensate(given, wanted.positions, orientations=wanted.orientations)
     text = commands_text(found.commands, found.targets, found.errors, (), found.orientations, found.angles)

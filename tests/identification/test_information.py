@@ -32,38 +32,23 @@ def postures(m: int = 20, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-np.pi, np.pi, (m, 4))
 
 
-def test_everything_is_told_by_varied_postures() -> None:
-    _, told = found(["base_offset"], postures())
-    assert told.rank == 10
-    assert told.combinations == ()
-    assert told.identifiable.all()
+SHARES = [f"{x:.2g} length_error:{j + 1}" for j, x in enumerate(LENGTHS / LENGTHS.sum())]  # by hand: dl_j = l_j s
+TIED = {
+    ("base_offset",): (),
+    ("base_rotation",): ("joint_offset:1 + base_rotation.angle",),
+    ("tool_offset",): ("length_error:4 + tool_offset.x", "joint_offset:4 + tool_offset.y"),
+    ("measurement_scale",): (" + ".join([*SHARES, "measurement_scale.s"]),),
+}
+TIED["base_rotation", "tool_offset"] = (*TIED["base_rotation",], *TIED["tool_offset",])
 
 
-def test_base_rotation_is_the_first_offset() -> None:
-    model, told = found(["base_rotation"], postures())
-    assert told.combinations == ("joint_offset:1 + base_rotation.angle",)
+@pytest.mark.parametrize("effects", TIED)
+def test_what_varied_postures_cannot_tell_apart_is_named(effects: tuple[str, ...]) -> None:
+    model, told = found([*effects], postures())
+    assert set(told.combinations) == {*TIED[effects]}
+    assert told.rank == len(model.names) - len(TIED[effects])
     lost = {name for name, ok in zip(model.names, told.identifiable, strict=True) if not ok}
-    assert lost == {"joint_offset:1", "base_rotation.angle"}
-
-
-def test_tool_offset_is_the_last_link() -> None:
-    _, told = found(["tool_offset"], postures())
-    assert told.combinations == ("length_error:4 + tool_offset.x", "joint_offset:4 + tool_offset.y")
-
-
-def test_measurement_scale_is_a_common_factor_of_the_lengths() -> None:
-    _, told = found(["measurement_scale"], postures())
-    shares = [f"{x:.2g} length_error:{j + 1}" for j, x in enumerate(LENGTHS / LENGTHS.sum())]  # by hand: dl_j = l_j s
-    assert told.combinations == (" + ".join([*shares, "measurement_scale.s"]),)
-
-
-def test_aliases_together_are_named_apart() -> None:
-    _, told = found(["base_rotation", "tool_offset"], postures())
-    assert set(told.combinations) == {
-        "joint_offset:1 + base_rotation.angle",
-        "length_error:4 + tool_offset.x",
-        "joint_offset:4 + tool_offset.y",
-    }
+    assert lost == {name for name in model.names if any(name in words.split() for words in TIED[effects])}
 
 
 def test_a_joint_that_never_moves_ties_two_links() -> None:

@@ -45,7 +45,6 @@ def test_an_arm_of_another_parametrization() -> None:
     found = estimate(minimal(placed_model(Model(SIX), data)), data)
     assert len(found.names) == 30  # four for each of six axes, six of the frame
     assert found.dof == 6 * 40 - 30
-    assert found.p_value is not None
     assert found.p_value > 0.01
     left = fresh.positions - found.model.position(fresh.postures, found.parameters, fresh.conditions)
     expected = SIGMA * np.sqrt(3.0 * 30 / (6 * 40))  # of three coordinates, for a plan as good as random ones
@@ -65,7 +64,6 @@ def test_residuals_are_rotation_vectors() -> None:
     position, jacobian = model.linearize(data.postures, values, data.conditions)
     truth = replace(model.arm, calibration=Calibration(model.parameters.mapping(values)))
     computed = Model(truth).orientations(data.postures)
-    assert data.orientations is not None
     turns = Rotation.from_matrix(computed @ np.swapaxes(data.orientations, 1, 2)).as_rotvec()
     np.testing.assert_allclose(position[:, 3:], SCALE * turns, atol=1e-9)
     for k, scale in enumerate(model.scales):
@@ -156,8 +154,6 @@ def test_files_round_trip(tmp_path: Path) -> None:
     arm, data = five_axes(tmp_path)
     (tmp_path / "data.csv").write_text(measurement_text(data))
     read = load_measurements(tmp_path / "data.csv", arm)
-    assert read.orientations is not None
-    assert data.orientations is not None
     np.testing.assert_allclose(read.orientations, data.orientations, atol=1e-13)
     found = estimate(Model(arm), read)
     (tmp_path / "out.toml").write_text(with_calibration(TEXT, found.calibration()))
@@ -177,7 +173,6 @@ def test_files_round_trip(tmp_path: Path) -> None:
 def test_points_alone_will_do(tmp_path: Path) -> None:
     """An arm file with sigma_deg, measurements without orientations: as without sigma_deg."""
     arm, data = five_axes(tmp_path)
-    assert arm.chain is not None
     points = replace(data, positions=data.positions[:, :3], orientations=None)
     plain = replace(arm, chain=replace(arm.chain, angle_scale=None))
     np.testing.assert_array_equal(estimate(Model(arm), points).parameters, estimate(Model(plain), points).parameters)
@@ -192,7 +187,6 @@ def test_points_alone_will_do(tmp_path: Path) -> None:
 def test_another_convention_is_said() -> None:
     generator = np.random.default_rng(9)
     data = measured(Exponentials(generator), 60, generator)
-    assert data.orientations is not None
     angles = Rotation.from_matrix(data.orientations).as_euler("xyz")  # about fixed axes
     fixed = replace(data, orientations=Rotation.from_euler("XYZ", angles).as_matrix())
     assert "look like angles about fixed axes" in data_warnings(fixed, SIX)[0]

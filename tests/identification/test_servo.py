@@ -31,7 +31,6 @@ def data(rows: int = 40) -> Measurements:
 def test_what_a_controller_leaves() -> None:
     """The two numbers of each joint come back; positions are those of the joints as read."""
     found = data()
-    assert found.commanded is not None
     errors = following_errors(found, ARM.joint_types)
     for error in errors:
         b, h = SLACK[error.joint]
@@ -80,7 +79,6 @@ def test_files(tmp_path: Path) -> None:
     path.write_text(measurement_text(found))
     assert "commanded1_deg,commanded2_deg" in path.read_text()
     read = load_measurements(path, 2)
-    assert read.commanded is not None
     np.testing.assert_allclose(read.commanded, found.commanded, atol=1e-13)
     text = "links_mm = [300.0, 250.0]\n"
     (tmp_path / "arm.toml").write_text(with_effects(text, SPECS))

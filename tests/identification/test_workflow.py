@@ -33,7 +33,6 @@ def test_a_calibration_goes_round_in_python(folder: Path) -> None:
     assert answer.exit_code == 0
     np.testing.assert_allclose(answer.result.length_errors, [1.0, -2.0], atol=1e-9)
     calibration = load_arm(out).calibration
-    assert calibration is not None
     np.testing.assert_allclose([calibration.values[f"length_error:{j}"] for j in (1, 2)], [1.0, -2.0], atol=1e-9)
     (document,) = answer.shown
     assert isinstance(document, Document)
@@ -60,5 +59,5 @@ def test_every_verb_says_what_it_is_for() -> None:
         text = inspect.getdoc(function) or ""
         for parameter in inspect.signature(function).parameters.values():
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
-                provided = parameter.name in ("seed", "progress", "page", "constraints")
+                provided = parameter.name in ("seed", "progress", "page", "constraints", "force")
                 assert provided == (f"\n{parameter.name} : " not in text), (name, parameter.name)

@@ -29,7 +29,6 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
     "3": [
         ("tolerance=1e-4", "tolerance=1e-2"),
         ("(50_000, 4)", "(5_000, 4)"),
-        ("starts=20", "starts=2"),
         ("between=4, pause=2", "between=1, pause=1"),
         ("range(11)", "(0, 3, 9, 10)"),
     ],
@@ -38,7 +37,10 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
         ("len(rows) == 10", "len(rows) == 4"),
         ("repeats=1,", "repeats=1, starts=[10],"),
     ],
-    "5": [("arm, runs=30)", "arm, runs=30, starts=1)")],
+    "5": [
+        ("arm, runs=30)", "arm, runs=30, starts=1)"),
+        ("np.split(shuffled, [150])", "np.split(shuffled[:300], [150])"),
+    ],
     "6": [
         ("range(4, 13)", "(4, 7, 8, 10, 12)"),
         ("{5: -0.28087, 6: -0.29680, 7: -0.19865, 9: -0.13103, 10: -0.14288}", "{7: -0.19865, 10: -0.14288}"),

@@ -62,72 +62,51 @@ SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed
 
 @dataclass(frozen=True)
 class DataSet:
-    """Arm and measurements as a user has them, and what is hidden in them.
-
-    effects : keys of the hidden effects that the library has
-    outside : name of what is hidden and not in the library;  place : where it sits, alternatives between ` or `; None:
-        no place is right
-    specs : the hidden effects as an arm file has them, to fit the true model
-    wrong_rows : outliers, counted from 1
-    values : parameter name -> true value of hidden effects and, in the plane, of the base [API units], to judge
-        intervals; empty where the arm's maker is wrong about it or the library has no such effect
-    exact : (200, d) hold-out without noise [mm], where many effects are hidden or one outside the library
-    reachable : RMS distance [mm] from `exact` that a model with what is hidden would have, fitted to these data
-    further : (postures (K, n), directions or None) -> the data with further measurements at their end
-    """
+    """Arm and measurements as a user has them, and what is hidden in them."""
 
     arm: Arm
     measurements: Measurements
     holdout: Measurements | None
-    effects: tuple[str, ...]
-    outside: str | None
-    place: str | None
-    specs: tuple[EffectSpec, ...]
-    wrong_rows: tuple[int, ...]
+    effects: tuple[str, ...]  # keys of the hidden effects that the library has
+    outside: str | None  # name of what is hidden and not in the library
+    place: str | None  # where that sits, alternatives between ` or `; None: no place is right
+    specs: tuple[EffectSpec, ...]  # the hidden effects as an arm file has them, to fit the true model
+    wrong_rows: tuple[int, ...]  # outliers, counted from 1
+    # parameter name -> true value of hidden effects and, in the plane, of the base [API units], to judge intervals;
+    # empty where the arm's maker is wrong about it or the library has no such effect
     values: Mapping[str, float]
-    exact: Array | None
-    reachable: float | None
-    further: Callable[[Array, Array | None], Measurements]
+    exact: Array | None  # (200, d) hold-out without noise [mm], where many effects are hidden or one outside
+    reachable: float | None  # RMS [mm] from `exact` of a model with what is hidden, fitted to these data
+    further: Callable[[Array, Array | None], Measurements]  # the data and those at postures (K, n), with directions
 
 
 @dataclass(frozen=True)
 class CellSpec:
-    """What is drawn in a cell of the study; of the cells in cells.toml.
+    """What is drawn in a cell of the study; of the cells in cells.toml."""
 
-    m : rows;  rows : one of them is the number of rows instead
-    lam : size of the hidden effects, None: nothing is hidden;  sizes : each lambda is drawn between these instead
-    effects : how many are hidden, of different families;  families : compliance in all joints at once among them
-    rare, outside, physics, gravity : the hidden effect is that rare one, one that the library does not have, that one
-        of `PHYSICS`, one of gravity;  order : a gear ripple of so many periods per turn;  many : see `many_effects`
-    noise : see `noise`;  limits : full, some (narrow joints), paper (the paper's 4-link arm);  links : least and most
-    wrong : what the arm file is wrong about: `masses` of the links (by up to 30 %), the mass of the `tool` (missing, a
-        parameter), how the base leans (1 to 3 degrees, `tilt`), the `place` of the payload (see `loaded`)
-    reflectors : measured points, taking turns;  reads : of each posture, one after another, with an error they share
-    designed : postures of somebody's plan instead of random ones, the same for SAME_ARM sets
-    reported : in the full study; the others can be asked for by name
-    """
-
-    m: int
-    lam: float | None = None
-    sizes: Sequence[float] = ()
+    m: int  # rows
+    lam: float | None = None  # size of the hidden effects, None: nothing is hidden
+    sizes: Sequence[float] = ()  # each lambda is drawn between these instead
     space: bool = False
-    effects: int = 1
-    noise: str = "white"
-    limits: str = "full"
-    outside: bool = False
+    effects: int = 1  # how many are hidden, of different families
+    noise: str = "white"  # see `noise`
+    limits: str = "full"  # some: narrow joints; paper: the paper's 4-link arm
+    outside: bool = False  # the hidden effect is one that the library does not have
+    # what the arm file is wrong about: `masses` of the links (by up to 30 %), the mass of the `tool` (missing, a
+    # parameter), how the base leans (1 to 3 degrees, `tilt`), the `place` of the payload (see `loaded`)
     wrong: str = ""
-    gravity: bool = False
-    reported: bool = True
-    families: bool = True
-    rare: str = ""
-    order: float = 0.0
-    many: str = ""
-    rows: Sequence[int] = ()
-    links: Sequence[int] = (2, 6)
-    physics: str = ""
-    reads: int = 1
-    reflectors: int = 1
-    designed: bool = False
+    gravity: bool = False  # the hidden effect is one of gravity
+    reported: bool = True  # in the full study; the others can be asked for by name
+    families: bool = True  # compliance in all joints at once among them
+    rare: str = ""  # the hidden effect is that rare one
+    order: float = 0.0  # a gear ripple of so many periods per turn
+    many: str = ""  # see `many_effects`
+    rows: Sequence[int] = ()  # one of them is the number of rows instead
+    links: Sequence[int] = (2, 6)  # least and most
+    physics: str = ""  # the hidden effect is that one of `PHYSICS`
+    reads: int = 1  # of each posture, one after another, with an error they share
+    reflectors: int = 1  # measured points, taking turns
+    designed: bool = False  # postures of somebody's plan instead of random ones, the same for SAME_ARM sets
 
 
 TABLE = tomllib.loads(Path(__file__).with_name("cells.toml").read_text())

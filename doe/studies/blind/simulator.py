@@ -31,35 +31,25 @@ SHAPES = ("k", "at", "tau", "width", "width_deg", "beta", "other")  # values of 
 
 @dataclass(frozen=True)
 class TrueArm:
-    """The real arm and what its maker says.
+    """The real arm and what its maker says."""
 
-    table : (n, 3) a, alpha, d of the drawing (standard Denavit-Hartenberg)
-    axes, points : (n, 3) directions and points of the real axes at home;  offsets : (n,) of the encoders
-    base : (4, 4) pose of the arm in the instrument's frame;  tools : (K, 3) measured points in the drawing's last frame
-    masses, payload : of links and tool;  center : where along a link its mass is
-    dimension : 2 where x and y of the tip are measured, and no more
-    gravity : (3,) as it really is in the arm's base;  load : (3,) where the payload really hangs in the drawing's last
-        frame, None: at the first measured point
-    effects : hidden;  modelled : those that the arm's model has
-    """
-
-    table: Array
-    axes: Array
-    points: Array
-    offsets: Array
-    base: Array
-    tools: Array
-    masses: Array
+    table: Array  # (n, 3) a, alpha, d of the drawing (standard Denavit-Hartenberg)
+    axes: Array  # (n, 3) directions of the real axes at home
+    points: Array  # (n, 3) of them
+    offsets: Array  # (n,) of the encoders
+    base: Array  # (4, 4) pose of the arm in the instrument's frame
+    tools: Array  # (K, 3) measured points in the drawing's last frame
+    masses: Array  # (n,) of the links
     payload: float
     lower: Array
     upper: Array
     sigma: float
-    dimension: int = 3
-    center: float = 0.5
-    gravity: Array = field(default_factory=lambda: -G * UPRIGHT)
-    load: Array | None = None
-    effects: list[Drawn] = field(default_factory=list)
-    modelled: list[Drawn] = field(default_factory=list)
+    dimension: int = 3  # 2: x and y of the tip are measured, and no more
+    center: float = 0.5  # where along a link its mass is
+    gravity: Array = field(default_factory=lambda: -G * UPRIGHT)  # (3,) as it really is in the arm's base
+    load: Array | None = None  # (3,) where the payload really hangs in the last frame; None: at the first tool
+    effects: list[Drawn] = field(default_factory=list)  # hidden
+    modelled: list[Drawn] = field(default_factory=list)  # those that the arm's model has
 
     @classmethod
     def built(cls, table: Array, rng: np.random.Generator, lean: float, shift: float, **others: Any) -> TrueArm:
@@ -112,18 +102,14 @@ class TrueArm:
 
 @dataclass(frozen=True)
 class RowConditions:
-    """What each row was measured under.
+    """What each of m rows was measured under."""
 
-    q : (m, n);  t : (m,) -0.5..0.5;  warm : (m,) temperature less its mean;  s : (m, n) directions;  payload : (m,)
-    marker : (m,) number of the measured point, from 0
-    """
-
-    q: Array
-    t: Array
-    warm: Array
-    s: Array
-    payload: Array
-    marker: np.ndarray
+    q: Array  # (m, n)
+    t: Array  # (m,) -0.5..0.5
+    warm: Array  # (m,) temperature less its mean
+    s: Array  # (m, n) directions
+    payload: Array  # (m,)
+    marker: np.ndarray  # (m,) number of the measured point, from 0
 
 
 def session(truth: TrueArm, q: Array, rng: np.random.Generator, reflectors: int = 1) -> RowConditions:

@@ -44,8 +44,8 @@ def planar_files(links: str) -> dict[str, str]:
     else:
         allowed = f"allowed: how many, 1 to {MAX_LINKS}, or lengths [mm], one with a point, 13.0, or 612,572.3,115.7"
         raise InputError(f"--links: found {links!r}, {allowed}")
-    values = {"name": "arm", "title": f"a planar arm of {len(lengths)} links", "lengths": lengths, "example": example}
-    return _files(values, [REVOLUTE] * len(lengths), ("x_mm", "y_mm"), spatial=False)
+    title = f"a planar arm of {len(lengths)} links"
+    return _files([REVOLUTE] * len(lengths), "", spatial=False, title=title, lengths=lengths, example=example)
 
 
 def dh_files(joints: int, instrument: str = "") -> dict[str, str]:
@@ -53,8 +53,7 @@ def dh_files(joints: int, instrument: str = "") -> dict[str, str]:
 
     instrument : of `KINDS`, "": positions are measured
     """
-    values = {"name": "arm", "title": f"an arm of {joints} joints", "example": True, "kind": instrument}
-    return _files(values, [REVOLUTE] * joints, _columns(instrument))
+    return _files([REVOLUTE] * joints, instrument, title=f"an arm of {joints} joints", example=True)
 
 
 def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, instrument: str = "") -> dict[str, str]:
@@ -69,25 +68,24 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
     base = base or urdf.root
     chains = _chains(urdf, base, tip)
     tip = min(chains, key=lambda end: (ENDS.index(end) if end in ENDS else len(ENDS), -len(chains[end])))
-    chain, masses = chains[tip], urdf.masses(base, tip)
+    chain, masses, name = chains[tip], urdf.masses(base, tip), urdf.robot.get("name")
     if file in (ARM, DATA, SCHEMA, STEPS):
         raise InputError(f"{path}: the name {file} is needed for another file, allowed: another name")
     limits = np.degrees([[j.lower, j.upper] for j in chain.joints if j.type == REVOLUTE]).round(4).reshape(-1, 2)
     others = [end for end, other in chains.items() if end != tip and len(other) == len(chain)]
-    values = {
-        "name": urdf.robot.get("name") or "arm",
-        "title": html.escape(printable(" ".join((urdf.robot.get("name") or "the arm").split())), quote=False),
-        "kind": instrument,
+    values: dict[str, Any] = {
+        "name": name or "arm",
+        "title": html.escape(printable(" ".join((name or "the arm").split())), quote=False),
         "urdf": file,
         "base": base,
         "tip": tip,
         "others": printable(", ".join(others)),
         "lower": limits[:, 0].tolist(),
         "upper": limits[:, 1].tolist(),
-        "massed": any(masses),
     }
-    values |= {"masses": [float(f"{mass:.12g}") for mass in masses]} if any(masses) else {}
-    return _files(values, [joint.type for joint in chain.joints], _columns(instrument)) | {file: urdf.text}
+    if any(masses):
+        values |= {"massed": True, "masses": [float(f"{mass:.12g}") for mass in masses]}
+    return _files([joint.type for joint in chain.joints], instrument, **values) | {file: urdf.text}
 
 
 def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, KinematicChain]:
@@ -107,33 +105,20 @@ def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, KinematicChain]
     return chains
 
 
-def _columns(kind: str) -> tuple[str, ...]:
-    """Of a measurement file, those that an instrument in space needs: its readings, or what is touched."""
-    instrument = KINDS[kind]() if kind else TRACKER
-    readings = (f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in instrument.coordinates)
-    return tuple(readings) or (instrument.target,)
-
-
-def _files(
-    values: dict[str, Any], types: Sequence[str], measured: Sequence[str], *, spatial: bool = True
-) -> dict[str, str]:
-    """The files of an arm with joints of these types, filled in."""
+def _files(types: Sequence[str], kind: str, *, spatial: bool = True, **values: Any) -> dict[str, str]:
+    """The files of an arm with joints of these types, measured by this kind of instrument, filled in."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    n, kind = len(types), values.get("kind", "")
+    n, instrument, arm_kind = len(types), KINDS[kind]() if kind else TRACKER, "spatial" if spatial else "planar"
+    axes = instrument.coordinates[: 3 if spatial else 2]
+    # its readings, or what is touched
+    measured = tuple(f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in axes) or (instrument.target,)
     columns = ["order", *(f"q{j}_{'deg' if t == REVOLUTE else 'mm'}" for j, t in enumerate(types, start=1)), *measured]
-    usual: dict[str, Any] = {
-        "example": False,
-        "urdf": None,
-        "massed": False,
-        "lower": [-170.0] * n,
-        "upper": [170.0] * n,
-    }
-    instrument = KINDS[kind]() if kind else TRACKER
     rows = 3 if instrument.dimension == 1 else 1
-    usual |= {"runs": rows * max(5 * n, 20), "fresh": rows * 12, "masses": [10.0] * n, "contact": instrument.contact}
-    usual |= {"guide": instrument.guide if kind else None, "measured": measured, "target": instrument.target}
-    values = {**usual, "kind": kind, "columns": columns, "joints": n, "spatial": spatial, **values}
+    usual: dict[str, Any] = {"name": "arm", "example": False, "urdf": None, "massed": False, "masses": [10.0] * n}
+    usual |= {"lower": [-170.0] * n, "upper": [170.0] * n, "runs": rows * max(5 * n, 20), "fresh": rows * 12}
+    usual |= {"kind": kind, "contact": instrument.contact, "target": instrument.target, "measured": measured}
+    usual |= {"guide": instrument.guide if kind else None, "columns": columns, "joints": n, "spatial": spatial}
     loader = PackageLoader("identification.files", "first_files")
     environment = Environment(loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)
 
@@ -142,11 +127,9 @@ def _files(
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
     environment.filters |= {"toml": toml, "printable": printable}
-    arm = f"arm_{'spatial' if spatial else 'planar'}.toml.j2"
-    schema = json_schema("spatial" if spatial else "planar")
     return {
-        ARM: environment.get_template(arm).render(values),
+        ARM: environment.get_template(f"arm_{arm_kind}.toml.j2").render(usual | values),
         DATA: ",".join(columns) + "\n",
-        SCHEMA: json.dumps(schema, indent=1) + "\n",
-        STEPS: environment.get_template("steps.j2").render(values),
+        SCHEMA: json.dumps(json_schema(arm_kind), indent=1) + "\n",
+        STEPS: environment.get_template("steps.j2").render(usual | values),
     }

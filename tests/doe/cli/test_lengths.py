@@ -56,6 +56,12 @@ def cell(folder: Folder) -> Folder:
     return folder
 
 
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Postures to choose from: hundreds in place of thousands."""
+    monkeypatch.setattr("identification.for_design.CHOICES", 150)
+
+
 def test_the_loop_of_a_ball_bar(cell: Folder) -> None:
     """From a plan to commands: what is left is the noise, the tip is known to that, the center is found."""
     for name, seed in (("plan", 1), ("fresh", 2)):

@@ -11,7 +11,6 @@ import numpy as np
 import polars as pl
 import pytest
 from click.testing import CliRunner
-from scipy.optimize import least_squares
 
 from doe.cli.study import command
 from doe.jobs import frame_of, processes, seed_of
@@ -21,7 +20,6 @@ from doe.studies.monte_carlo import (
     Study,
     StudyResult,
     TruthTable,
-    dft_postures,
     in_api_units,
     in_file_units,
     load_study,
@@ -65,31 +63,6 @@ def positions(postures: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) ->
     """Eq. 1 written out."""
     theta = np.cumsum(postures + offsets, axis=-1)
     return np.stack([(lengths * np.cos(theta)).sum(-1), (lengths * np.sin(theta)).sum(-1)], axis=-1)
-
-
-def test_dft_plan_satisfies_table_1() -> None:
-    postures = dft_postures(4, 7)
-    for j in range(4):
-        for k in range(j + 1, 4):
-            assert abs(np.mean(np.exp(1j * postures[:, j + 1 : k + 1].sum(axis=1)))) < 1e-14
-    assert np.all((postures > -np.pi) & (postures <= np.pi))
-
-
-def test_fits_on_plans_of_their_own_equal_a_general_optimiser() -> None:
-    generator = np.random.default_rng(4)
-    postures = generator.uniform(-np.pi, np.pi, (3, 6, 4))
-    measured = positions(postures, LENGTHS + ERRORS, OFFSETS) + 0.1 * generator.standard_normal((3, 6, 2))
-    fits, unit = estimate_each(Model(ARM), postures, measured), np.r_[np.ones(4), LENGTHS]
-    for k in range(3):
-        oracle = least_squares(
-            lambda x, k=k: (positions(postures[k], LENGTHS + x[:4], x[4:]) - measured[k]).ravel(),
-            np.zeros(8),
-            x_scale=1.0 / unit,
-            **dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15),
-        )
-        # the optimiser stops where the cost no longer changes: half the digits
-        np.testing.assert_allclose(fits.parameters[k] * unit, oracle.x * unit, atol=1e-5)
-        assert fits.rss[k] == pytest.approx(2 * oracle.cost, rel=1e-9)
 
 
 def test_cells_pool_blocks_as_if_there_were_none() -> None:
@@ -383,8 +356,8 @@ def test_file_is_read(folder: Path) -> None:
             )
         ),
         (SPATIAL, "rotation_y:3", "rotation_w:3", "rotation_w:3"),
-        (SPATIAL, "elbow.toml", "arm.toml", "calibration.values: found in the file of a planar arm"),
-        (SPATIAL, 'values = {"rotation_y:3" = 0.1}', "length_errors_mm = [1.0]", "length_errors_mm: found in the file"),
+        (SPATIAL, "elbow.toml", "arm.toml", "calibration.values: unknown parameter 'rotation_y:3'"),
+        (SPATIAL, 'values = {"rotation_y:3" = 0.1}', "length_errors_mm = [1, 2, 3]", "length_error"),
     ],
 )
 def test_bad_file_is_one_line(folder: Path, text: str, old: str, new: str, found: str) -> None:

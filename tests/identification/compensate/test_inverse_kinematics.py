@@ -166,8 +166,8 @@ def test_poses_that_few_starts_lead_to_are_reached() -> None:
 
 def test_nothing_to_reach() -> None:
     arm = three(BOX)
-    none = np.zeros((0, 2))
-    assert compensate(arm, none, constraints=constraints_of(Model(arm))).commands.shape == (0, 3)
+    found = compensate(arm, np.zeros((0, 2)), constraints=constraints_of(Model(arm)))
+    assert (found.commands.shape, found.to_json()["max_error_mm"]) == ((0, 3), None)
 
 
 def test_a_posture_a_turn_beyond_the_limits_is_the_same_posture() -> None:

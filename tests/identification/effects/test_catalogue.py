@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -15,14 +14,6 @@ from identification.effects.base import _LIBRARY
 from identification.effects.catalogue import GRAVITY, SUPPLY, entries, entry
 from identification.files.arm import arm_from_tables
 from identification.kinematics.chain import planar_chain
-
-README = (Path(__file__).parents[3] / "identification/README.md").read_text()
-
-
-def test_the_page_names_every_effect() -> None:
-    section = README.partition("\n## Effects\n")[2].partition("\n### Typical sizes")[0]
-    rows = " ".join(line for line in section.splitlines() if line.startswith("|"))
-    assert set(re.findall(r"`(\w+)`", rows)) == {e.name for e in entries() if not e.own and e.kind != "alias"}
 
 
 def test_every_effect_can_be_read_from_the_example_once_its_settings_are_given() -> None:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from identification.arm import EffectSpec
-from identification.effects import Effect, Parameter, Setting, build, formulas, library, noise
+from identification.effects import Effect, Parameter, Setting, build, formulas, library
 from identification.kinematics.chain import planar_chain
 from identification.kinematics.parameters import ParameterSet, chain_parameters
 
 SHIPPED = {name: cls for name, cls in library().items() if cls.__module__.startswith("identification.effects")}
-SOURCE = inspect.getsource(formulas) + inspect.getsource(noise)
+SOURCE = inspect.getsource(formulas)
 OWN = {name: cls for name, cls in SHIPPED.items() if not cls.tabulated}  # a table has no parameters
 
 

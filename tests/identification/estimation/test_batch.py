@@ -1,4 +1,4 @@
-"""Batches against one fit at a time and against scipy."""
+"""Many data sets, on one plan or each on its own, against one fit at a time and against scipy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import pytest
 
 from identification.arm import EffectSpec
 from identification.errors import InputError, JobError
-from identification.estimation import estimate, estimate_batch
+from identification.estimation import estimate, estimate_batch, estimate_each
+from identification.estimation.estimate import sessions
+from identification.estimation.levenberg_marquardt import Solution
+from identification.information import covariances, spectrum
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import minimal
@@ -36,22 +39,65 @@ def batch(model: Model, postures: np.ndarray, count: int, spread: float, seed: i
     return exact + SIGMA * generator.standard_normal(exact.shape)
 
 
+def each(model: Model, postures: np.ndarray) -> np.ndarray:
+    """(K, m, 2) measurements of plans (K, m, n)."""
+    exact = model.position(postures, truth(model), sessions(postures))
+    return exact + SIGMA * np.random.default_rng(6).standard_normal(exact.shape)
+
+
+def same(model: Model, fits: Solution, rows: list[Measurements], among: list[int], by_scipy: int) -> None:
+    """Fits numbered `among` are those of the rows alone, the first of them those of scipy too."""
+    assert fits.converged.all()
+    for count, (k, data) in enumerate(zip(among, rows, strict=True)):
+        single = estimate(model, data)
+        scaled = fits.parameters[k] * model.scales  # mm; a standard deviation is 0.03
+        np.testing.assert_allclose(scaled, single.parameters * model.scales, rtol=0, atol=1e-7)
+        left = np.sum(single.residuals_after**2) if single.chi2 is None else single.chi2
+        assert fits.rss[k] == pytest.approx(left, rel=1e-10)
+        if count < by_scipy:
+            np.testing.assert_allclose(scaled, scipy_fit(model, data).x * model.scales, rtol=0, atol=3e-6)
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 @pytest.mark.parametrize("spread", [0.0, 2.0])
 def test_equals_single_fits_and_scipy(name: str, spread: float) -> None:
     model, postures = Model(arm(*EFFECTS[name])), plan(30)
     positions = batch(model, postures, 1500, spread)  # more than one chunk
-    fits = estimate_batch(model, postures, positions)
-    assert fits.converged.all()
-    for k in (*range(12), *range(1488, 1500)):
-        single = estimate(model, Measurements(postures, positions[k]))
-        np.testing.assert_allclose(
-            fits.parameters[k] * model.scales, single.parameters * model.scales, rtol=0, atol=1e-7
-        )  # mm; a standard deviation is 0.03
-        assert fits.rss[k] == pytest.approx(np.sum(single.residuals_after**2), rel=1e-10)
-    for k in range(3):
-        other = scipy_fit(model, Measurements(postures, positions[k]))
-        np.testing.assert_allclose(fits.parameters[k] * model.scales, other.x * model.scales, rtol=0, atol=3e-6)
+    among = [*range(5), *range(1495, 1500)]
+    rows = [Measurements(postures, positions[k]) for k in among]
+    same(model, estimate_batch(model, postures, positions), rows, among, 2)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_on_plans_of_their_own(name: str) -> None:
+    model = Model(arm(*EFFECTS[name]))
+    postures = np.random.default_rng(9).uniform(-np.pi, np.pi, (900, 25, 4))  # more than one chunk
+    positions, among = each(model, postures), [0, 1, 2, 897, 898, 899]
+    rows = [Measurements(postures[k], positions[k]) for k in among]
+    same(model, estimate_each(model, postures, positions), rows, among, 1)
+
+
+@pytest.mark.parametrize("effects", [(), (EffectSpec("encoder_eccentricity", 2),)])
+def test_a_plan_that_loses_something_is_not_fitted(effects: tuple[EffectSpec, ...]) -> None:
+    model = Model(arm(*effects))
+    postures = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 12, 4))
+    postures[1, :, 1] = 0.3  # links 1 and 2 move as one
+    fits = estimate_each(model, postures, each(model, postures))
+    assert fits.converged.tolist() == [True, False, True]
+    assert np.isnan(fits.parameters[1]).all()
+
+
+def test_a_narrow_plan_keeps_its_digits() -> None:
+    """Columns of condition 1e5, which squared would cost ten digits; lstsq keeps eleven."""
+    model = Model(arm())
+    postures = np.random.default_rng(5).uniform(-1e-4, 1e-4, (4, 12, 4))
+    positions = each(model, postures)
+    fits, spread = estimate_each(model, postures, positions), covariances(model.jacobian(postures), model.scales, 0.1)
+    for k, q in enumerate(postures):
+        u = np.linalg.lstsq(np.exp(1j * np.cumsum(q, axis=1)), positions[k] @ [1.0, 1.0j], rcond=None)[0]
+        np.testing.assert_allclose(fits.parameters[k, :4], np.abs(u) - model.arm.lengths, rtol=1e-8)
+        alone = 0.01 * spectrum(model.jacobian(q), model.scales).covariance
+        np.testing.assert_allclose(spread[k], alone, rtol=1e-5, atol=1e-9 * np.abs(alone).max())
 
 
 @pytest.mark.parametrize("held", [True, False], ids=["prior", "minimal"])
@@ -87,12 +133,8 @@ def test_weights_and_conditions_are_those_of_single_fits(name: str) -> None:
     fits = estimate_batch(model, shared, positions)
     weighted = estimate_batch(model, postures, positions, weights=1.0 / sigma**2)
     np.testing.assert_array_equal(fits.parameters, weighted.parameters)
-    for k in range(5):
-        single = estimate(model, Measurements(postures, positions[k], sigma=sigma))
-        np.testing.assert_allclose(
-            fits.parameters[k] * model.scales, single.parameters * model.scales, rtol=0, atol=1e-7
-        )
-        assert fits.rss[k] == pytest.approx(single.chi2, rel=1e-10)
+    rows = [Measurements(postures, positions[k], sigma=sigma) for k in range(5)]
+    same(model, fits, rows, [*range(5)], 0)
 
 
 def test_large_offsets_and_known_parameters_take_the_individual_path() -> None:
@@ -106,20 +148,13 @@ def test_large_offsets_and_known_parameters_take_the_individual_path() -> None:
     np.testing.assert_allclose(fits.parameters, true, rtol=0, atol=1e-9)
 
 
-def test_a_data_set_that_is_not_a_number_stays_alone() -> None:
-    for effects in ((), (EffectSpec("gear_ratio", 2),)):
-        model, postures = Model(arm(*effects)), plan(20)
-        positions = batch(model, postures, 10, 0.0)
-        positions[3, 4, 1] = np.nan
-        fits = estimate_batch(model, postures, positions)
-        assert np.flatnonzero(~fits.converged).tolist() == [3]
-
-
-def test_no_data_sets_are_no_error() -> None:
-    for effects in ((), (EffectSpec("gear_ratio", 2),)):
-        model = Model(arm(*effects))
-        fits = estimate_batch(model, plan(20), np.zeros((0, 20, 2)))
-        assert fits.parameters.shape == (0, len(model.names))
+@pytest.mark.parametrize("effects", [(), (EffectSpec("gear_ratio", 2),)], ids=["linear", "effect"])
+def test_a_data_set_that_is_not_a_number_stays_alone_and_none_are_no_error(effects: tuple[EffectSpec, ...]) -> None:
+    model, postures = Model(arm(*effects)), plan(20)
+    positions = batch(model, postures, 10, 0.0)
+    positions[3, 4, 1] = np.nan
+    assert np.flatnonzero(~estimate_batch(model, postures, positions).converged).tolist() == [3]
+    assert estimate_batch(model, plan(20), np.zeros((0, 20, 2))).parameters.shape == (0, len(model.names))
 
 
 def test_bad_input() -> None:
@@ -130,3 +165,7 @@ def test_bad_input() -> None:
         estimate_batch(model, plan(3), np.zeros((5, 3, 2)))
     with pytest.raises(JobError, match=r"does not identify: joint_offset:1 \+ base_rotation.angle"):
         estimate_batch(Model(arm(EffectSpec("base_rotation"))), plan(20), np.zeros((5, 20, 2)))
+    with pytest.raises(InputError, match=r"postures: shape"):
+        estimate_each(model, plan(10), np.zeros((1, 10, 2)))
+    with pytest.raises(InputError, match=r"positions: shape \(1, 9, 2\), allowed: \(1, 10, 2\)"):
+        estimate_each(model, plan(10)[None], np.zeros((1, 9, 2)))

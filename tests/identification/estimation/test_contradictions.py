@@ -3,13 +3,14 @@ are as rare as said; a moved zero is named with what the data alone say."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from identification.arm import Arm
+from identification.arm import Arm, Calibration
 from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.estimation.problem import (
-    Earlier,
     Prior,
     Problem,
     contradicted,
@@ -31,13 +32,17 @@ def measured(generator: np.random.Generator, rows: int, truth: np.ndarray, sigma
     return Measurements(q, np.column_stack([tip.real, tip.imag]) + sigma * generator.standard_normal((rows, 2)))
 
 
-def before(generator: np.random.Generator) -> Earlier:
+def before(generator: np.random.Generator) -> Calibration:
     """A calibration from 12 rows."""
     found = estimate(MODEL, measured(generator, 12, TRUTH), sigma="given")
-    return Earlier(found.names, found.parameters, found.covariance)
+    return found.calibration()
 
 
-def with_prior(earlier: Earlier, data: Measurements, sigma: str | None = None) -> Identification:
+def means(earlier: Calibration) -> np.ndarray:
+    return np.array([earlier.values[name] for name in MODEL.names])
+
+
+def with_prior(earlier: Calibration, data: Measurements, sigma: str | None = None) -> Identification:
     return estimate_with_prior(MODEL, data, Prior({}, earlier), sigma=sigma)  # type: ignore[arg-type]
 
 
@@ -52,27 +57,27 @@ def test_the_drop_is_the_squared_distance_in_combined_deviations() -> None:
     residual = (data.positions - MODEL.position(data.postures, x)).ravel() / SIGMA
 
     def squares(prior: Prior) -> float:
-        return posterior_squares(problem, x, residual, jacobian, prior, 1.0)
+        return posterior_squares(replace(problem, prior=prior), x, residual, jacobian)
 
     assert problem.prior is not None
     least = squares(Prior({}, earlier))
     information = jacobian.T @ jacobian
     alone, own = x + np.linalg.solve(information, jacobian.T @ residual), np.linalg.inv(information)
-    off = alone - earlier.values
+    off = alone - means(earlier)
     expected = off @ np.linalg.solve(own + earlier.covariance, off)
     assert least - squares(problem.prior.released(MODEL.names, {})) == pytest.approx(expected, rel=1e-6)
     for k, name in enumerate(MODEL.names):
         others = np.delete(np.arange(6), k)
         precision = np.zeros((6, 6))
         precision[np.ix_(others, others)] = np.linalg.inv(earlier.covariance[np.ix_(others, others)])
-        center = np.where(np.arange(6) == k, 0.0, earlier.values)
+        center = np.where(np.arange(6) == k, 0.0, means(earlier))
         mixed = np.linalg.inv(information + precision)
         at = mixed @ (information @ alone + precision @ center)
         given = earlier.covariance[k, others] @ np.linalg.inv(earlier.covariance[np.ix_(others, others)])
         slope = np.zeros(6)
         slope[k], slope[others] = 1.0, -given  # the prior of k given the others: slope @ (x - m) has this variance
         variance = earlier.covariance[k, k] - given @ earlier.covariance[others, k]
-        z2 = (slope @ (at - earlier.values)) ** 2 / (slope @ mixed @ slope + variance)
+        z2 = (slope @ (at - means(earlier))) ** 2 / (slope @ mixed @ slope + variance)
         assert least - squares(problem.prior.released([name], {})) == pytest.approx(z2, rel=1e-5)
 
 
@@ -98,9 +103,9 @@ def test_a_moved_zero_is_named_with_what_the_data_say(sigma: str | None) -> None
     found = with_prior(earlier, data, sigma)
     (one,) = found.contradictions
     assert (one.name, one.instead) == ("joint_offset:2", ())
-    assert one.prior == pytest.approx(np.degrees(earlier.values[4]))
+    assert one.prior == pytest.approx(np.degrees(means(earlier)[4]))
     assert one.prior_std == pytest.approx(np.degrees(np.linalg.inv(earlier.covariance)[4, 4] ** -0.5))
-    at = np.where(np.arange(6) == 4, moved, earlier.values)
+    at = np.where(np.arange(6) == 4, moved, means(earlier))
     column = MODEL.jacobian(data.postures, at)[..., 4].ravel()
     step = column @ (data.positions - MODEL.position(data.postures, at)).ravel() / (column @ column)
     assert one.value == pytest.approx(np.degrees(moved[4] + step), abs=1e-3 * one.std)
@@ -134,7 +139,7 @@ def test_data_without_noise() -> None:
     generator = np.random.default_rng(9)
     earlier = before(generator)
     postures = generator.uniform(-2.0, 2.0, (12, 3))
-    drawn = Earlier(earlier.names, np.zeros(6), earlier.covariance)
+    drawn = replace(earlier, values=dict.fromkeys(MODEL.names, 0.0))
     exact = Measurements(postures, MODEL.position(postures, np.zeros(6)))
     for sigma in (None, "given", "estimated"):
         assert with_prior(drawn, exact, sigma).contradictions == ()

@@ -19,11 +19,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.documents.identification import corrected_section, corrected_table
 from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.estimation.problem import Prior
-from identification.estimation.result import (
-    CorrectedValue,
-    corrected_values,
-    dh_table,
-)
+from identification.estimation.result import CorrectedValue, corrected_values, dh_table
 from identification.files.arm import dump_arm, load_arm
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links

@@ -99,19 +99,15 @@ def test_which_sigma_holds() -> None:
     assert forced.p_value is None
 
 
-def test_p_value_is_the_tail_of_chi2() -> None:
-    found = estimate(Model(arm()), data(Model(arm()), plan(10)), sigma=SIGMA)
-    assert found.dof == 12
-    assert found.chi2 == pytest.approx(np.sum(found.residuals_after**2) / SIGMA**2)
-    assert found.p_value == pytest.approx(stats.chi2.sf(found.chi2, 12))
-
-
-def test_quantiles_of_the_intervals() -> None:
+def test_quantiles_of_the_intervals_and_p_value() -> None:
     model, measurements = Model(arm()), data(Model(arm()), plan(6))
     known, free = estimate(model, measurements, sigma=SIGMA), estimate(model, measurements)
     for found, quantile in ((known, stats.norm.ppf(0.975)), (free, stats.t(4).ppf(0.975))):
         np.testing.assert_allclose(found.intervals[:, 1] - found.parameters, quantile * found.std, rtol=1e-6)
         np.testing.assert_allclose(found.intervals.mean(axis=1), found.parameters, rtol=0, atol=1e-12)
+    assert (known.dof, free.p_value) == (4, None)
+    assert known.chi2 == pytest.approx(np.sum(known.residuals_after**2) / SIGMA**2)
+    assert known.p_value == pytest.approx(stats.chi2.sf(known.chi2, 4))
 
 
 @pytest.mark.parametrize("count", [150, pytest.param(2000, marks=pytest.mark.slow)])

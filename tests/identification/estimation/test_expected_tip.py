@@ -130,12 +130,7 @@ def test_what_is_not_identifiable_has_no_expected_error() -> None:
 
 @pytest.mark.parametrize(
     ("instrument", "said"),
-    [
-        (Distance(), ""),
-        (Sphere(15.0), ""),
-        (Sphere(), "give radius_mm"),
-        (Plane(), "only [machining] tells"),
-    ],
+    [(Distance(), ""), (Sphere(15.0), ""), (Sphere(), "give radius_mm"), (Plane(), "only [machining] tells")],
 )
 def test_where_more_postures_do_not_show_the_size(instrument: Instrument, said: str) -> None:
     """An arm twice as large touches planes, and spheres twice as large, at the same postures."""

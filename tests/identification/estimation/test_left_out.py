@@ -36,40 +36,33 @@ def refitted(rows: Measurements, groups: list[list[int]], prior: Prior | None = 
     return float(np.sqrt(np.mean(squares)))
 
 
-def test_each_posture_as_a_fit_without_it_predicts_it() -> None:
+ROWS = {
+    "each posture": (data(8, 1), None),
+    "with a prior": (data(4, 4), Prior({"length_error:1": 0.3, "joint_offset:2": 1e-3})),
+    "own weights": (replace(data(9, 5), sigma=np.where(np.arange(9) < 4, 0.05, 0.4)), None),
+}
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_each_posture_as_a_fit_without_it_predicts_it(name: str) -> None:
     """In the plane the model is linear in l_j cos and l_j sin of its angles: for small errors to second order in them,
     1e-2 rad here, of a change of the fit of 0.1 mm."""
-    rows = data(8, 1)
-    found = left_out_rms(estimate(MODEL, rows), rows)
-    assert found == pytest.approx(refitted(rows, [[k] for k in range(8)]), rel=2e-3)
-    assert found > estimate(MODEL, rows).rms_after
+    rows, prior = ROWS[name]
+    fit = estimate(MODEL, rows) if prior is None else estimate_with_prior(MODEL, rows, prior, sigma="given")
+    found = left_out_rms(fit, rows)
+    assert found == pytest.approx(refitted(rows, [[k] for k in range(len(rows))], prior), rel=5e-3)
+    assert found > fit.rms_after
 
 
 def test_repeats_of_a_posture_are_left_out_together() -> None:
-    once = data(6, 2)
-    twice = np.repeat(np.arange(6), 2)
+    once, twice = data(6, 2), np.repeat(np.arange(6), 2)
     noise = 0.1 * np.random.default_rng(3).standard_normal((12, 2))
     rows = Measurements(once.postures[twice], once.positions[twice] + noise)
     found = left_out_rms(estimate(MODEL, rows), rows)
     assert found == pytest.approx(refitted(rows, [[2 * k, 2 * k + 1] for k in range(6)]), rel=2e-3)
 
 
-def test_a_prior_stays_where_a_posture_is_left_out() -> None:
-    rows, prior = data(4, 4), Prior({"length_error:1": 0.3, "joint_offset:2": 1e-3})
-    found = estimate_with_prior(MODEL, rows, prior, sigma="given")
-    expected = refitted(rows, [[k] for k in range(4)], prior)
-    assert left_out_rms(found, rows) == pytest.approx(expected, rel=5e-3)
-
-
-def test_rows_have_their_own_weights() -> None:
-    rows = data(9, 5)
-    rows = replace(rows, sigma=np.where(np.arange(9) < 4, 0.05, 0.4))
-    found = left_out_rms(estimate(MODEL, rows), rows)
-    assert found == pytest.approx(refitted(rows, [[k] for k in range(9)]), rel=5e-3)
-
-
 def test_none_where_a_posture_alone_determines_something() -> None:
-    exact, same = data(2, 6), data(5, 7)  # four equations for four unknowns; one posture five times
-    assert left_out_rms(estimate(MODEL, exact), exact) is None
-    same = Measurements(same.postures[[0] * 5], same.positions[[0] * 5])
-    assert left_out_rms(estimate(MODEL, same), same) is None
+    same = data(5, 7).rows(np.zeros(5, dtype=int))  # four equations for four unknowns; one posture five times
+    for rows in (data(2, 6), same):
+        assert left_out_rms(estimate(MODEL, rows), rows) is None

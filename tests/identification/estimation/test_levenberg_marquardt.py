@@ -9,7 +9,6 @@ import pytest
 from scipy.optimize import least_squares
 
 from identification.estimation.levenberg_marquardt import (
-    BLOCK,
     GRADIENT_TOLERANCE,
     LeastSquares,
     Linearize,
@@ -81,20 +80,6 @@ def test_ends_where_scipy_ends(lower: tuple[float, ...], upper: tuple[float, ...
     assert set(far.status) == {Status.converged}
 
 
-def test_ends_satisfy_karush_kuhn_tucker() -> None:
-    low, high = np.array([2.0, 0.5, -0.2]), np.array([3.0, 1.0, 0.2])
-    linearize = decays(measured_decays(60, seed=1))
-    found = levenberg_marquardt(problem(linearize, 3, 60, lower=low, upper=high), np.tile([2.5, 0.8, 0.1], (60, 1)))
-    residual, jacobian = linearize(found.parameters, np.arange(60))
-    cosines = np.einsum("knp,kn->kp", jacobian, residual)
-    cosines /= np.linalg.norm(jacobian, axis=1) * np.linalg.norm(residual, axis=1)[:, None]
-    np.testing.assert_array_less(np.abs(cosines[~found.active]), 2.0 * GRADIENT_TOLERANCE)
-    assert np.any(found.active)
-    assert np.all(cosines[found.active & (found.parameters == low)] < 0.0)
-    assert np.all(cosines[found.active & (found.parameters == high)] > 0.0)
-    assert np.all((found.parameters == low) | (found.parameters == high) | ~found.active)
-
-
 def test_many_at_once_are_those_one_by_one() -> None:
     data, low = measured_decays(30, seed=2), np.array([0.0, 0.0, 0.0])
     data[7] = np.nan
@@ -138,27 +123,6 @@ def test_the_metric_decides_which_step_is_the_shortest() -> None:
     np.testing.assert_allclose(found.parameters[0], expected, rtol=1e-12)
 
 
-def test_damped_step_of_many_parameters() -> None:
-    """By the triangle of the columns that are free; beyond the tolerance by singular values, of which the smallest is
-    left out. The oracle is the pseudo-inverse of the rows with the damping below them."""
-    generator = np.random.default_rng(11)
-    left, right = (np.linalg.qr(generator.standard_normal((rows, 120)))[0] for rows in (120 + 30, 120))
-    values, residual = np.geomspace(1.0, 1e-6, 120), generator.standard_normal(120 + 30)
-    held = np.zeros((1, 120), dtype=bool)
-    for smallest, damping, out in ((1e-6, 0.0, ()), (1e-6, 0.2, ()), (1e-6, 0.2, (3, 7)), (1e-12, 0.0, ())):
-        held[:], values[-1] = False, smallest
-        held[0, list(out)] = True
-        columns = left * values @ right.T
-        free = columns * ~held[0]
-        tall = np.vstack([free, np.sqrt(damping) * np.eye(120)])
-        inverse = np.linalg.pinv(tall, rcond=1e-9)
-        expected = inverse @ np.r_[residual, np.zeros(120)]
-        steps, gradient, stiffness = damped_steps(columns[None], residual[None], held, np.array([damping]), 1e-9)
-        np.testing.assert_allclose(steps[0], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
-        np.testing.assert_allclose(gradient[0], free.T @ residual, rtol=0, atol=1e-9)
-        assert stiffness[0] == pytest.approx(expected @ expected / np.sum((inverse.T @ expected) ** 2), rel=1e-4)
-
-
 @pytest.mark.parametrize("shape", [(12, 4), (3, 4)], ids=["tall", "wide"])
 @pytest.mark.parametrize("damping", [0.0, 0.3])
 def test_damped_steps_by_either_route(shape: tuple[int, int], damping: float) -> None:
@@ -180,18 +144,6 @@ def test_damped_steps_by_either_route(shape: tuple[int, int], damping: float) ->
             softer = np.linalg.pinv(free.T @ free + damping * np.diag(~held[k]), rcond=1e-14) @ expected
             assert stiffness[k] == pytest.approx(expected @ expected / (expected @ softer), rel=1e-3)
         assert np.all(steps[:, 1] == 0.0)
-
-
-def test_an_exactly_singular_problem_has_its_shortest_step() -> None:
-    """Two columns that are equal, and large enough that rounding leaves a pivot of zero; another problem beside it."""
-    generator = np.random.default_rng(9)
-    columns, residuals = generator.standard_normal((2, 3, 2)), generator.standard_normal((2, 3))
-    columns[0] = [[1e4, 1e4], [0.0, 0.0], [0.0, 0.0]]
-    with pytest.raises(np.linalg.LinAlgError):
-        np.linalg.inv(columns[0].T @ columns[0])
-    found, *_ = damped_steps(columns, residuals, np.zeros((2, 2), dtype=bool), np.zeros(2), 1e-9)
-    for k in range(2):
-        np.testing.assert_allclose(found[k], np.linalg.pinv(columns[k]) @ residuals[k], rtol=1e-9)
 
 
 def test_statuses_say_how_it_ended() -> None:
@@ -319,7 +271,7 @@ def test_a_corner_is_left_where_the_other_factor_has_room() -> None:
     assert found.rss[0] <= 1e-20
 
 
-@pytest.mark.parametrize("rows", [150, 2 * BLOCK + 3])
+@pytest.mark.parametrize("rows", [150, 4099])
 def test_a_tall_problem_is_its_triangle(rows: int) -> None:
     """Sums of products stay, and with them the solution, here by the normal equations."""
     generator = np.random.default_rng(2)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -162,7 +162,6 @@ def refused(path: Path, *named: str) -> None:
 
 PLANAR = PLAIN + "[gravity]\nacceleration_m_s2 = [0, -9.81]\nlink_masses_kg = [1, 1]\n"
 LIMITS = PLAIN + "[joint_limits_deg]\n"
-CIRCLE = PLAIN + '[[constraints]]\nkind = "keep_out_circle"\ncenter_mm = [0, 0]\n'
 SIGHT = PLAIN + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [1, 0]\n'
 BASE = '[[effects]]\nname = "base_offset"\n'
 BACKLASH = PLAIN + '[[effects]]\nname = "backlash"\n'
@@ -175,38 +174,24 @@ ORIGIN = PLAIN + CALIBRATION + "[calibration.provenance]\n"
 BAD = [  # values that are of the right type
     ("", "empty"),
     ("links_mm = []", "links_mm: found 0"),
-    (f"links_mm = {[1.0] * 13}", "links_mm: found 13"),
-    ("links_mm = [260, 0]", "links_mm[2]: found 0"),
-    ("links_mm = [-260.0, 1]", "links_mm[1]: found -260.0"),
     (LIMITS + "lower = [0, 0]\nupper = [90, -90]", "joint 2"),
     (LIMITS + "lower = [0]\nupper = [90, 90]", "joint_limits_deg.lower: found 1"),
-    (PLAIN + "[measurement]\nsigma_mm = 0", "measurement.sigma_mm: found 0"),
-    (PLAIN + "[joints]\nsign = [1]", "joints.sign: found 1"),
     (PLAIN + "[joints]\nsign = [1, 0]", "joints.sign: found 0 for joint 2"),
     (PLAIN + "[joints]\ncoupled_to = [2, 1]", "joints.coupled_to: found"),
-    (PLAIN + "[joints]\nzero_deg = [0, 1e9]", "joints.zero_deg"),
     (PLANAR.replace("[1, 1]", "[1]"), "gravity.link_masses_kg: found 1"),
-    (PLANAR.replace("[1, 1]", "[1, -1]"), "gravity.link_masses_kg[2]: found -1"),
     (PLANAR.replace("[0, -9.81]", "[0]"), "gravity.acceleration_m_s2: found [0]"),
-    (PLANAR + "center_of_mass = [0.5, 1.5]", "gravity.center_of_mass[2]: found 1.5"),
-    (PLANAR + "center_of_mass = [0.5]", "gravity.center_of_mass: found 1"),
-    (PLANAR + "payload_kg = -1", "gravity.payload_kg: found -1"),
     (PLAIN + '[[constraints]]\nkind = "box"', "constraints[1].kind: found 'box'"),
     (
         PLAIN + '[[constraints]]\nkind = "workspace_box"\nx_mm = [1, 0]\ny_mm = [0, 1]',
         "constraints[1].x_mm: found [1, 0]",
     ),
-    (CIRCLE + "radius_mm = 0", "constraints[1].radius_mm: found 0"),
-    (SIGHT + "half_angle_deg = 200\ntoward_mm = [2, 0]", "constraints[1].half_angle_deg: found 200"),
     (SIGHT + "half_angle_deg = 20\ntoward_mm = [1, 0]", "constraints[1].toward_mm: found [1.0, 0.0]"),
     (BACKLASH, "backlash needs a joint"),
     (BACKLASH + "joint = 3", "joint 3"),
-    (BACKLASH + "joint = 1.5", "effects[1].joint: found 1.5"),
     (PLAIN + BASE + "joint = 1", "base_offset"),
     (PLAIN + BASE + BASE, "base_offset"),
     (PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 0', "transmission_ripple:1"),
     (PLAIN + '[[effects]]\nname = "gravity_backlash"\njoint = 1\nb_deg = -1', "effects[1].b_deg: found -1"),
-    (PLAIN + CALIBRATION.replace("mm = [0, 0]", "mm = [0]"), "calibration.length_errors_mm: found 1"),
     (PLAIN + CALIBRATION + "covariance = [[1]]", "calibration.parameters: is missing"),
     (PLAIN + TWO + "covariance = [[1, 0]]", "calibration.covariance: found 1 rows"),
     (PLAIN + TWO + "covariance = [[1], [2]]", "calibration.covariance: found 1 values"),
@@ -354,6 +339,7 @@ def test_a_rounded_covariance_is_read(tmp_path: Path) -> None:
 
 
 @given(arms())
+@settings(max_examples=40)
 def test_round_trip(arm: Arm) -> None:
     same(arm, arm_from_tables(tomllib.loads(dump_arm(arm))))
 

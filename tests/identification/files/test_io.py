@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from identification.errors import InputError
@@ -35,7 +35,7 @@ def names(message: str, *parts: str) -> None:
 
 # -- writing -----------------------------------------------------------------------------------------------------------
 def test_write_whole_writes_and_leaves_nothing_else(tmp_path: Path) -> None:
-    files.write_whole(tmp_path / "a.csv", "ä\n")
+    files.write_together({tmp_path / "a.csv": "ä\n"})
     assert (tmp_path / "a.csv").read_bytes() == "ä\n".encode()
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
@@ -44,16 +44,16 @@ def test_existing_file_needs_force_and_keeps_its_mode(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("old")
     path.chmod(0o640)
-    names(message_of(files.write_whole, path, "new"), "a.csv", "exists", "--force")
+    names(message_of(files.write_together, {path: "new"}), "a.csv", "exists", "--force")
     assert path.read_text() == "old"
-    files.write_whole(path, b"new", force=True)
+    files.write_together({path: b"new"}, force=True)
     assert path.read_text() == "new"
     assert path.stat().st_mode & 0o777 == 0o640
 
 
 def test_bad_targets(tmp_path: Path) -> None:
-    names(message_of(files.write_whole, tmp_path / "no" / "a.csv", ""), "a.csv", "there is no folder", "allowed")
-    names(message_of(files.write_whole, tmp_path, "", True), "is a directory", "allowed")
+    names(message_of(files.write_together, {tmp_path / "no" / "a.csv": ""}), "a.csv", "there is no folder", "allowed")
+    names(message_of(files.write_together, {tmp_path: ""}, True), "is a directory", "allowed")
     names(message_of(files.check_writable, tmp_path / "no" / "a.csv"), "there is no folder")
     files.check_writable(None)
     files.check_writable(tmp_path / "a.csv")
@@ -112,7 +112,7 @@ def test_file_systems_without_nameless_files_or_links(
     monkeypatch.setattr(files, "_unnamed", lambda _: None)
     if lacking == "link":
         monkeypatch.setattr(files.os, "link", refused)
-    files.write_whole(tmp_path / "a", "1")
+    files.write_together({tmp_path / "a": "1"})
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "1"}
 
 
@@ -124,7 +124,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(files.os, "fsync", full)
-    names(message_of(files.write_whole, path, "new", True), "a: cannot be written", "No space left")
+    names(message_of(files.write_together, {path: "new"}, True), "a: cannot be written", "No space left")
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
 
@@ -332,6 +332,7 @@ def test_missing_column_names_the_nearest(tmp_path: Path) -> None:
     names(message_of(read.floats, "x_mm"), "data.csv", "'x_mm' is missing", "did you mean to rename 'x_mn'?", "q1_deg")
 
 
+@settings(max_examples=30)
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=20))
 def test_floats_are_read_exactly(tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
     path = tmp_path_factory.mktemp("table") / "data.csv"

@@ -1,29 +1,61 @@
-"""Measurement files (identification/files/README.md, "Measurement file"): exact round trips, contradicted units."""
+"""Files of measurements, plans and targets (identification/files/README.md): exact round trips, what the order says,
+instruments that read no positions, and one line for what cannot be."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from doe.plan.plan import Plan, load_plan, plan_text
 from identification.arm import Arm
+from identification.effects.catalogue import entry
 from identification.errors import InputError
-from identification.files.measurement import measurement_text
-from identification.inspection.readings import data_warnings
+from identification.files.csv import read_table, table_of_frame
+from identification.files.measurement import (
+    angle_columns,
+    commands_text,
+    load_targets,
+    measurement_text,
+    read_orientations,
+)
+from identification.gap.library_prior import given_by
+from identification.inspection.readings import gap_notes
+from identification.instruments import Distance, PlanarDistance, Plane, Sphere
+from identification.kinematics.chain import DHRow, chain_of
+from identification.kinematics.frames import from_own_axes
 from identification.measurements import Measurements, load_measurements
+from identification.sessions import pooled_sessions
 
-UR10 = Path(__file__).parents[4] / "shared/data/ur10_planar/measurements.csv"
 PLAIN = "q1_deg,q2_deg,x_mm,y_mm\n30,-60,1.5,2.5\n90,0,-3,4\n"
+SLIDING = "q1_deg,q2_mm,x_mm,y_mm,z_mm,marker\n30,50,1,2,3,top\n-90,7.5,4,5,6,side\n"
+SPATIAL = Arm(chain_of([DHRow(300.0, 0.0, 10.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))]))
+CHAIN = chain_of([DHRow(300.0, 0.0, 10.0), DHRow(200.0, 1.0, 0.0)])
+BAR, BALL, FACE = (Arm(replace(CHAIN, instrument=one)) for one in (Distance(), Sphere(12.5), Plane()))
+IN_PLANE = Arm([300.0, 200.0])
+IN_PLANE = replace(IN_PLANE, chain=replace(IN_PLANE.chain, instrument=PlanarDistance((("1", (400.0, 100.0)),))))
 
 
-def load(tmp_path: Path, text: str, links: int | None = None) -> Measurements:
-    (tmp_path / "data.csv").write_text(text)
-    return load_measurements(tmp_path / "data.csv", links)
+@pytest.fixture
+def load(tmp_path: Path) -> Callable[..., Measurements]:
+    """The measurements of a text in a file `data.csv`."""
+
+    def loaded(text: str, arm: int | Arm | None = None) -> Measurements:
+        (tmp_path / "data.csv").write_text(text)
+        return load_measurements(tmp_path / "data.csv", arm)
+
+    return loaded
+
+
+Load = Callable[..., Measurements]
 
 
 def with_columns(**columns: tuple[object, object]) -> str:
@@ -35,97 +67,131 @@ def with_columns(**columns: tuple[object, object]) -> str:
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
-def test_required_columns(tmp_path: Path) -> None:
-    data = load(tmp_path, PLAIN, links=2)
+def test_required_columns(load: Load) -> None:
+    data = load(PLAIN, 2)
     np.testing.assert_allclose(data.postures, np.radians([[30, -60], [90, 0]]))
     np.testing.assert_array_equal(data.positions, [[1.5, 2.5], [-3, 4]])
     assert data.optional_columns == frozenset()
     assert data.provenance == {"file": "data.csv", "sha256": hashlib.sha256(PLAIN.encode()).hexdigest()}
 
 
-def test_optional_columns(tmp_path: Path) -> None:
-    text = with_columns(
-        order=(2, 1),
-        temperature_C=(20.5, 21),
-        payload_kg=(0, 5),
-        direction2=(-1, "+1"),
-        direction1=(1, -1.0),
-        posture=(7, 7),
-        session=("monday", " 2 "),
-        sigma_mm=(0.1, 0.2),
-        run=(1, 2),
+def test_optional_columns(load: Load) -> None:
+    data = load(
+        with_columns(
+            order=(2, 1),
+            temperature_C=(20.5, 21),
+            payload_kg=(0, 5),
+            direction2=(-1, "+1"),
+            direction1=(1, -1.0),
+            posture=(7, 7),
+            session=("monday", " 2 "),
+            sigma_mm=(0.1, 0.2),
+            run=(1, 2),
+        )
     )
-    data = load(tmp_path, text)
-    assert data.order.tolist() == [2, 1]
-    assert data.temperature.tolist() == [20.5, 21]
-    assert data.payload.tolist() == [0, 5]
-    assert data.directions.tolist() == [[1, -1], [-1, 1]]
-    assert data.repeats.tolist() == [7, 7]
-    assert data.repeats.dtype == np.int64
-    assert data.sigma.tolist() == [0.1, 0.2]
-    assert data.session.tolist() == ["monday", "2"]
-    (tmp_path / "again.csv").write_text(measurement_text(data))
-    assert load_measurements(tmp_path / "again.csv").session.tolist() == ["monday", "2"]
+    expected = {"order": [2, 1], "temperature": [20.5, 21], "payload": [0, 5], "directions": [[1, -1], [-1, 1]]}
+    expected |= {"repeats": [7, 7], "sigma": [0.1, 0.2], "session": ["monday", "2"]}
+    assert {name: getattr(data, name).tolist() for name in expected} == expected
+    assert load(measurement_text(data)).session.tolist() == ["monday", "2"]
 
 
-def test_radians_and_metres_are_converted(tmp_path: Path) -> None:
-    data = load(tmp_path, "y_m,x_m,q2_rad,q1_deg,sigma_m\n0.25,0.5,1.5,180,0.001\n")
+def test_radians_and_metres_are_converted(load: Load) -> None:
+    data = load("y_m,x_m,q2_rad,q1_deg,sigma_m\n0.25,0.5,1.5,180,0.001\n")
     np.testing.assert_allclose(data.postures, [[np.pi, 1.5]])
     np.testing.assert_allclose(data.positions, [[500, 250]])
     np.testing.assert_allclose(data.sigma, [1.0])
+    assert load("q1_deg,q2_deg,distance_m\n30,50,0.4125\n", BAR).positions[0, 0] == pytest.approx(412.5)
 
 
-def test_time_is_the_order(tmp_path: Path) -> None:
-    assert load(tmp_path, with_columns(time_s=(10.5, 2))).order.tolist() == [10.5, 2]
-    assert load(tmp_path, with_columns(order=(2, 1), time_s=(10.5, 2))).order.tolist() == [10.5, 2]
+def test_time_is_the_order(load: Load) -> None:
+    assert load(with_columns(time_s=(10.5, 2))).order.tolist() == [10.5, 2]
+    assert load(with_columns(order=(2, 1), time_s=(10.5, 2))).order.tolist() == [10.5, 2]
 
 
-def test_unknown_columns_are_named_once(tmp_path: Path) -> None:
-    text = with_columns(temprature_C=(1, 2), operator=("Ann", ""))
-    with pytest.warns(UserWarning, match="not used") as caught:
-        assert load(tmp_path, text).optional_columns == frozenset()
-    message = str(caught[0].message)
+@pytest.mark.parametrize(
+    ("arm", "text", "said"),
+    [
+        (
+            None,
+            with_columns(temprature_C=(1, 2), operator=("Ann", "")),
+            r"data.csv: columns are not used: 'temprature_C' \(did you mean 'temperature_C'\?\), 'operator'$",
+        ),
+        (BAR, "q1_deg,q2_deg,distance_mm,surface\n1,2,3,top\n", "column is not used: 'surface'"),
+        *(
+            (
+                arm,
+                "q1_deg,q2_deg,distance_mm,x_mm,y_mm,z_mm\n30,50,412.5,1,2,3\n",
+                rf"'x_mm'.*; \[instrument\] {arm.chain.instrument.kind} of the arm file reads no positions; for a tr",
+            )
+            for arm in (BAR, BALL, FACE)
+        ),
+        # a plan has the joints that it asks for: as contacts they fit what it was made with, to rounding
+        (BALL, "run,q1_deg,q2_deg\n1,30,50\n2,-90,7\n", "has the column run and no order, as a plan does"),
+    ],
+)
+def test_columns_that_mean_nothing_are_named_once(load: Load, arm: Arm | None, text: str, said: str) -> None:
+    with pytest.warns(UserWarning, match=said) as caught:
+        load(text, arm)
     assert len(caught) == 1
-    assert "data.csv: columns are not used: 'temprature_C' (did you mean 'temperature_C'?), 'operator'" in message
+    load("run,order,q1_deg,q2_deg\n1,1,30,50\n2,2,-90,7\n", BALL)  # warnings are errors
 
 
-BAD = [
-    ("q1_deg,q2_deg,x_mm,y_mm\n", ["no rows"]),
-    ("x_mm,y_mm\n1,2\n", ["'q1_deg' is missing"]),
-    ("q1,q2,x_mm,y_mm\n1,2,3,4\n", ["'q1_deg' is missing", "did you mean to rename 'q1'?", "allowed"]),
-    ("q1_deg,q3_deg,x_mm,y_mm\n1,2,3,4\n", ["'q2_deg' is missing"]),
-    ("q1_deg,q2_deg,x_mm,y\n1,2,3,4\n", ["'y_mm' is missing", "q2_deg, x_mm, y; did you mean to rename 'y'? allowed"]),
-    ("q1_deg,q1_rad,x_mm,y_mm\n1,2,3,4\n", ["both q1_deg and q1_rad", "allowed: one"]),
-    ("q1_deg,x_m,x_mm,y_mm\n1,2,3,4\n", ["both x_mm and x_m", "allowed: one"]),
-    (with_columns(sigma_mm=(1, 1), sigma_m=(1, 1)), ["both sigma_mm and sigma_m", "allowed: one"]),
-    (",".join(f"q{j}_deg" for j in range(1, 14)) + "\n" + "0," * 12 + "0\n", ["q13_deg", "allowed: q1_deg to q12_deg"]),
-    (PLAIN.replace("-3", "nan"), ["row 2 (line 3), column x_mm", "found 'nan'", "allowed: a finite length"]),
-    (with_columns(payload_kg=(0, -1)), ["row 2 (line 3), column payload_kg", "found '-1'", "allowed: a number >= 0"]),
-    (with_columns(sigma_mm=(0.1, 0)), ["row 2 (line 3), column sigma_mm", "found '0'", "allowed: a number > 0"]),
-    (with_columns(temperature_C=(-300, 0)), ["column temperature_C", "found '-300'", "allowed: a number >= -273.15"]),
-    (with_columns(direction1=(1, 1), direction2=(1, 0)), ["row 2 (line 3), column direction2", "'0'", "+1 or -1"]),
-    (
-        with_columns(direction1=(1, 1)),
-        ["'direction2' is missing", "direction1; allowed: a column of that name"],
+BAD = [  # arm, text, what is named
+    *(
+        (None, text, parts)
+        for text, parts in (
+            ("q1_deg,q2_deg,x_mm,y_mm\n", ["no rows"]),
+            ("x_mm,y_mm\n1,2\n", ["'q1_deg' is missing"]),
+            ("q1,q2,x_mm,y_mm\n1,2,3,4\n", ["'q1_deg' is missing", "did you mean to rename 'q1'?", "allowed"]),
+            ("q1_deg,q3_deg,x_mm,y_mm\n1,2,3,4\n", ["'q2_deg' is missing"]),
+            ("q1_deg,q2_deg,x_mm,y\n1,2,3,4\n", ["'y_mm' is missing", "q2_deg, x_mm, y; did you mean to rename 'y'?"]),
+            ("q1_deg,q1_rad,x_mm,y_mm\n1,2,3,4\n", ["both q1_deg and q1_rad", "allowed: one"]),
+            ("q1_deg,x_m,x_mm,y_mm\n1,2,3,4\n", ["both x_mm and x_m", "allowed: one"]),
+            (with_columns(sigma_mm=(1, 1), sigma_m=(1, 1)), ["both sigma_mm and sigma_m", "allowed: one"]),
+            (",".join(f"q{j}_deg" for j in range(1, 14)) + "\n" + "0," * 12 + "0\n", ["q13_deg", "q1_deg to q12_deg"]),
+            (PLAIN.replace("-3", "nan"), ["row 2 (line 3), column x_mm", "found 'nan'", "allowed: a finite length"]),
+            (with_columns(payload_kg=(0, -1)), ["row 2 (line 3), column payload_kg", "found '-1'", "a number >= 0"]),
+            (with_columns(sigma_mm=(0.1, 0)), ["row 2 (line 3), column sigma_mm", "found '0'", "a number > 0"]),
+            (with_columns(temperature_C=(-300, 0)), ["column temperature_C", "found '-300'", "a number >= -273.15"]),
+            (with_columns(direction1=(1, 1), direction2=(1, 0)), ["row 2 (line 3), column direction2", "'0'", "+1 or"]),
+            (
+                with_columns(direction1=(1, 1)),
+                ["'direction2' is missing", "direction1; allowed: a column"],
+            ),
+            (
+                with_columns(direction1=(1, 1), direction2=(1, 1), direction3=(1, 1)),
+                ["direction3", "allowed: direction1 to direction2"],
+            ),
+            ("PK\x03\x04\x14", ["found a spreadsheet", "save it as CSV"]),
+            (with_columns(posture=(1, 1.5)), ["row 2 (line 3), column posture", "found '1.5'", "a whole number"]),
+            (with_columns(order=(1, 2), time_s=(5, 4)), ["column time_s", "different orders", "allowed"]),
+        )
     ),
-    (
-        with_columns(direction1=(1, 1), direction2=(1, 1), direction3=(1, 1)),
-        ["direction3", "allowed: direction1 to direction2"],
+    *(
+        (SPATIAL, SLIDING.replace(old, new), [part])
+        for old, new, part in (
+            ("z_mm", "height_mm", "column 'z_mm' is missing, found: q1_deg, q2_mm, x_mm, y_mm, height_mm, marker"),
+            ("q2_mm", "q2_deg", "column 'q2_mm' is missing"),
+            ("marker", "q3_deg", "found column q3_deg, but the arm has 2 links, allowed: q1_deg to q2_mm"),
+            ("marker", "q2_m", "found both q2_mm and q2_m, allowed: one of them"),
+            ("side", "", "row 2 (line 3), column marker: found an empty cell, allowed: a name"),
+            (",6,", ",,", "row 2 (line 3), column z_mm: found an empty cell"),
+        )
     ),
-    ("PK\x03\x04\x14", ["found a spreadsheet", "save it as CSV"]),
-    (with_columns(posture=(1, 1.5)), ["row 2 (line 3), column posture", "found '1.5'", "allowed: a whole number"]),
-    (with_columns(order=(1, 2), time_s=(5, 4)), ["column time_s", "different orders", "allowed"]),
+    (BAR, "q1_deg,q2_deg,x_mm\n1,2,3\n", ["column 'distance_mm' is missing, found: q1_deg, q2_deg, x_mm"]),
+    (BAR, "q1_deg,q2_deg,distance_mm\n1,2,-3\n", ["(line 2), column distance_mm: found '-3', allowed: a number > 0"]),
+    (BAR, "q1_deg,q2_deg,distance_mm,distance_m\n1,2,3,4\n", ["found both distance_mm and distance_m"]),
+    (FACE, "q1_deg,q2_deg,surface\n1,2,\n", ["column surface: found an empty cell, allowed: a name"]),
 ]
 
 
-@pytest.mark.parametrize(("text", "parts"), BAD, ids=[" ".join(parts)[:50] for _, parts in BAD])
-def test_bad_input_gets_one_line(tmp_path: Path, text: str, parts: list[str]) -> None:
+@pytest.mark.parametrize(("arm", "text", "parts"), BAD, ids=[" ".join(parts)[:50] for *_, parts in BAD])
+def test_bad_input_gets_one_line(load: Load, arm: Arm | None, text: str, parts: list[str]) -> None:
     with pytest.raises(InputError) as caught:
-        load(tmp_path, text)
+        load(text, arm)
     message = str(caught.value)
     assert "\n" not in message
-    missing = [part for part in ["data.csv: ", *parts] if part not in message]
-    assert not missing, f"{missing} not in {message!r}"
+    assert [part for part in ["data.csv: ", *parts] if part not in message] == [], message
 
 
 EVERY = with_columns(
@@ -142,7 +208,7 @@ EVERY = with_columns(
 
 
 @pytest.mark.parametrize("column", EVERY.split("\n", 1)[0].split(","))
-def test_a_cell_that_cannot_be_names_row_line_and_column(tmp_path: Path, column: str) -> None:
+def test_a_cell_that_cannot_be_names_row_line_and_column(load: Load, column: str) -> None:
     """A word where a number belongs, nothing where something does; a direction may be unknown."""
     header, first, second = (line.split(",") for line in EVERY.splitlines())
     place = header.index(column)
@@ -151,10 +217,8 @@ def test_a_cell_that_cannot_be_names_row_line_and_column(tmp_path: Path, column:
             continue
         cells = [*second[:place], wrong, *second[place + 1 :]]
         with pytest.raises(InputError) as caught:
-            load(tmp_path, "\n".join(",".join(row) for row in (header, first, cells)) + "\n")
-        message = str(caught.value)
-        assert f"data.csv: row 2 (line 3), column {column}: {shown}, allowed: " in message
-        assert "\n" not in message
+            load("\n".join(",".join(row) for row in (header, first, cells)) + "\n")
+        assert f"data.csv: row 2 (line 3), column {column}: {shown}, allowed: " in str(caught.value)
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
@@ -185,23 +249,213 @@ def measured(draw: st.DrawFn) -> Measurements:
         directions=maybe(st.sampled_from([-1.0, 1.0]), n),
         sigma=maybe(st.floats(1e-9, 10)),
         repeats=maybe(st.integers(-100, 2**52), dtype=np.int64),
+        session=draw(st.none() | st.lists(st.sampled_from(["monday", "2", "a b"]), min_size=m, max_size=m)),
     )
 
 
-@given(measured())
-def test_round_trip(tmp_path_factory: pytest.TempPathFactory, data: Measurements) -> None:
-    path = tmp_path_factory.mktemp("data") / "data.csv"
-    path.write_text(measurement_text(data))
-    again = load_measurements(path, data.links)
+def assert_same(again: Measurements, data: Measurements) -> None:
     np.testing.assert_allclose(again.postures, data.postures, rtol=0, atol=1e-13)
     assert again.optional_columns == data.optional_columns
     for name in ("positions", *data.optional_columns):
         np.testing.assert_array_equal(getattr(again, name), getattr(data, name))
 
 
-@pytest.mark.skipif(not UR10.exists(), reason="the data set is not part of the repository")
-def test_real_measurements() -> None:
-    data = load_measurements(UR10, 3)
-    assert len(data) == 2773
-    assert data.optional_columns == {"order", "temperature"}
-    assert data_warnings(data, Arm([612.0, 572.3, 115.7])) == []
+@given(measured())
+@settings(max_examples=40)
+def test_files_and_frames_go_round(tmp_path_factory: pytest.TempPathFactory, data: Measurements) -> None:
+    path, frame = tmp_path_factory.mktemp("data") / "data.csv", data.to_frame()
+    path.write_text(measurement_text(data))
+    assert_same(load_measurements(path, data.links), data)
+    assert_same(Measurements.from_frame(frame), data)
+    assert_same(Measurements.from_frame(frame.to_dict(as_series=False)), data)
+    path.write_bytes(b"")
+    frame.write_parquet(path)
+    assert_same(load_measurements(path, data.links), data)
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(InputError, match="not a whole Parquet file, allowed: CSV or Parquet"):
+        load_measurements(path)
+
+
+def test_pandas_where_it_is_installed() -> None:
+    pandas, data = pytest.importorskip("pandas"), Measurements([[0.1, 0.2]], [[1.0, 2.0]], order=[3.0])
+    frame = data.to_frame("pandas")
+    assert isinstance(frame, pandas.DataFrame)
+    assert_same(Measurements.from_frame(frame), data)
+
+
+def test_frames_that_are_none() -> None:
+    frame = Measurements(np.zeros((3, 2)), np.ones((3, 2))).to_frame()
+    for value, said in ((None, "found an empty cell"), (float("inf"), "found 'inf'")):
+        spoilt = frame.with_columns(pl.Series("x_mm", [1.0, 2.0, value]))
+        with pytest.raises(InputError, match=f"frame: row 3, column x_mm: {said}"):
+            Measurements.from_frame(spoilt)
+    with pytest.raises(InputError, match="column 'y_mm' is missing"):
+        Measurements.from_frame(frame.drop("y_mm"))
+    for wrong, said in (
+        (3, "frame: int, allowed: a data frame"),
+        (frame.head(0), "there are no rows"),
+        ({"a": [1, 2], "b": [1]}, "columns of different lengths"),
+    ):
+        with pytest.raises(InputError, match=said):
+            table_of_frame(wrong)
+
+
+# -- arms in space, plans, targets -------------------------------------------------------------------------------------
+def test_positions_of_markers(load: Load) -> None:
+    data = load(SLIDING, SPATIAL)
+    np.testing.assert_allclose(data.postures, [[np.pi / 6.0, 50.0], [-np.pi / 2.0, 7.5]])
+    np.testing.assert_array_equal(data.positions, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    assert data.marker_names == ("top", "side")
+    assert_same(load(measurement_text(data, SPATIAL.joint_types), SPATIAL), data)
+
+
+def test_plans_and_targets(tmp_path: Path) -> None:
+    path, plan = tmp_path / "plan.csv", Plan(np.array([[0.5, 50.0], [-0.5, 20.0]]))
+    path.write_text(text := plan_text(plan, SPATIAL.joint_types))
+    assert text.startswith("run,q1_deg,q2_mm\n")
+    np.testing.assert_allclose(load_plan(path, SPATIAL.joint_types).postures, plan.postures)
+    positions = np.array([[1.0, 2.0, 3.0]])
+    text = commands_text(plan.postures[:1], positions, np.zeros(1), SPATIAL.joint_types)
+    assert text.startswith("q1_deg,q2_mm,x_mm,y_mm,z_mm,error_mm\n")
+    for content, postures in ((text.replace("error_mm", "run"), True), ("x_m,y_m,z_mm\n0.001,0.002,3\n", False)):
+        path.write_text(content)
+        found = load_targets(path, SPATIAL)
+        np.testing.assert_allclose(found.positions, positions)  # type: ignore[arg-type]
+        assert (found.postures is not None) is postures
+
+
+# -- orientations ------------------------------------------------------------------------------------------------------
+ANGLES = np.array([[10.0, -20.0, 30.0], [0.0, 45.0, 170.0]])
+
+
+def test_orientations(tmp_path: Path) -> None:
+    """By angles about own axes, and of a quarter turn about z by a quaternion, to three digits as some trackers do."""
+
+    def read(header: str, *rows: str) -> np.ndarray | None:
+        (tmp_path / "data.csv").write_text("\n".join([header, *rows]) + "\n")
+        return read_orientations(read_table(tmp_path / "data.csv"))
+
+    for unit, values in (("deg", ANGLES), ("rad", np.radians(ANGLES))):
+        found = read(f"rx_{unit},ry_{unit},rz_{unit}", *(",".join(map(repr, row)) for row in values.tolist()))
+        np.testing.assert_allclose(found, [from_own_axes(*row) for row in np.radians(ANGLES)], atol=1e-14)
+        np.testing.assert_allclose(np.column_stack([*angle_columns(found).values()]), ANGLES, atol=1e-11)
+    found = read("qw,qx,qy,qz", "0.707,0,0,0.707")
+    np.testing.assert_allclose(found, [[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]], atol=1e-12)
+    assert read("x_mm", "1") is None
+    for header, row, message in (
+        ("rx_deg,ry_deg", "1,2", "column 'rz_deg' is missing"),
+        ("rx_deg,ry_rad,rz_deg", "1,2,3", "found rx_deg, ry_rad, rz_deg, allowed: three angles of one unit"),
+        ("rx_deg,ry_deg,rz_deg,qw", "1,2,3,1", "allowed: three angles of one unit, or a quaternion"),
+        ("qw,qx,qy", "1,0,0", "column 'qz' is missing"),
+        ("qw,qx,qy,qz", "2,0,0,0", "row 1 (line 2), column qw..qz: found a quaternion of length 2, allowed: length 1"),
+        ("rx_deg,ry_deg,rz_deg", "1,,3", "row 1 (line 2), column ry_deg: found an empty cell, allowed: a finite angle"),
+    ):
+        with pytest.raises(InputError) as error:
+            read(header, row)
+        assert message in str(error.value)
+
+
+# -- instruments that read no positions --------------------------------------------------------------------------------
+@pytest.mark.parametrize("arm", [BAR, IN_PLANE], ids=["in space", "in the plane"])
+def test_distances(load: Load, arm: Arm) -> None:
+    data = load("q1_deg,q2_deg,distance_mm,session\n30,50,412.5,a\n-90,7,300,b\n", arm)
+    np.testing.assert_array_equal(data.positions, [[412.5], [300.0]])
+    assert data.sessions == ("a", "b")
+    assert data.marker_names == (() if arm is BAR else ("a", "b"))  # in the plane each with a center of its own
+    assert replace(load(measurement_text(data, None, arm.chain.instrument), arm), provenance=data.provenance) == data
+
+
+@pytest.mark.parametrize(("arm", "length"), [(BALL, 12.5), (FACE, 0.0)], ids=["sphere", "plane"])
+def test_contacts(load: Load, arm: Arm, length: float) -> None:
+    """Joints alone; every surface is a session of its own."""
+    data = load("q1_deg,q2_deg,surface\n30,50,left\n-90,7,top\n", arm)
+    np.testing.assert_array_equal(data.positions, [[length], [length]])
+    assert data.sessions == ("left", "top")
+    assert load("q1_deg,q2_deg,surface,session\n30,50,left,mon\n", arm).sessions == ("mon/left",)
+    assert load("q1_deg,q2_deg\n30,50\n", arm).session is None
+
+
+# -- rows struck out of a file -----------------------------------------------------------------------------------------
+M = 30
+Q = np.random.default_rng(41).integers(-4, 5, (M, 3)) * 0.25  # few values, so that joints often rest
+WHOLE = Measurements(Q, np.zeros((M, 2)), order=np.arange(1.0, M + 1.0))
+OUT = [4, 5, 11, 20]
+
+
+def struck(load: Load, out: list[int] = OUT) -> Measurements:
+    """Without some rows, as a user strikes them out of a file."""
+    lines = measurement_text(WHOLE).splitlines()
+    return load("\n".join(line for k, line in enumerate(lines) if k - 1 not in out))
+
+
+def test_directions_are_unknown_after_a_gap(load: Load) -> None:
+    """Sign of each joint's last motion as far as rows that follow each other show it, row after row."""
+    assert WHOLE.gaps is None
+    data = struck(load)
+    assert (np.flatnonzero(data.gaps) + 1).tolist() == [5, 10, 18]  # rows 7, 13 and 22 of the whole
+    signs = np.ones((M, 3))
+    for k in range(1, M):
+        step = np.sign(Q[k] - Q[k - 1])
+        signs[k] = 0.0 if k - 1 in OUT else np.where(step != 0.0, step, signs[k - 1])
+        signs[k] = np.where((step != 0.0) & (k - 1 not in OUT), step, signs[k])
+    found = data.conditions.directions
+    np.testing.assert_array_equal(found, np.delete(signs, OUT, axis=0))
+    moved = found != 0.0
+    assert moved.mean() > 0.8
+    np.testing.assert_array_equal(found[moved], np.delete(WHOLE.conditions.directions, OUT, axis=0)[moved])
+
+
+def test_what_joints_remember_begins_again_after_a_gap(load: Load) -> None:
+    data = struck(load)
+    past, later = np.asarray(data.conditions.past), data.rows(slice(17, None))
+    np.testing.assert_array_equal(past[17:], replace(later, directions=None, past=None).conditions.past)
+    np.testing.assert_array_equal(past[17], np.repeat(data.postures[17][:, None], past.shape[2], axis=1))
+
+
+def test_files_with_gaps_go_round(load: Load) -> None:
+    data = struck(load)
+    assert "time_s" not in measurement_text(data)
+    np.testing.assert_array_equal(load(measurement_text(data)).conditions.directions, data.conditions.directions)
+    some = data.rows([3, 5, 9])  # with directions of their own, unknown ones among them
+    for again in (load(measurement_text(some)), Measurements.from_frame(some.to_frame())):
+        np.testing.assert_array_equal(again.conditions.directions, some.conditions.directions)
+    assert 0.0 in some.conditions.directions
+    stamps = replace(WHOLE, order=10.0 * np.arange(M))  # seconds, in whole numbers
+    assert load(measurement_text(stamps)).gaps is None
+    both = load(measurement_text(replace(stamps, gaps=np.arange(M) == 7)))
+    np.testing.assert_array_equal(np.flatnonzero(both.gaps), [7])
+    np.testing.assert_array_equal(both.order, stamps.order)
+
+
+def test_gaps_are_those_of_each_session(load: Load) -> None:
+    """Each session counts on where another stopped, or from its own beginning: neither is a gap."""
+    two = replace(WHOLE, session=np.array(["b"] * 12 + ["a"] * 18))
+    for order in (two.order, np.r_[np.arange(12.0), np.arange(18.0)]):
+        assert load(measurement_text(replace(two, order=order))).gaps is None
+    together = pooled_sessions({"whole": WHOLE, "struck": struck(load)})
+    assert (np.flatnonzero(together.gaps) + 1).tolist() == [M + 5, M + 10, M + 18]
+
+
+def test_numbers_that_are_left_out_nearly_everywhere_do_not_count(load: Load) -> None:
+    """Every second row, by frame numbers of the instrument: the row before is the one before."""
+    thinned = struck(load, list(range(1, M, 2)))
+    assert thinned.gaps is None
+    alone = replace(thinned, order=None)
+    np.testing.assert_array_equal(thinned.conditions.directions, alone.conditions.directions)
+    assert struck(load, [k for k in range(1, M) if k % 4 == 1]).gaps is not None  # 7 of 22 rows: these count
+
+
+def test_effects_that_need_the_row_before_are_not_looked_for_without_it() -> None:
+    thinned = replace(WHOLE.rows(slice(None, None, 2)), directions=None, past=None, gaps=np.r_[0.0, np.ones(14)])
+    assert not thinned.conditions.follow
+    needs = {*entry("backlash").needs, *entry("joint_hysteresis").needs}
+    assert given_by(WHOLE) >= needs
+    assert not given_by(thinned) & needs
+    (note,) = gap_notes(thinned)
+    assert note.startswith("before 14 of 15 rows numbers of order are left out")
+    assert gap_notes(WHOLE) == []
+
+
+def test_a_file_may_say_that_a_direction_is_unknown(load: Load) -> None:
+    data = load("q1_deg,x_mm,y_mm,direction1\n1,2,3,\n4,5,6,-1\n")
+    assert data.conditions.directions.tolist() == [[0.0], [-1.0]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import datetime
+import json
 import shutil
 import tomllib
 from collections.abc import Iterator
@@ -101,6 +102,19 @@ def test_a_number_that_is_none_or_text_or_true(tables: dict[str, Any], tmp_path:
             assert message.startswith(f"{dotted(path)}: found {shown}, allowed: "), message
 
 
+FREE = {"effects", "values", "covariance", "length_errors_mm", "joint_offsets_deg", "provenance"}  # and of points:
+FREE |= {"center_mm", "tracker_mm", "toward_mm", "start_mm", "end_mm", "facing", "normal", "range_mm"}
+
+
+def test_a_number_that_nothing_is(tables: dict[str, Any], tmp_path: Path) -> None:
+    """Far below all that there is; but values of parameters, and places beside which the arm moves."""
+    for path in places(tables):
+        kind = type(at(tables, path))
+        if kind in (int, float) and not FREE & {*path} and (path[0] != "constraints" or path[-1] == "radius_mm"):
+            message = refused(tables, tmp_path, path, kind(-1e12))
+            assert message.startswith(dotted(path)) or path[0] == "joints", message
+
+
 def test_a_misspelt_key(tables: dict[str, Any], tmp_path: Path) -> None:
     for path in places(tables):
         if isinstance(path[-1], str) and path[-2:-1] not in NAMED and path[0::2] != ("effects", "joint"):
@@ -130,3 +144,4 @@ def test_editors_accept_what_is_read_and_no_key_of_another_kind_of_arm(tables: d
     for key in other - set(schema["properties"]):
         assert not validator.is_valid({**tables, key: "x"})
     assert not validator.is_valid({**tables, "constraints": [{"kind": "keep_out_cone"}]})
+    assert '"of"' not in json.dumps(schema)

@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations, product
+from random import Random
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.special import logsumexp, softmax, zeta
+from scipy.stats import norm
 
+from identification.arrays import Array
 from identification.gap import search as search_module
 from identification.gap.blocks import Block
 from identification.gap.likelihood import SIZES, Products
-from identification.gap.search import REST_ODDS, TAIL, WRONG, Search, Weighed, log_odds_of_count
+from identification.gap.search import (
+    REST_ODDS,
+    SPREAD,
+    STRAY,
+    TAIL,
+    WRONG,
+    Search,
+    Weighed,
+    log_odds_of_count,
+    log_odds_of_sizes,
+)
 from tests.identification.gap.test_likelihood import products_of
 
 WIDTHS = (1, 2, 1, 1, 2, 1, 1, 3)
@@ -39,15 +55,31 @@ def products(seed: int, sizes: dict[int, float]) -> Products:
     return products_of(z, y, 36, STARTS, np.zeros(COUNT, dtype=bool), np.full(COUNT, SIZES_OF_EACH))
 
 
+def around() -> Array:
+    """(S, S) chance of each size, by column, around each common one."""
+    near = norm.pdf(*np.meshgrid(np.arange(len(SIZES)), np.arange(len(SIZES))), SPREAD)
+    return np.asarray((1.0 - STRAY) * near / near.sum(axis=1, keepdims=True) + STRAY / len(SIZES))
+
+
+CHANCES = around()
+
+
+def log_of_sizes(sizes: Sequence[int]) -> float:
+    """Log probability of sizes around a common one, that is any with equal probability."""
+    return float(np.log(np.mean(np.prod(CHANCES[:, list(sizes)], axis=1))))
+
+
 def exact(search: Search) -> dict[tuple[int, ...], float]:
     """Probability of every set, of all combinations of sizes."""
     odds = {}
     for blocks in (b for k in range(COUNT + 1) for b in combinations(range(COUNT), k)):
         if np.isfinite(prior := search.log_prior(blocks)):
-            each = product(range(SIZES_OF_EACH), repeat=len(blocks))
-            states = (search.products.state(list(zip(blocks, sizes, strict=True))) for sizes in each)
-            ratios = [state.ratio for state in states]
-            odds[blocks] = prior + logsumexp(ratios) - len(blocks) * np.log(SIZES_OF_EACH)
+            ratios = []
+            for sizes in product(range(SIZES_OF_EACH), repeat=len(blocks)):
+                alike = [size for b, size in zip(blocks, sizes, strict=True) if search.counted[b]]
+                of_sizes = log_of_sizes(alike) - (len(blocks) - len(alike)) * np.log(SIZES_OF_EACH)
+                ratios.append(search.products.state(list(zip(blocks, sizes, strict=True))).ratio + of_sizes)
+            odds[blocks] = prior + logsumexp(ratios)
     total = logsumexp(list(odds.values()))
     return {blocks: float(np.exp(o - total)) for blocks, o in odds.items()}
 
@@ -75,8 +107,8 @@ def test_a_walk_finds_the_probabilities_of_all_sets(seed: int, sizes: dict[int, 
 
 def test_a_walk_keeps_to_what_may_be_together() -> None:
     """Blocks 0 and 2 are one, 5 shows through 1 only."""
-    given = products(5, {0: 10.0, 1: 12.0, 7: 12.0})
-    search = Search(given, BLOCKS)
+    these = products(5, {0: 10.0, 1: 12.0, 7: 12.0})
+    search = Search(these, BLOCKS)
     search.apart, search.needy, search.givers = {(0, 2)}, {5}, {1}
     sets = search.walk(search.climb(), np.random.default_rng(1))[0]
     assert not any({0, 2} <= set(blocks_of(one)) for one in sets)
@@ -115,21 +147,31 @@ def test_the_prior_is_that_of_drawing_blocks() -> None:
     assert search.log_prior((2, 6, 7)) == pytest.approx(one[2] + np.log(WRONG) + np.log(REST_ODDS))
 
 
+@given(st.lists(st.integers(0, len(SIZES) - 1), max_size=8), st.randoms(use_true_random=False))
+def test_sizes_are_exchangeable(sizes: list[int], random: Random) -> None:
+    """In whatever order effects are seen, what each tells of the next one makes up what is likely of all."""
+    random.shuffle(sizes)
+    one_by_one = sum(log_odds_of_sizes(sizes[:k])[1][size] for k, size in enumerate(sizes))
+    assert log_odds_of_sizes(sizes)[0] == pytest.approx(one_by_one, abs=1e-9)
+    assert log_odds_of_sizes(sizes)[0] == pytest.approx(log_of_sizes(sizes), abs=1e-9)
+    assert np.exp(log_odds_of_sizes(sizes)[1]).sum() == pytest.approx(1.0)
+
+
 def test_two_blocks_that_hide_each_other_are_found() -> None:
     rng = np.random.default_rng(6)
     z = rng.normal(size=(60, 12)) / np.sqrt(60.0)
     z[:, 1] = -0.97 * z[:, 0] + 0.24 * z[:, 1]
     y = rng.normal(size=60) + 40.0 * (z[:, 0] + z[:, 1])
-    given = products_of(z, y, 56, np.arange(13), np.zeros(12, dtype=bool), np.full(12, len(SIZES)))
-    search = Search(given, [Block(f"{k}", "time", 1.0) for k in range(12)])
+    these = products_of(z, y, 56, np.arange(13), np.zeros(12, dtype=bool), np.full(12, len(SIZES)))
+    search = Search(these, [Block(f"{k}", "time", 1.0) for k in range(12)])
     assert search.climb().blocks == (0, 1)
-    assert search.walk(search.climb(), np.random.default_rng(1))[0][0][0] == search.climb().key
+    assert blocks_of(search.walk(search.climb(), np.random.default_rng(1))[0][0]) == (0, 1)
 
 
 def test_the_climb_ends_where_rows_are_fitted_exactly() -> None:
     """Without noise every further block makes what is left smaller, in the ratio of rounding."""
     rng = np.random.default_rng(7)
     z = rng.normal(size=(12, 40)) / np.sqrt(12.0)
-    given = products_of(z, z[:, :3] @ [40.0, -30.0, 20.0], 9, np.arange(41), np.zeros(40, dtype=bool), np.full(40, 14))
-    search = Search(given, [Block(f"{k}", "time", 1.0) for k in range(40)])
+    these = products_of(z, z[:, :3] @ [40.0, -30.0, 20.0], 9, np.arange(41), np.zeros(40, dtype=bool), np.full(40, 14))
+    search = Search(these, [Block(f"{k}", "time", 1.0) for k in range(40)])
     assert len(search.climb().blocks) <= 9

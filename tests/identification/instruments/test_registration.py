@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.instruments.registration import placed, registered
+from identification.instruments.search import Unplaced, placed, registered
 from identification.kinematics.frames import pose
 
 
@@ -21,7 +21,7 @@ def test_found_again_from_nothing(seed: int) -> None:
     sigma = 0.05
     measured = (frames[:, :3, :3] @ tool + frames[:, :3, 3]) @ base[:3, :3].T + base[:3, 3]
     measured += sigma * generator.standard_normal(measured.shape)
-    found = placed(frames, measured, 1000.0)
+    found = placed(Unplaced(frames, measured, 1000.0))
     # 40 points of three coordinates, 9 unknowns: of a mean each deviation is sigma times a few over sqrt(40)
     np.testing.assert_allclose(found.tool, tool, atol=10.0 * sigma / np.sqrt(40.0) * 2.0)
     np.testing.assert_allclose(found.base[:3, 3], base[:3, 3], atol=10.0 * sigma / np.sqrt(40.0) * 2.0)

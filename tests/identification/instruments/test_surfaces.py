@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.instruments import Distance, Instrument, Plane, Sphere, Unplaced, surfaces
+from identification.instruments import Distance, Instrument, Plane, Sphere, Unplaced, search
+from identification.instruments.library import PATIENCE
 from tests.identification.exponentials import Exponentials
 
 TOOL = np.array([60.0, -40.0, 120.0])
@@ -97,9 +98,9 @@ def test_what_no_surface_explains_is_given_up_early(
     frames: np.ndarray, instrument: Instrument, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Random poses touch nothing: a bound far below what is left ends the search, one above it changes nothing."""
-    steps = []
-    step = surfaces.CenterStarts.step
-    monkeypatch.setattr(surfaces.CenterStarts, "step", lambda *words: steps.append(1) or step(*words))
+    steps: list[int] = []
+    moved = search.Starts.moved
+    monkeypatch.setattr(search.Starts, "moved", lambda *words: steps.append(1) or moved(*words))
     lengths = np.zeros(40)
     exact = instrument.place(Unplaced(frames, lengths[:, None], REACH))
     followed = len(steps)
@@ -108,5 +109,5 @@ def test_what_no_surface_explains_is_given_up_early(
     steps.clear()
     rough = instrument.place(Unplaced(frames, lengths[:, None], REACH, hopeless=0.1 * exact.rms))
     surfaces_tried = 2 if instrument.parameters else 1  # of known radii first
-    assert len(steps) <= surfaces_tried * surfaces.FIRST < followed
+    assert len(steps) <= surfaces_tried * (PATIENCE + 1) < followed
     assert rough.rms > 0.1 * exact.rms

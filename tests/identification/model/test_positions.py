@@ -10,7 +10,7 @@ import pytest
 from identification.arm import Arm, Calibration
 from identification.errors import InputError
 from identification.instruments import Distance
-from identification.instruments.registration import registered
+from identification.instruments.search import registered
 from identification.kinematics.frames import pose
 from identification.model import Model
 from identification.model.placed import in_own_frame, of_positions, tip_jacobian

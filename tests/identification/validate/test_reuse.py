@@ -207,7 +207,7 @@ def test_heights_of_base_and_reflector_that_only_the_tilts_of_parallel_axes_tell
     def squares(share: float) -> float:
         values = dict(zip(names, found.parameters + share * found.covariance[z] / found.std[z], strict=True))
         points = [tip_by_exponentials(placed, q, values, placed.tools["1"]) for q in after.postures]
-        off = np.array([values[name] for name in prior.names]) - prior.values
+        off = np.array([values[name] - prior.values[name] for name in prior.parameter_names])
         left = np.sum((after.positions - points) ** 2) / found.scatter**2
         return float(left + off @ np.linalg.solve(prior.covariance, off))
 

@@ -1,0 +1,531 @@
+"""The instruments: a tracker, distances from a center in space and in the plane, a probe on balls and planes, cups.
+
+    |p_i + R_i t - c| = d_i,    n . (p_i + R_i t) - h = z_i
+
+For a given measured point t the sphere about c is linear in c and |c|^2 (algebraic fit), and the plane in n and h
+(total least squares): these are the starts of the search for both (identification/instruments/search.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.information import RANK_TOLERANCE
+from identification.instruments.base import PLACE, Coordinate, Guide, Instrument, OwnValue, register_instrument
+from identification.instruments.search import Placement, Starts, Unplaced, followed, placed, searched
+from identification.kinematics.frames import from_own_axes, pose, rotation_about
+from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, error_names
+
+RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say it
+# rounds, after which the best start of 99 of 100 wrong readings leaves at most 1.5 times what its end leaves
+PATIENCE = 3
+RADII = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
+STEP = 1e-5  # [rad] of a difference quotient
+STEPS = 4  # effort: of Newton's method for coordinates that follow from distances
+TOUCHES = 1e-6  # [mm] by which these are kept
+DISTINCT = 1e-6  # share of the largest derivative below which a distance says nothing new
+TURNS = frozenset(error_names(PLACE)[3:])
+
+
+@dataclass(frozen=True)
+class Tracker(Instrument):
+    """A laser tracker, a camera system, a coordinate measuring machine: positions of one or several reflectors in the
+    frame of the instrument, in the plane the first two coordinates, or the pose of a measured frame."""
+
+    coordinates = tuple(Coordinate(axis) for axis in AXES)
+    reads_positions = True
+
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        return point
+
+    def place(self, rows: Unplaced) -> Placement:
+        return placed(rows)
+
+
+TRACKER = Tracker()
+
+
+def distance_to_center(point: ca.SX) -> ca.SX:
+    """[mm] of a point (3,) from the origin."""
+    return ca.sqrt(ca.sumsqr(point) + 1e-9**2)  # a point this near [mm] has no direction from there
+
+
+@register_instrument
+@dataclass(frozen=True)
+class Distance(Instrument):
+    """Its frame has the origin at the center; how that frame is turned no distance shows."""
+
+    kind = "distance"
+    keys = frozenset({"center_mm"})
+    coordinates: ClassVar[tuple[Coordinate, ...]] = (Coordinate("distance", positive=True),)
+    offers = frozenset({"distance"})
+    hides = TURNS
+    guide = Guide(
+        about="a ball bar, a draw wire, a laser distance: how far the measured point is from a fixed center",
+        table='kind = "distance"\n'
+        "center_mm = [700.0, 0.0, 300.0]  # EXAMPLE: about where the center is, in the frame of the base: plans are "
+        "made for it",
+        reads="distance",
+        stands="center",
+    )
+
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        return distance_to_center(point)
+
+    def place(self, rows: Unplaced) -> Placement:
+        """What the lengths leave open of the base is along the arm's own axes."""
+        starts = _about_centers(rows, rows.readings[:, 0])
+        return searched(self, rows, starts, slice(0, 3), PATIENCE)
+
+
+def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
+    """Algebraic fits of lengths (m,): |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points."""
+    if rows.base is not None:
+        return Starts.of(rows.base[:3, :3], rows.base[:3, 3], rows.tools, np.zeros(0))
+    points = rows.points(rows.tools)
+    middle = points.mean(axis=1, keepdims=True)
+    around = (points - middle) / rows.reach
+    columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
+    goals = np.sum(around**2, axis=2) - (lengths / rows.reach) ** 2
+    solved = [np.linalg.lstsq(a, b, rcond=RANK_TOLERANCE)[0] for a, b in zip(columns, goals, strict=True)]
+    centers = middle[:, 0] + rows.reach * np.array(solved)[:, :3]
+    return Starts.of(np.eye(3), -centers, rows.tools, np.zeros(0))
+
+
+@register_instrument
+@dataclass(frozen=True)
+class Sphere(Distance):
+    """A touch probe on a ball, wherever that stands. Its frame has the origin at the center of the ball.
+
+    radius : [mm] of ball and stylus tip together; None: a parameter, and read are heights above the surface
+    """
+
+    kind = "sphere"
+    keys = frozenset({"center_mm", "radius_mm"})
+    coordinates = ()
+    target = "surface"
+    offers = frozenset()
+    guide = Guide(
+        about="a touch probe: the measured point is on a ball, wherever that stands",
+        table='kind = "sphere"\n'
+        "radius_mm = 15.0  # EXAMPLE: of the ball and of the stylus' tip, together; left out: unknown, found from the "
+        "data",
+        reads="touch",
+        stands="ball",
+        labels="ball that is touched, a new one wherever it is moved",
+        touches="a ball in two places or more",
+    )
+
+    radius: float | None = None
+
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        return distance_to_center(point) - (values[0] if self.radius is None else 0.0)
+
+    @property
+    def touched(self) -> float:
+        return self.radius or 0.0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter(RADIUS, "mm", kind=PLACE),) if self.radius is None else ()
+
+    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
+        for value in super().own_values(values):
+            text = "of ball and stylus tip together; known as well as the size of the arm"
+            yield value._replace(name="sphere radius", convention=text)
+
+    def unknown(self, values: Mapping[str, float]) -> str:
+        return "radius_mm" if self.radius is None and values.get(RADIUS, 0.0) <= 0.0 else ""
+
+    @property
+    def size_is_open(self) -> tuple[str, str]:
+        return ("contacts with spheres of unknown radius", "give radius_mm") if self.radius is None else ("", "")
+
+    def place(self, rows: Unplaced) -> Placement:
+        """From far away an unknown radius would grow without end, with a tool as long: its starts are what fits of some
+        known radii end at. Readings may then be any constant: they are heights above the ball."""
+        if self.radius is not None:
+            return super().place(rows)
+        rows = rows._replace(readings=np.zeros((len(rows.frames), 1)))
+        one = _about_centers(rows, np.zeros(len(rows.frames)))  # the algebraic fits are those of any radius
+        turns, shifts, tools = (np.concatenate([part] * len(RADII)) for part in one[:3])
+        starts = Starts(turns, shifts, tools, np.repeat(RADII * rows.reach, len(one.tools))[:, None])
+        # effort: the radius is not right
+        starts, squares = followed(self, rows, starts, slice(0, 3), PATIENCE, rounds=10, hold=1)
+        best = np.argmin(squares.reshape(len(RADII), -1), axis=1) + len(one.tools) * np.arange(len(RADII))
+        return searched(self, rows, Starts(*(part[best] for part in starts)), slice(0, 3), PATIENCE)
+
+    def settled(self, starts: Array, residuals: Callable[[Array], Array], own: list[int]) -> tuple[Array, list[int]]:
+        """An unknown radius is the mean distance from the center. An arm that shrinks with its sphere would explain any
+        residual to first order, since heights above the sphere are homogeneous in all lengths, so the radius is held
+        first; where nothing but noise is left, the arm explains no more than that."""
+        starts[:, own] -= residuals(starts).mean(axis=(1, 2))[:, None]
+        return starts, own
+
+    @classmethod
+    def of_table(cls, table: Mapping[str, Any]) -> Sphere:
+        return cls(table.get("radius_mm"))
+
+    def table(self) -> dict[str, Any]:
+        return super().table() | ({} if self.radius is None else {"radius_mm": float(self.radius)})
+
+
+@register_instrument
+@dataclass(frozen=True)
+class Plane(Instrument):
+    """A touch probe on planes: the measured point is on a plane, or always off it by the same.
+
+    The z axis of its frame is the normal of the plane: read is the height above; shifts along the plane and turns about
+    its normal no contact shows.
+    """
+
+    kind = "plane"
+    keys = frozenset({"center_mm", "normal"})
+    target = "surface"
+    size_is_open = "contacts with planes", "only [machining] tells"
+    guide = Guide(
+        about="a touch probe: the measured point is on a plane, wherever that lies",
+        table='kind = "plane"',
+        reads="touch",
+        stands="plane",
+        labels="plane that is touched",
+        touches="three planes or more\nthat lean differently",
+    )
+
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        return point[2]
+
+    def hidden(self, base: Array) -> frozenset[str]:
+        """The turn about that axis of the base that is nearest to the normal stands for the turn about the normal."""
+        return frozenset({"base.x", "base.y", error_names(PLACE)[3 + int(np.argmax(np.abs(base[2, :3])))]})
+
+    def between(self, first: Array, base: Array) -> tuple[dict[str, float], frozenset[str]]:
+        """A plane does not show how the base is turned about the normal: of such turns that is taken which lets two of
+        the three rotations tilt the normal best."""
+
+        def tilting(choice: tuple[dict[str, float], str]) -> float:
+            """How far two of the rotations, without that about the axis held, tilt a normal in the direction they tilt
+            it least [1]."""
+            rotation, held = choice
+            turn, steps = np.array([rotation[f"w{axis}"] for axis in AXES]), STEP * np.eye(3)
+            free = [k for k in range(3) if AXES[k] != held]
+            ends = [[first[2, :3] @ from_own_axes(*(turn + sign * steps[k])) for sign in (1.0, -1.0)] for k in free]
+            return float(np.linalg.svd([(up - down) / (2.0 * STEP) for up, down in ends], compute_uv=False)[-1])
+
+        angles = np.arange(0.0, np.pi, np.pi / 6.0)
+        spun = [pose(rotation=rotation_about([0.0, 0.0, 1.0], angle)) @ base for angle in angles]
+        moved = (super(Plane, self).between(first, one)[0] for one in spun)
+        movement, about = max(((movement, about) for movement in moved for about in AXES), key=tilting)
+        return movement, frozenset({"x", "y", f"w{about}"})
+
+    def place(self, rows: Unplaced) -> Placement:
+        """Its z axis the normal, its origin in the middle of the points, its x axis near one of the arm's."""
+        if rows.base is not None:
+            starts = Starts.of(rows.base[:3, :3], rows.base[:3, 3], rows.tools, np.zeros(0))
+            return searched(self, rows, starts, patience=PATIENCE)
+        bases = []
+        for points in rows.points(rows.tools):
+            about = points - points.mean(axis=0)
+            normal = np.linalg.eigh(about.T @ about)[1][:, 0]  # of the least scatter; of few points any
+            bases.append(_standing_above(points, normal, normal @ points.mean(axis=0)))
+        turns, shifts = np.array(bases)[:, :3, :3], np.array(bases)[:, :3, 3]
+        found = searched(self, rows, Starts.of(turns, shifts, rows.tools, np.zeros(0)), slice(2, 5), PATIENCE)
+        points = rows.points(found.tool[None])[0]
+        return found._replace(base=_standing_above(points, found.base[2, :3], -found.base[2, 3]))
+
+
+def _standing_above(points: Array, normal: Array, height: float) -> Array:
+    """(4, 4) base, in the frame of a plane, of an arm above it;  points : (m, 3) in the frame of the base"""
+    if height > 0.0:
+        normal, height = -normal, -height
+    along = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    along = along - normal * (normal @ along)
+    along /= np.linalg.norm(along)
+    axes = np.array([along, np.cross(normal, along), normal])
+    middle = axes @ points.mean(axis=0)
+    return pose([-middle[0], -middle[1], -height], axes)
+
+
+@register_instrument
+@dataclass(frozen=True)
+class PlanarDistance(Instrument):
+    """A ball bar or a draw wire beside a planar arm: how far the tip is from a fixed center in the plane.
+
+    The frame is that of the base, and the centers, one for each session, are parameters in it. A turn of arm and
+    centers together no distance shows: the offset of joint 1 is not estimated.
+
+    centers : names and places (2,) [mm] in the frame of the base, about, where fits start; empty: not known yet
+    numbers : of the centers, by which rows name them, from 0; empty: in order
+    """
+
+    kind = "distance"
+    axes = "xy"
+    keys = frozenset({"center_mm"})
+    coordinates = Distance.coordinates
+    own_targets = "center"
+    hides = frozenset({f"{JOINT_OFFSET}:1"})
+
+    centers: tuple[tuple[str, tuple[float, float]], ...] = ()
+    numbers: tuple[int, ...] = ()
+
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        center = values[:2] if self.centers else ca.SX.zeros(2)
+        for k, number in enumerate(self.numbers):
+            center = ca.if_else(target == number, values[2 * k : 2 * k + 2], center)
+        return distance_to_center(point - center)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"center[{name}].{axis}", "mm", kind=PLACE, start=start)
+            for name, place in self.centers
+            for axis, start in zip(self.axes, place, strict=True)
+        )
+
+    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
+        for value in super().own_values(values):
+            name = f"center {value.name.removeprefix('center[').replace(']', '').replace('.', ' ')}"
+            yield value._replace(name=name, convention="of the distances, in the frame of the base")
+
+    @property
+    def targets(self) -> dict[str, Array]:
+        return {name: np.array(place) for name, place in self.centers}
+
+    def place(self, rows: Unplaced) -> Placement:
+        """The center alone is to be found, and is the origin of the base that is found."""
+        return Distance().place(rows._replace(base=None, tool=np.zeros(3)))
+
+    def with_targets(
+        self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]
+    ) -> PlanarDistance:
+        """With the center that explains the distances of each best."""
+        reach, measured, centers = float(np.abs(points).max()), np.unique(numbers).tolist(), []
+        for number in measured:
+            chosen = numbers == number
+            frames = np.array([pose((*point, 0.0)) for point in points[chosen]])
+            x, y, _ = (-self.place(Unplaced(frames, readings[chosen], reach)).base[:3, 3]).tolist()
+            centers.append((names[number], (x, y)))
+        return replace(self, centers=tuple(centers), numbers=tuple(measured))
+
+    @classmethod
+    def of_table(cls, table: Mapping[str, Any]) -> PlanarDistance:
+        if (center := table.get("center_mm")) is None:
+            return cls()
+        x, y = (float(coordinate) for coordinate in center)
+        return cls((("1", (x, y)),))
+
+    def table(self) -> dict[str, Any]:
+        places = [list(place) for _, place in self.centers]
+        return super().table() | ({"center_mm": places[0]} if places else {})
+
+
+@register_instrument
+@dataclass(frozen=True)
+class Socket(Instrument):
+    """A ball at the tool that is seated in fixed cups, each in several orientations: nothing is read but the joints.
+
+        p(q_i) = c_k    for all rows i in cup k
+
+    The frame is that of the base, which no row places: so neither a motion of arm and cups together, nor a turn about
+    the line through two cups, is a parameter. Where the cups are is found with the arm; distances between them that are
+    known (a bar with two cups, a plate) give the arm its size, and tie coordinates of the cups:
+
+        |c_a - c_b| = d
+
+    Of the coordinates, as many as there are independent distances follow from the others, by a few steps of Newton's
+    method with the derivative at the start, which is near: each gains two digits or more where cups are found to some
+    mm. Read is where the ball is from the cup of the row, nothing as measured.
+
+    cups : names and places (3,) [mm] in the frame of the base, about, where fits start; empty: not known yet
+    distances : pairs of cups and what is known between their centers [mm]
+    numbers : of the cups, by which rows name them, from 0; empty: in order
+    """
+
+    kind = "socket"
+    keys = frozenset({"cups", "distances_mm"})
+    target = "cup"
+    own_targets = "cup"
+    unsaid = -1.0
+    hides = frozenset(error_names(PLACE))
+    guide = Guide(
+        about="a ball at the tool, seated in cups that stand anywhere",
+        table='kind = "socket"\n'
+        'distances_mm = [["A", "B", 300.0]]  # EXAMPLE: between centers; left out: only [machining] tells the size\n'
+        "\n[instrument.cups]  # EXAMPLE: about where, in the frame of the base: plans are made for them\n"
+        "A = [600.0, -150.0, 100.0]\nB = [600.0, 150.0, 100.0]",
+        reads="seating",
+        stands="cup",
+        labels="cup in which the ball is seated, a new one wherever it is moved",
+        touches="three cups or more, each in five\norientations or more",
+    )
+
+    cups: tuple[tuple[str, tuple[float, float, float]], ...] = ()
+    distances: tuple[tuple[str, str, float], ...] = ()
+    numbers: tuple[int, ...] = ()
+
+    @property
+    def dimension(self) -> int:
+        return len(AXES)
+
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        """From the cup of this number; where there is none from the nearest."""
+        if not self.cups:
+            return point
+        places = ca.reshape(self._places(values), 3, -1)
+        beside = [point - places[:, k] for k in range(len(self.cups))]
+        chosen, least = beside[0], ca.sumsqr(beside[0])
+        for other in beside[1:]:
+            chosen, least = ca.if_else(ca.sumsqr(other) < least, other, chosen), ca.fmin(least, ca.sumsqr(other))
+        for number, one in zip(self._numbers, beside, strict=True):
+            chosen = ca.if_else(target == number, one, chosen)
+        return chosen
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"cup[{name}].{axis}", "mm", kind=PLACE, start=float(self._starts[3 * k + i]))
+            for k, (name, _) in enumerate(self.cups)
+            for i, axis in enumerate(AXES)
+            if 3 * k + i not in self._following
+        )
+
+    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
+        """Where the cups are, and how far apart."""
+        if not self.cups:
+            return
+        names = [parameter.name for parameter in self.parameters]
+        symbols = ca.SX.sym("v", len(names))
+        places = self._places(symbols)
+        centers = [places[3 * k : 3 * k + 3] for k in range(len(self.cups))]
+        labels = [f"cup {name} {axis}" for name, _ in self.cups for axis in AXES]
+        labels += [f"cups {a} to {b}" for (a, _), (b, _) in combinations(self.cups, 2)]
+        lengths = (ca.norm_2(one - other) for one, other in combinations(centers, 2))
+        table = ca.vertcat(places, *lengths)
+        function = ca.Function("cups", [symbols], [table, ca.jacobian(table, symbols)])
+        found, slopes = function([values.get(p.name, p.neutral) for p in self.parameters])
+        for label, value, row in zip(labels, np.array(found).ravel().tolist(), np.array(ca.DM(slopes)), strict=True):
+            by_name = {name: float(slope) for name, slope in zip(names, row, strict=True) if slope}
+            yield OwnValue(label, None, value, by_name, "mm", "center of the ball in the cup, in the frame of the base")
+
+    @property
+    def size_is_open(self) -> tuple[str, str]:
+        known = self._pairs[0] if self.cups else self.distances  # between these cups, of all that are given
+        return ("", "") if known else ("cups without a distance that is known", "give distances_mm between them")
+
+    def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
+        """Of a cup nothing is known but its center."""
+        return np.ones(len(points), dtype=bool)
+
+    # -- where a fit starts --------------------------------------------------------------------------------------------
+    def place(self, rows: Unplaced) -> Placement:
+        """Of rows in one cup: the point of the tip that moves least, in closed form."""
+        frames, tool = rows.frames, rows.tool
+        positions, turns = frames[:, :3, 3] - frames[:, :3, 3].mean(axis=0), frames[:, :3, :3]
+        turns = turns - turns.mean(axis=0)
+        if tool is None:
+            tool = -np.linalg.lstsq(turns.reshape(-1, 3), positions.ravel(), rcond=1e-6)[0]
+        moved = positions + turns @ tool
+        return Placement(np.eye(4), tool, float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))))
+
+    def with_targets(self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Socket:
+        """With a cup in the middle of the points of each."""
+        touched = np.unique(numbers).tolist()
+        cups = tuple((names[k], _triple(points[numbers == k].mean(axis=0))) for k in touched)
+        return replace(self, cups=cups, numbers=tuple(touched))
+
+    @property
+    def targets(self) -> dict[str, Array]:
+        return {name: self._starts[3 * k : 3 * k + 3] for k, (name, _) in enumerate(self.cups)}
+
+    # -- cups ----------------------------------------------------------------------------------------------------------
+    @property
+    def _numbers(self) -> tuple[int, ...]:
+        return self.numbers or tuple(range(len(self.cups)))
+
+    @cached_property
+    def _pairs(self) -> tuple[list[tuple[int, int]], Array]:
+        """Numbers of cups whose distances are known, and these (k,) [mm]; of `monday/A` and `monday/B`, too."""
+        split = [name.rpartition("/")[::2] for name, _ in self.cups]
+        pairs, lengths = [], []
+        for first, second, length in self.distances:
+            for a, (group, name) in enumerate(split):
+                if name == first and (group, second) in split:
+                    pairs.append((a, split.index((group, second))))
+                    lengths.append(length)
+        return pairs, np.array(lengths)
+
+    def _gaps(self, places: Array) -> tuple[Array, Array]:
+        """(k,) by which pairs are too far apart, and the derivative (k, 3 C) by all coordinates of the cups."""
+        pairs, lengths = self._pairs
+        apart, slopes = np.empty(len(pairs)), np.zeros((len(pairs), places.size))
+        for row, (a, b) in enumerate(pairs):
+            across = places[3 * b : 3 * b + 3] - places[3 * a : 3 * a + 3]
+            apart[row] = np.linalg.norm(across)
+            slopes[row, 3 * b : 3 * b + 3] = across / max(apart[row], TOUCHES)
+            slopes[row, 3 * a : 3 * a + 3] = -slopes[row, 3 * b : 3 * b + 3]
+        return apart - lengths, slopes
+
+    @cached_property
+    def _starts(self) -> Array:
+        """(3 C,) coordinates of all cups, nearest to `cups` with the distances that are known."""
+        places = np.array([place for _, place in self.cups], dtype=float).ravel()
+        for _ in range(100):  # effort: distances that can be true are reached in a few steps
+            gaps, slopes = self._gaps(places)
+            if np.abs(gaps).max(initial=0.0) < TOUCHES:
+                return places
+            places = places - np.linalg.pinv(slopes, rcond=DISTINCT) @ gaps
+        pairs = ", ".join(f"{self.cups[a][0]} to {self.cups[b][0]}" for a, b in self._pairs[0])
+        raise InputError(
+            f"instrument.distances_mm: no cups are as far apart as {pairs}, allowed: distances that can all be true"
+        )
+
+    @cached_property
+    def _following(self) -> dict[int, Array]:
+        """Coordinate that follows from the others -> by how much it closes each gap (k,), as at the start."""
+        slopes = self._gaps(self._starts)[1]
+        left, chosen = slopes.copy(), list[int]()
+        while left.size and (sizes := np.linalg.norm(left, axis=0)).max() > DISTINCT:
+            chosen.append(int(np.argmax(sizes)))
+            direction = left[:, chosen[-1]] / sizes.max()
+            left = left - np.outer(direction, direction @ left)
+        return dict(zip(chosen, np.linalg.pinv(slopes[:, chosen], rcond=DISTINCT), strict=True))
+
+    def _places(self, values: ca.SX) -> ca.SX:
+        """(3 C,) coordinates of all cups at values of the parameters."""
+        free, following = iter(range(values.numel())), self._following
+        places = [ca.SX(float(x)) if k in following else values[next(free)] for k, x in enumerate(self._starts)]
+        pairs, lengths = self._pairs
+        for _ in range(STEPS if pairs else 0):
+            cups = [ca.vertcat(*places[3 * k : 3 * k + 3]) for k in range(len(self.cups))]
+            apart = ca.vertcat(*(ca.norm_2(cups[b] - cups[a]) for a, b in pairs))
+            for k, closing in following.items():
+                places[k] = places[k] - ca.dot(ca.DM(closing), apart - ca.DM(lengths))
+        return ca.vertcat(*places)
+
+    # -- files ---------------------------------------------------------------------------------------------------------
+    @classmethod
+    def of_table(cls, table: Mapping[str, Any]) -> Socket:
+        cups = tuple((name, _triple(place)) for name, place in (table.get("cups") or {}).items())
+        distances = tuple((str(a), str(b), float(d)) for a, b, d in table.get("distances_mm") or ())
+        return cls(cups, distances)
+
+    def table(self) -> dict[str, Any]:
+        cups = {name: [float(x) for x in place] for name, place in self.cups}
+        distances = [list(entry) for entry in self.distances]
+        more = {"distances_mm": distances, "cups": cups}
+        return super().table() | {key: value for key, value in more.items() if value}
+
+
+def _triple(place: Sequence[float] | Array) -> tuple[float, float, float]:
+    x, y, z = (float(coordinate) for coordinate in place)
+    return x, y, z
