@@ -98,12 +98,13 @@ class Products:
         key = tuple(sorted(pairs))
         blocks, sizes = [block for block, _ in key], SIZES[[size for _, size in key]]
         places = self.places(blocks)
-        inner = self.gram[np.ix_(places, places)] + np.diag(np.repeat(sizes, self.widths[blocks]) ** -2.0)
-        half = lapack.dpotri(lapack.dpotrf(inner, lower=1)[0], lower=1)[0] if key else inner
-        covariance, right = np.tril(half) + np.tril(half, -1).T, self.right[places]
-        rows, mean = self.gram[places], covariance @ right
-        squares = max(self.squares - float(mean @ right), LEAST * self.squares, 1e-300)
-        return State(self, key, places, covariance, squares, self.right - mean @ rows, given)
+        inner, diagonal = self.gram[np.ix_(places, places)], np.diag_indices(len(places))
+        inner[diagonal] += np.repeat(sizes, self.widths[blocks]) ** -2.0
+        half = lapack.dpotri(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0], lower=1)[0] if key else inner
+        covariance, right = half + half.T, self.right[places]
+        covariance[diagonal] *= 0.5
+        squares = max(self.squares - float(right @ covariance @ right), LEAST * self.squares, 1e-300)
+        return State(self, key, places, covariance, squares, None, given)
 
     def beside(self, blocks: Sequence[int]) -> Products:
         """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
@@ -162,7 +163,7 @@ class State:
     """A set of blocks with their sizes, and k columns.
 
     places : (k,) of its columns among all;  covariance : (k, k) of their coefficients, for unit sigma
-    squares : R;  scores : (P,) V's counterpart of c;  given : `within`, where it is known
+    squares : R;  known, given : `scores` and `within`, where they are known
     """
 
     products: Products
@@ -170,7 +171,7 @@ class State:
     places: Index
     covariance: Array
     squares: float
-    scores: Array
+    known: Array | None = None
     given: tuple[Array, ...] | None = None
 
     @cached_property
@@ -187,6 +188,11 @@ class State:
     def mean(self) -> Array:
         """(k,) of its coefficients."""
         return np.asarray(self.covariance @ self.products.right[self.places])
+
+    @cached_property
+    def scores(self) -> Array:
+        """(P,) V's counterpart of c."""
+        return self.products.right - self.mean @ self.rows if self.known is None else self.known
 
     @property
     def sizes(self) -> Array:
