@@ -90,7 +90,6 @@ def init_files(
     tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
     instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
     out : Folder; made if missing.
-    force : Overwrite existing files.
     """
     from identification.errors import nearest
     from identification.files.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
@@ -159,7 +158,6 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
     truth : Arm file with [calibration] and [[effects]] values.
     out : Measurements CSV to write.
-    force : Overwrite an existing file.
     """
     import numpy as np
 
@@ -231,7 +229,6 @@ def identify_files(
     full : Print every corrected value of a spatial arm, also those hardly determined.
     urdf : Write the corrected URDF file of a spatial arm.
     out : Write a calibrated arm file (TOML).
-    force : Overwrite an existing file.
     """
     from identification.documents.identification import (
         hardly_better,
@@ -513,7 +510,6 @@ def diagnose_files(
     curves : Write the error curves of joints as a table (CSV).
     named_only : Write what is named alone, without what is less likely and curves.
     out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
-    force : Overwrite an existing file.
     """
     import numpy as np
 
@@ -585,7 +581,6 @@ def validate_files(
 
     refit : What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.
     picture : Draw residuals against time and over the workspace (PNG, SVG, PDF).
-    force : Overwrite an existing file.
     """
     from identification.documents.identification import is_better, validation_actions
     from identification.files.arm import load_arm
@@ -625,7 +620,6 @@ def compensate_files(
     targets that need joint angles outside those of the identification, where the model extrapolates.
 
     out : Write the joint commands (CSV).
-    force : Overwrite an existing file.
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm

@@ -31,7 +31,6 @@ def command(
 
     spatial : Six axes and a laser tracker instead of the paper's 4-link arm.
     out : Directory for the files; left out: the next free armcal-demo.
-    force : Overwrite existing files.
     """
     from doe.demo.run import demo_document, overview_figure, planar, run_demo
     from doe.demo.run import spatial as six_axes

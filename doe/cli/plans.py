@@ -203,7 +203,6 @@ def design_files(
     draws : Arms drawn for --uncertain; left out: 5.
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
-    force : Overwrite an existing file.
     """
     from doe.plan.accuracy import tip_beside_random
     from doe.plan.plan import check_order, ordered, plan_text, travel
@@ -276,7 +275,6 @@ def score_files(
     robust : The arm may have effects of the library that its file does not name.
     missing : Only these effects, for --robust: backlash,gear_ratio
     picture : Draw the postures (.png, .svg, .pdf).
-    force : Overwrite an existing file.
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
@@ -304,7 +302,7 @@ def score_files(
     try:
         sees = detectability(without_prior(loaded), judged.postures)
         tables: list[Any] = [*sees.document().parts]
-        pictures[aliases] = drawing("alias_figure", sees)
+        pictures[aliases] = sees.figure
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
         if aliases is not None:
             raise InputError(f"--aliases: {plan}: {reason}") from reason
@@ -346,7 +344,6 @@ def advise_files(
     target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
     seconds : Time budget of all numbers of runs together [s].
     picture : Write the curve as .png, .svg or .pdf.
-    force : Overwrite an existing file.
     """
     from doe.advise import advise
     from doe.problem.problem import DesignProblem
@@ -403,13 +400,12 @@ def relax_files(
     runs : Number of measurements m, for --robust and spatial arms.
     seconds : Time budget [s]; left out: 40.
     out : Write the plan with weights (CSV).
-    force : Overwrite an existing file.
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.cross_check import cross_check
     from doe.plan.plan import load_plan, plan_text
     from doe.problem.uncertain import with_choices
-    from doe.report.design import cross_check_table, relax_document
+    from doe.report.design import relax_document
     from identification import load_arm
 
     loaded, robust = load_arm(arm), criterion.robust
@@ -438,16 +434,16 @@ def relax_files(
     weighted = end - 0.5 * (seconds or 40.0) if check else end
     new = runs or (problem.parameters if problem.deviations else None)
     relaxation = relax(problem, places, solver, runs=new, stop=lambda: perf_counter() > weighted)
-    data, shown = relaxation.to_json(), list[Any]([relax_document(relaxation)])
+    data, compared = relaxation.to_json(), list[dict[str, Any]]()
     if check:
         progress(1, 2, "cross-check")
         checked = with_choices(problem) if robust else problem
         exact = runs or max(2 * loaded.links, problem.fewest_runs)
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
-        shown.append(cross_check_table(compared))
     text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
-    return with_collisions(Answer(data, [*shown, *written({out: text}, force, "plan with weights")]), loaded)
+    document = relax_document(relaxation, compared)
+    return with_collisions(Answer(data, [document, *written({out: text}, force, "plan with weights")]), loaded)
 
 
 def compare_files(
@@ -532,7 +528,6 @@ def discriminate_files(
     payloads : Payloads to choose from [kg], as 0,5,10; left out: the arm's own.
     seconds : Time budget of the choice, after the diagnosis [s].
     out : Write the next postures (CSV).
-    force : Overwrite an existing file.
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
@@ -590,7 +585,6 @@ def report_files(
     edited; it is one file that needs no network.
 
     out : Write the page.
-    force : Overwrite an existing file.
     """
     from doe.plan.plan import Plan
     from doe.report.design import design_verdict, plan_section

@@ -106,7 +106,6 @@ class JobOptions:
     cluster : Scheduler of a dask cluster, tcp://host:port.
     out : Folder; left out: STUDY.results. Of compare also NAME.parquet: the rows only.
     resume : Go on with an interrupted or extended run.
-    force : Overwrite an existing file.
     """
 
     workers: Workers | None = None
@@ -130,7 +129,7 @@ def verb(example: str, name: str = "") -> Callable[[Callable[..., Answer]], clic
     of Python, with `Written` and `Picture` for files to write and `Folder` for where, or `Annotated` with a type of
     click or what makes the value of a word, words of the option (`--name`), a range of whole numbers, or what it stands
     for in the help (`NAMES`). The docstring's first line stands in `armcal --help`; lines `name : ..` say what an
-    option is for.
+    option is for, but for `force`, which means the same everywhere.
 
     Adds --json, --seed, --quiet and the example. A function with a parameter `seed`, `progress`, `page` or
     `constraints` is given the seed, a callback for its progress, what makes a page of a document and of files that were
@@ -219,7 +218,7 @@ def documented(thing: Any) -> tuple[str, dict[str, str]]:
                 name, helps[match[1]] = match[1], match[2]
             else:
                 helps[name] += f" {line.strip()}"
-    return "\n\n".join(paragraphs), helps
+    return "\n\n".join(paragraphs), {"force": "Overwrite existing files."} | helps
 
 
 def declared(name: str, hint: Any, default: Any, help_text: str | None) -> click.Parameter:

@@ -93,102 +93,82 @@ def line_between(q: Array, lever: Array, change: Array) -> tuple[Array, Array]:
     return np.insert(angles, gaps, np.nan), np.insert(errors, gaps, np.nan)
 
 
-def dense(q: Array) -> Array:
-    """(POINTS,) angles over the range of (m,) others."""
-    return np.linspace(q.min(), q.max(), POINTS)
-
-
-def joint_error(model: Model, effect: Effect, postures: Array) -> Array:
-    """What an effect adds to the angle of its joint, densely over its range in postures (m, n), in the mean of eight of
-    them."""
-    assert effect.joint is not None
-    joint = effect.joint - 1
-    angles = dense(postures[:, joint])
-    if effect.curve is not None:
-        return effect.curve.at(angles)
-    chosen = postures[np.linspace(0, len(postures) - 1, min(len(postures), 8)).astype(int)]
-    q = np.tile(chosen, (POINTS, 1))
-    q[:, joint] = np.repeat(angles, len(chosen))
-    lever = model.joint_levers(q)[:, POINT, joint]
-    moved = done_by(model, effect, q)[:, : lever.shape[1]]
-    along, square = (np.sum(lever * a, axis=1).reshape(POINTS, -1).sum(axis=1) for a in (moved, lever))
-    return np.asarray(np.divide(along, square, out=np.zeros(POINTS), where=square > 0.0))
-
-
-def done_by(model: Model, effect: Effect, postures: Array, conditions: Conditions | None = None) -> Array:
-    """(m, d) what an effect with parameters moves [mm]."""
-    names = {p.name for p in effect.parameters}
-    without = np.where([name in names for name in model.names], 0.0, model.values)
-    position = (model.position(postures, values, conditions) for values in (None, without))
-    return np.nan_to_num(np.subtract(*position))
-
-
-def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> tuple[Array, Array, bool]:
-    """What an effect adds at its joint: (POINTS,) errors densely over the range, NaN where it is off; (m, d) what it
-    does to the rows [mm]; whether it is a function of the angle alone, as far as the rows show: a backlash is none.
+def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> tuple[Array, Array, Array, bool]:
+    """What an effect adds at its joint: (POINTS,) angles over the range of the rows and the errors there, NaN where it
+    is off, in the mean of eight postures; (m, d) what it does to the rows [mm]; whether it is a function of the angle
+    alone, as far as the rows show: a backlash is none.
 
     A curve acts where all curves hold, and is drawn where there are such rows.
     """
     assert effect.joint is not None
-    q, line = rows.postures[:, effect.joint - 1], joint_error(model, effect, rows.postures)
-    grid = dense(q)
-    if effect.curve is None:
-        moved = done_by(model, effect, rows.postures, rows.conditions)[:, : lever.shape[1]]
-        left = moved - lever * np.interp(q, grid, line)[:, None]
-        # True: its function of the angle is nearly all that the effect does
-        return line, moved, bool(np.linalg.norm(left) <= 0.1 * np.linalg.norm(moved))
-    curves = [(e.joint - 1, e.curve) for e in model.effects if e.curve is not None and e.joint is not None]
-    hold = all_hold(curves, rows.postures)
-    places = np.concatenate([[-np.inf], np.sort(q[hold > 0.5]), [np.inf]])
-    after = np.searchsorted(places, grid)
-    near = np.minimum(grid - places[after - 1], places[after] - grid) < FAR * (float(np.ptp(q)) or 1.0)
-    return np.where(near, line, np.nan), lever * (hold * effect.curve.at(q))[:, None], True
+    joint = effect.joint - 1
+    q = rows.postures[:, joint]
+    grid = np.linspace(q.min(), q.max(), POINTS)
+    if effect.curve is not None:
+        curves = [(e.joint - 1, e.curve) for e in model.effects if e.curve is not None and e.joint is not None]
+        hold = all_hold(curves, rows.postures)
+        places = np.concatenate([[-np.inf], np.sort(q[hold > 0.5]), [np.inf]])
+        after = np.searchsorted(places, grid)
+        near = np.minimum(grid - places[after - 1], places[after] - grid) < FAR * (float(np.ptp(q)) or 1.0)
+        line = np.where(near, effect.curve.at(grid), np.nan)
+        return grid, line, lever * (hold * effect.curve.at(q))[:, None], True
+    names = {p.name for p in effect.parameters}
+    without = np.where([name in names for name in model.names], 0.0, model.values)
+
+    def moved_by_it(postures: Array, conditions: Conditions | None, dimension: int) -> Array:
+        position = (model.position(postures, values, conditions) for values in (None, without))
+        return np.nan_to_num(np.subtract(*position))[:, :dimension]
+
+    chosen = rows.postures[np.linspace(0, len(q) - 1, min(len(q), 8)).astype(int)]
+    densely = np.tile(chosen, (POINTS, 1))
+    densely[:, joint] = np.repeat(grid, len(chosen))
+    levers = model.joint_levers(densely)[:, POINT, joint]
+    along = np.sum(levers * moved_by_it(densely, None, levers.shape[1]), axis=1).reshape(POINTS, -1).sum(axis=1)
+    square = np.sum(levers**2, axis=1).reshape(POINTS, -1).sum(axis=1)
+    line = np.divide(along, square, out=np.zeros(POINTS), where=square > 0.0)
+    moved = moved_by_it(rows.postures, rows.conditions, lever.shape[1])
+    left = moved - lever * np.interp(q, grid, line)[:, None]
+    # True: its function of the angle is nearly all that the effect does
+    return grid, line, moved, bool(np.linalg.norm(left) <= 0.1 * np.linalg.norm(moved))
 
 
 def signed_figures(rows: Compared) -> list[Figure]:
-    """A picture for each joint: its error by the residuals of both models, and the model's line between the two."""
-    model = Model(rows.arm)
+    """A picture for each joint: its error by the residuals of both models, and the model's line between the two.
+
+    Shown are the named effects that are functions of the joint's angle, as lines, or else those that are not, at rows.
+    """
+    model, named = Model(rows.arm), set(rows.named)
     levers = model.joint_levers(rows.postures, conditions=rows.conditions)[:, POINT]
+    before, after = (values[:, : levers.shape[1]] for values in (rows.before, rows.after))
     figures = []
     for j, kind in enumerate(model.joint_types):
         unit, factor, _ = FILE_UNITS[JOINT_UNITS[kind]]
         figure = Figure(figsize=(3.7, 2.5), layout="constrained")
-        axes = figure.subplots()
-        title = draw_joint(axes, rows, j, levers, factor)
-        axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]")
+        axes, q, lever = figure.subplots(), rows.postures[:, j], levers[:, :, j]
+        effects = [] if rows.model is None else [e for e in rows.model.effects if e.joint == j + 1 and e.label in named]
+        shares = {e.label: share_of(rows.model, e, rows, lever) for e in effects if rows.model}
+        smooth = {label: share for label, share in shares.items() if share[3]}
+        shares = smooth or shares
+        moved = sum((share[2] for share in shares.values()), np.zeros_like(after))
+        errors = [joint_errors(levers, values)[:, j] for values in (after + moved if shares else before, after)]
+        draw_errors(axes, factor * q, [factor * values for values in errors], ("before", "after"))
+        if smooth:
+            line = np.sum([share[1] for share in shares.values()], axis=0)
+            axes.plot(factor * next(iter(smooth.values()))[0], factor * line, color="k", lw=1.3)
+        elif shares:
+            axes.plot(factor * q, factor * joint_errors(levers, moved)[:, j], "k.", ms=3)
+        elif not at_joints(named):
+            axes.plot(*(factor * values for values in line_between(q, lever, before - after)), color="k", lw=1.3)
+        title = "\n".join(label + ("" if share[2].any() else " (off here)") for label, share in shares.items())
         # a joint with shorter levers says little
-        still = np.linalg.norm(levers[:, :, j], axis=1).max() < 0.02 * rows.arm.reach
+        still = np.linalg.norm(lever, axis=1).max() < 0.02 * rows.arm.reach
+        axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]")
         axes.set_title("hardly moves the measured point" if still else title, fontsize=9, parse_math=False)
         if j == 0:
-            axes.plot([], [], color="k", lw=1.3, label="effects" if at_joints(rows.named) else "change")
+            axes.plot([], [], color="k", lw=1.3, label="effects" if at_joints(named) else "change")
             axes.legend(frameon=False, fontsize=8, ncols=3, handletextpad=0.3, columnspacing=1.0)
         figures.append(figure)
     return figures
-
-
-def draw_joint(axes: Axes, rows: Compared, joint: int, levers: Array, factor: float) -> str:
-    """Points and line of a joint (from 0), in units of 1 / factor; what stands above them.
-
-    Shown are the named effects that are functions of the joint's angle, as lines, or else those that are not, at rows.
-    """
-    q, lever = rows.postures[:, joint], levers[:, :, joint]
-    model, named = rows.model, set(rows.named)
-    effects = [] if model is None else [e for e in model.effects if e.joint == joint + 1 and e.label in named]
-    shares = {e.label: share_of(model, e, rows, lever) for e in effects if model}
-    smooth = {label: share for label, share in shares.items() if share[2]}
-    shares = smooth or shares
-    before, after = (values[:, : levers.shape[1]] for values in (rows.before, rows.after))
-    moved = sum((share[1] for share in shares.values()), np.zeros_like(after))
-    errors = [joint_errors(levers, values)[:, joint] for values in (after + moved if shares else before, after)]
-    draw_errors(axes, factor * q, [factor * values for values in errors], ("before", "after"))
-    if shares and not smooth:
-        axes.plot(factor * q, factor * joint_errors(levers, moved)[:, joint], "k.", ms=3)
-    elif shares:
-        line = np.sum([share[0] for share in shares.values()], axis=0)
-        axes.plot(factor * dense(q), factor * line, color="k", lw=1.3)
-    elif not at_joints(rows.named):
-        axes.plot(*(factor * values for values in line_between(q, lever, before - after)), color="k", lw=1.3)
-    return "\n".join(label + ("" if share[1].any() else " (off here)") for label, share in shares.items())
 
 
 def at_joints(named: Collection[str]) -> list[str]:
@@ -223,7 +203,7 @@ def draw_errors(axes: Axes, angles: Array, errors: Sequence[Array], names: Seque
 # -- residuals ---------------------------------------------------------------------------------------------------------
 def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, after: Array) -> Figure:
     """Residuals (m, d) before and after, over the workspace (arrows, enlarged) and against each joint."""
-    views = len(projections(before.shape[1]))
+    views = 1 + (before.shape[1] > 2)
     figure = Figure(figsize=(10.0, 2.6 + 3.6 * views), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3 * views, 1.0]))
     draw_workspace(top, arm, positions, ((before, "before"), (after, "after")))
@@ -255,13 +235,14 @@ def draw_workspace(
     """Residual arrows of two models in two columns of axes, with one for each projection, on one scale: the largest
     arrow is an eighth of the reach; and where a planar arm stands."""
     dimension, values = pairs[0][0].shape[1], Model(arm).best_known if arm.chain.planar else {}
-    grid = figure.subplots(len(projections(dimension)), 2, sharex=True, sharey="row", squeeze=False)
+    views = [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)]  # from above, in space from the side too
+    grid = figure.subplots(len(views), 2, sharex=True, sharey="row", squeeze=False)
     scale = 0.12 * arm.reach / (max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0)
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
     for column, (residuals, name), color in zip(grid.T, pairs, (BEFORE, AFTER), strict=True):
         title = f"{name}: RMS {rms_distance(residuals):.4g} mm{f', arrows x {scale:.0f}' if dimension > 1 else ''}"
         column[0].set_title(title, fontsize=9, parse_math=False)
-        for axis, (across, up) in zip(column, projections(dimension), strict=True):
+        for axis, (across, up) in zip(column, views, strict=True):
             axis.tick_params(labelleft=True)  # on a phone the columns stand below each other
             if dimension == 1:  # lengths, as they are, against what was measured
                 axis.plot(positions[:, 0], residuals[:, 0], ".", color=color, ms=4, alpha=0.7)
@@ -275,11 +256,6 @@ def draw_workspace(
             if arm.chain.planar:
                 axis.plot(values.get("base_offset.x0", 0.0), values.get("base_offset.y0", 0.0), "ks", ms=5)
     return [list(column) for column in grid.T]
-
-
-def projections(dimension: int) -> list[tuple[int, int]]:
-    """Pairs of coordinates that a workspace is seen in: from above, in space from the side too; of lengths one view."""
-    return [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)]
 
 
 def draw_distances(axis: Axes, x: Array, pairs: Sequence[tuple[Array, str]]) -> None:
@@ -296,7 +272,7 @@ def draw_distances(axis: Axes, x: Array, pairs: Sequence[tuple[Array, str]]) -> 
 
 def validation_figure(result: Validation) -> Figure:
     """Distances of drawing and model in the order of measurement, and their residuals over the workspace."""
-    views = len(projections(result.residuals.shape[1]))
+    views = 1 + (result.residuals.shape[1] > 2)
     figure = Figure(figsize=(10.0, 2.8 + 4.6 * views), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 1.7 * views]))
     pairs = ((result.nominal_residuals, "drawing"), (result.residuals, "model"))
@@ -314,8 +290,7 @@ def signed_of(diagnosis: Diagnosis) -> list[Figure | str]:
     """Residuals of the data with their sign, against each joint, and how they are read."""
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)
     named = (*diagnosis.effects, *(curve.key for curve in diagnosis.curves))
-    angles = [values for name, values in shown.against.items() if name.startswith("joint ")]
-    postures, before, after = (values[kept] for values in (np.column_stack(angles), shown.before, shown.after))
+    postures, before, after = (values[kept] for values in (postures_of(diagnosis), shown.before, shown.after))
     rows = postures, before, after, shown.conditions.rows(kept)
     compared = Compared(diagnosis.arm, *rows, Model(diagnosis.extended_arm()), named)
     how = f"{READ} Nothing is named: before and after are nearly one model."
@@ -351,8 +326,7 @@ def curves_figure(diagnosis: Diagnosis) -> Figure:
     """Error curves with 95 % bands, and what up to 200 groups of rows say along the lever arm, as angles."""
     half, kept = quantile_95(min(diagnosis.named.freedom, default=np.inf)), rows_kept(diagnosis)
     model, after = Model(diagnosis.arm), diagnosis.residuals.after[kept]
-    joints = [diagnosis.residuals.against[f"joint {j + 1} [rad]"] for j in range(model.joints)]
-    postures = np.column_stack(joints)[kept]
+    postures = postures_of(diagnosis)[kept]
     levers = model.joint_levers(postures)
 
     def draw(axis: Axes, curve: Any) -> None:
@@ -385,6 +359,11 @@ def panels(
         axis.set_visible(False)
     axes[0].legend(frameon=False, fontsize=8)
     return figure
+
+
+def postures_of(diagnosis: Diagnosis) -> Array:
+    """(m, n) [rad]."""
+    return np.column_stack([q for name, q in diagnosis.residuals.against.items() if name.startswith("joint ")])
 
 
 def rows_kept(diagnosis: Diagnosis) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ from functools import cache
 from types import MappingProxyType
 
 from identification.arm import EffectSpec
-from identification.effects import formulas, noise  # noqa: F401  (they fill the library)
+from identification.effects import formulas  # noqa: F401  (it fills the library)
 from identification.effects.base import _LIBRARY, Effect, Scope, Setting, register
 from identification.effects.chain import Chain, measured_position
 from identification.errors import InputError, close_names, nearest, suggestion

@@ -30,8 +30,7 @@ from identification.effects import Chain, Effect, build_all, measured_position
 from identification.effects.chain import by_place, condition_slices, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
-from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR
-from identification.kinematics.closed_form import PlanarClosedForm
+from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
 from identification.kinematics.frames import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.vectorize import Evaluate, vectorize

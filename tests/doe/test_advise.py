@@ -19,7 +19,7 @@ from identification.for_design import with_scatter
 from identification.model import Model
 from identification.reuse import only
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
-from tests.doe.plan.test_addition import whole_information
+from tests.doe.plan.test_spacing import whole_information
 
 FREE = problem(Arm([260.0, 180.0, 120.0], sigma=0.1))
 
@@ -91,7 +91,6 @@ def test_numbers_of_runs_need_not_be_in_order() -> None:
     found = advise(problem(FOUR), [9, 4, 6], seconds=0.6)
     assert found.runs == (9, 4, 6)
     accuracies = [found.accuracy(design) for design in found.designs]
-    assert accuracies[1] is not None
     assert accuracies[0] <= accuracies[2] <= accuracies[1]
 
 

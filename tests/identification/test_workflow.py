@@ -59,5 +59,5 @@ def test_every_verb_says_what_it_is_for() -> None:
         text = inspect.getdoc(function) or ""
         for parameter in inspect.signature(function).parameters.values():
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
-                provided = parameter.name in ("seed", "progress", "page", "constraints")
+                provided = parameter.name in ("seed", "progress", "page", "constraints", "force")
                 assert provided == (f"\n{parameter.name} : " not in text), (name, parameter.name)

@@ -148,7 +148,6 @@ def test_equals_the_jacobians(case) -> None:  # type: ignore[no-untyped-def]
     jacobians = case.scaled_jacobians(q)
     expected = 0.7 * np.einsum("kda,ab,kdb->k", jacobians, gradient, jacobians) + 3.0
     found = trigonometric_jacobian(case)
-    assert found is not None
     polynomial = sensitivity_polynomial(found, gradient, 0.7, 3.0)
     assert polynomial.value(q) == pytest.approx(expected, rel=1e-11)
     assert polynomial.magnitude >= np.abs(expected).max()  # what the margin for rounding is taken of
@@ -160,7 +159,6 @@ def test_base_model_has_a_wave_per_pair_of_links() -> None:
     doe/README.md, "Information matrix".
     """
     found = trigonometric_jacobian(problem(FOUR))
-    assert found is not None
     frequencies = {tuple(f) for f in sensitivity_polynomial(found, np.diag(np.arange(1.0, 9.0)) + 1.0).frequencies}
     pairs = {tuple(int(j < c <= k) for c in range(4)) for j in range(4) for k in range(j + 1, 4)}
     # sums of two orientations appear too, with coefficients that cancel: the metric need not be a real form here

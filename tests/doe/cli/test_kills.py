@@ -9,17 +9,19 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from doe.cli.demo import next_free
 from doe.jobs import RowTable
-from tests.doe.cli.conftest import Folder
+from tests.doe.cli.conftest import Folder, without_progress
 from tests.doe.faults import COMMANDS, ROOT, STUDY, Command, Reference, content, prepare, start, verdict
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are counted in /proc")
 STUDY_COMMAND = COMMANDS[0]
 LONG_DESIGN = COMMANDS[2]._replace(words=COMMANDS[2].words.replace("--starts 12", "--starts 3000"))  # many seconds
+SCORE = "score arm.toml plan.csv"
 SERIAL = Command("study", "study study.toml --workers 1", "--resume", ("study.results",))
 STOPPED = """
 import signal
@@ -53,9 +55,10 @@ def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> Non
     words = [sys.executable, "-c", code, *SERIAL.words.split()]
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode in (1, 2)
-    assert done.stderr.startswith("armcal: ")
-    assert "cannot be written (File too large)" in done.stderr
-    assert done.stderr.count("\n") == 1
+    said = without_progress(done.stderr)
+    assert said.startswith("armcal: ")
+    assert "cannot be written (File too large)" in said
+    assert said.count("\n") == 1
     process = start(SERIAL, folder, "--resume")
     assert process.wait() == 0
     process.communicate()
@@ -67,10 +70,8 @@ def test_two_studies_on_one_folder(folder: Folder) -> None:
     (folder.path / "study.results").mkdir()
     with RowTable(folder.path / "study.results" / "blocks.parquet") as table:
         table.add("1", [{"value": 1}])
-        for more in ([], ["--resume"], ["--force"]):
-            done = folder.armcal("study", "study.toml", "--workers", "1", *more)
-            assert (done.code, done.err.count("\n")) == (2, 1)
-            assert "another run is writing this table" in done.err
+        for more in ("", " --resume", " --force"):
+            folder.refused(f"study study.toml --workers 1{more}", "another run is writing this table")
         assert len(table.rows) == 1
     assert [path.name for path in (folder.path / "study.results").iterdir()] == ["blocks.parquet"]
 
@@ -80,47 +81,39 @@ def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
     assert names == ["demo", "demo-2", "demo-3"]
 
 
-def test_no_memory_and_broken_libraries_are_one_line(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    for error, said in ((MemoryError(), "not enough memory"), (ImportError("libx.so: no"), "library cannot be loaded")):
-
-        def fail(*_: object, error: BaseException = error) -> None:
-            raise error
-
-        monkeypatch.setattr("identification.files.arm.load_arm", fail)
-        done = folder.armcal("score", "arm.toml", "plan.csv")
-        assert (done.code, done.err.count("\n")) == (1, 1)
-        assert said in done.err
+@pytest.mark.parametrize(
+    ("error", "said"), [(MemoryError(), "not enough memory"), (ImportError("libx.so: no"), "library cannot be loaded")]
+)
+def test_no_memory_and_broken_libraries_are_one_line(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, error: BaseException, said: str
+) -> None:
+    monkeypatch.setattr("identification.files.arm.load_arm", Mock(side_effect=error))
+    folder.refused(SCORE, said, code=1)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("caught", [False, True])
+@pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])
 def test_a_signal_while_a_library_loads(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, name: str, caught: bool
 ) -> None:
     """Some turn it into an ImportError of their own."""
 
     def load(_: object) -> None:
-        with suppress(KeyboardInterrupt):
+        with suppress(*[KeyboardInterrupt] if caught else []):
             signal.raise_signal(number)
         raise ImportError("initialization failed")
 
+    before = signal.getsignal(number)
     monkeypatch.setattr("identification.files.arm.load_arm", load)
-    done = folder.armcal("score", "arm.toml", "plan.csv")
-    name = "Ctrl-C" if number is signal.SIGINT else "SIGTERM"
+    done = folder.armcal(SCORE)
     assert (done.code, done.err) == (1, f"armcal: stopped by {name}, nothing was written\n")
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_sigterm_is_a_sentence(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("identification.files.arm.load_arm", lambda _: signal.raise_signal(signal.SIGTERM))
-    done = folder.armcal("score", "arm.toml", "plan.csv")
-    assert (done.code, done.err) == (1, "armcal: stopped by SIGTERM, nothing was written\n")
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    assert signal.getsignal(number) is before
 
 
 def test_a_signal_while_a_library_runs_source_text(folder: Folder) -> None:
     """As those of dataclasses and named tuples: `python -m` ends with our exit code too."""
     folder.write("stopped.py", STOPPED)
-    words = [sys.executable, "-m", "stopped", "score", "arm.toml", "plan.csv"]
+    words = [sys.executable, "-m", "stopped", *SCORE.split()]
     system = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(words, cwd=folder.path, env=system, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (1, "armcal: stopped by SIGTERM, nothing was written\n")

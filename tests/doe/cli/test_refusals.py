@@ -71,8 +71,6 @@ def data(rows: str, header: str = HEADER) -> str:
 CASES: list[Case] = [
     # arm files
     case(DESIGN, "bad.toml; joint 2; 120; lower < upper", toml=changed("-120.0, -100.0", "120.0, -100.0")),
-    case(DESIGN, "upper; 3; 4", toml=changed("upper = [180.0, 120.0, 60.0, 90.0]", "upper = [180.0, 120.0, 60.0]")),
-    case(DESIGN, "links_mm; -180; >= 0.000001", toml=changed("180.0, 120.0, 100.0]", "-180.0, 120.0, 100.0]")),
     case(DESIGN, "links_mm", toml=changed("100.0]", "1e300]")),
     case(DESIGN, "lower; -1e+300", toml=changed("-120.0", "-1e300")),
     case(DESIGN, "line", toml=changed("links_mm = [", "links_mm = [[")),
@@ -103,12 +101,7 @@ CASES: list[Case] = [
     ),
     # measurements
     case(IDENTIFY, "bad.csv; empty", csv=""),
-    case(IDENTIFY, "no rows", csv=data("")),
-    case(IDENTIFY, "x_mm; nan; row 2", csv=data(ROW + "1,2,3,4,nan,5\n")),
     case(IDENTIFY, "q3_deg; three; row 2", csv=data(ROW + "1,2,three,4,5,5\n")),
-    case(IDENTIFY, "y_mm", csv=data("0,0,0,0,660\n", HEADER.replace(",y_mm", ""))),
-    case(IDENTIFY, "q4_deg", csv=data("0,0,0,660,0\n", HEADER.replace("q4_deg,", ""))),
-    case(IDENTIFY, "'x_mm'; 'X_mm'", csv=data(ROW * 4, HEADER.replace("x_mm", "X_mm"))),
     case(IDENTIFY, "2 m; 6; 8; m >= 4", csv=data(ROW * 3)),
     *(case(IDENTIFY, "row 1; x_mm", csv=data(ROW.replace("660", value) * 4)) for value in ("1e200", "-1e308")),
     case(IDENTIFY, "row 1; q2_deg", csv=data("0,1e300,0,0,660,0\n" * 4)),

@@ -2,32 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from doe.design import Design
 from doe.discrimination import design
 from doe.discrimination.design import (
+    CLOUD,
+    LAMBDA,
     DiscriminationDesign,
     EffectLibrary,
+    MisidentificationBound,
     Swaps,
     discrimination_design,
-    has_repeats,
-    initial_plans,
+    off_the_limits,
+    pool_of,
+    turning,
 )
-from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report import design as report
 from doe.solvers import solve
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import CELLS, arm_of, truth_of
 from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
-from identification.arm import Arm, EffectSpec, Gravity
+from identification.arm import Arm, Gravity
+from identification.arrays import Array
 from identification.errors import InputError
+from identification.kinematics.chain import DHRow, chain_of
+from identification.measurements import Conditions
 from identification.model import Model
 from identification.running import Status
 from identification.workspace import WorkspaceBox
@@ -145,15 +153,6 @@ def test_joints_that_play_no_part_do_not_bring_postures_too_near_each_other() ->
     assert found.wrong < found.best_wrong
 
 
-def test_an_arm_that_has_every_joints_compliance_already() -> None:
-    gravity = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0]), np.full(3, 0.5), payload=10.0)
-    bare = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 60]), sigma=0.1, gravity=gravity)
-    arm = bare.with_effects(EffectSpec("joint_compliance"))
-    found = discrimination_design(DesignProblem.of(Model(arm)), arm, 14, starts=2)
-    assert found.relative_efficiency >= 0.95 - 1e-9
-    assert found.wrong < found.random_wrong
-
-
 def test_ctrl_c_in_the_first_search_ends_the_second_too(monkeypatch: pytest.MonkeyPatch) -> None:
     def stopped(*parts: Any, **options: Any) -> Design:
         return replace(solve(*parts, **options), status=Status.interrupted)
@@ -183,17 +182,6 @@ def test_postures_measured_already_count_in_what_is_seen() -> None:
     assert found.sees.freedom == found.best_sees.freedom == 24 - 4
 
 
-def test_random_postures_are_plans_of_as_many_runs() -> None:
-    """Few of them tell effects apart worse than many, and than their mean information would."""
-    arm = Arm(LENGTHS, np.radians([-180] * 4), np.radians([180] * 4), sigma=0.1)
-    problem = DesignProblem.of(Model(arm))
-    wide, generator = Swaps(problem, EffectLibrary.of(arm)), np.random.default_rng(4)
-    few, many = wide.at_random(12), wide.at_random(60)
-    assert few > 2.0 * many > 2.0 * float(wide.bound.wrong(wide.bound.reference))
-    plans = [wide.wrong(random_postures(problem, 12, generator)) for _ in range(200)]
-    assert np.quantile(plans, 0.2) < few < np.quantile(plans, 0.8)  # a median of 25, 3 standard deviations
-
-
 def test_what_a_very_long_plan_can_detect_is_not_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor silently so."""
     monkeypatch.setattr(design, "MOST_SEEN", 19)
@@ -202,20 +190,6 @@ def test_what_a_very_long_plan_can_detect_is_not_worked_out(monkeypatch: pytest.
     assert found.best_sees is None
     lines = [str(line) for line in report.discriminating_parts(found)]
     assert lines[-1] == "what a plan of more than 19 runs can detect is not worked out"
-
-
-@pytest.mark.parametrize("kept", [0, 3])
-def test_repeats_of_a_whole_plan_are_those_of_its_postures(kept: int) -> None:
-    """Plans of few postures in a narrow box: some pairs are nearer than the distance in every joint, some are not."""
-    rng, answers = np.random.default_rng(5), set()
-    for _ in range(60):
-        points = rng.uniform(0.0, 0.3 + 0.1 * kept, (7 + kept, 2))
-        case = DesignProblem.of(Model(Arm(LENGTHS[:2])), kept=points[:kept], minimum_distance=0.06)
-        apart = np.abs(points[:, None] - points).max(axis=2) + np.eye(len(points))
-        expected = bool((apart[kept:] < 0.06).any())
-        assert has_repeats(case, points[kept:]) == expected
-        answers.add(expected)
-    assert answers == {True, False}
 
 
 def test_bad_loss() -> None:
@@ -233,17 +207,6 @@ def test_out_of_a_list_of_postures_only_those() -> None:
     assert len(set(nearest.tolist())) == 10
     lost = log_det(found.best.plan.postures) - log_det(found.design.plan.postures)
     assert lost <= -8.0 * np.log(0.95) + 1e-9
-
-
-def test_a_list_that_has_nothing_more_to_offer() -> None:
-    arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 60]), sigma=0.1)
-    choices = np.random.default_rng(3).uniform(arm.lower, arm.upper, (12, 3))
-    problem = DesignProblem.of(Model(arm), choices=choices)
-    state = Swaps(problem, EffectLibrary.of(arm))
-    state.begin(choices, least=-np.inf)
-    state.draw(np.random.default_rng(0))
-    assert not state.open.any()  # all of them are in the plan
-    assert not state.swap()
 
 
 def test_no_number_of_periods_hides_behind_another_on_joints_that_turn_all_the_way() -> None:
@@ -294,31 +257,201 @@ def test_the_time_budget_holds_between_swaps(monkeypatch: pytest.MonkeyPatch) ->
     assert found.relative_efficiency >= 0.8
 
 
-def test_many_runs_have_a_time_budget_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("doe.discrimination.design.LONG_PLAN", 20)
-    monkeypatch.setattr("doe.discrimination.design.LONG_PLAN_SECONDS", 0.1)
-    found = designed([-180, -120, -100, -90], [180, 120, 60, 90], 22)
-    assert found.design.status is Status.time_limit
+# -- the bound on wrong names ------------------------------------------------------------------------------------------
+OWN, EFFECTS, RUNS = 3, 7, 12
+BASES = (  # two effects of one parameter, one of two, one that takes the sum of two, one of three
+    np.eye(EFFECTS)[:, [0]],
+    np.eye(EFFECTS)[:, [1]],
+    np.eye(EFFECTS)[:, [2, 3]],
+    np.eye(EFFECTS)[:, [0]] + 2.0 * np.eye(EFFECTS)[:, [1]],
+    np.eye(EFFECTS)[:, [4, 5, 6]],
+)
+WEIGHTS = np.array([1.0, 0.5, 1.0, 1.0, 0.25])
 
 
-def test_under_limits_a_second_beginning_away_from_the_corners() -> None:
-    """Random runs, as many as the loss allows; where joints turn all the way there is one beginning only."""
-    arm = Arm(LENGTHS, np.radians([-90.0] * 4), np.radians([90.0] * 4), sigma=0.1)
+def columns(seed: int, rows: int = 2 * RUNS) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(rows, OWN + EFFECTS))
+
+
+def made(reference: np.ndarray) -> MisidentificationBound:
+    return MisidentificationBound(OWN, BASES, WEIGHTS, reference.T @ reference / (len(reference) / 2))
+
+
+def left_of(targets: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Length of what least squares leaves of each column of targets."""
+    return np.asarray(np.linalg.norm(targets - others @ np.linalg.lstsq(others, targets, rcond=None)[0], axis=0))
+
+
+def mixed(size: int) -> np.ndarray:
+    """(size, D) unit vectors along each axis, and along the sum and the difference of every two."""
+    pairs = [(i, j, sign) for i in range(size) for j in range(i) for sign in (1.0, -1.0)]
+    mixes = np.zeros((size, len(pairs)))
+    for k, (i, j, sign) in enumerate(pairs):
+        mixes[[i, j], k] = np.sqrt(0.5) * np.array([1.0, sign])
+    return np.hstack([np.eye(size), mixes])
+
+
+def brute_force(
+    plan: np.ndarray,
+    reference: np.ndarray,
+    bases: Sequence[np.ndarray] = BASES,
+    weights: np.ndarray = WEIGHTS,
+    own: int = OWN,
+) -> float:
+    """Every direction of every effect against nothing and every other effect, by least squares."""
+    drawn = np.hstack([basis @ mixed(basis.shape[1]) for basis in bases])
+    owner = np.repeat(np.arange(len(bases)), [mixed(basis.shape[1]).shape[1] for basis in bases])
+    random = reference[:, own:] @ drawn
+    lengths = left_of(random, reference[:, :own])
+    # what random postures do not show beside the base model is no rival
+    shown = lengths > 1e-5 * np.linalg.norm(random, axis=0)
+    drawn, owner, lengths = drawn[:, shown], owner[shown], lengths[shown]
+    # LAMBDA long with as many random runs as the plan has
+    seen = plan[:, own:] @ drawn * (LAMBDA / (lengths * np.sqrt(len(plan) / len(reference))))
+    wrong = norm.cdf(-left_of(seen, plan[:, :own]) / 2.0)
+    for g in np.unique(owner):
+        beside = left_of(seen, np.hstack([plan[:, :own], plan[:, own:] @ bases[g]]))
+        wrong += (owner != g) * norm.cdf(-beside / 2.0)
+    return float(np.average(wrong, weights=weights[owner] / np.bincount(owner)[owner]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_by_least_squares(seed: int) -> None:
+    plan, reference = columns(seed), columns(100 + seed, 60)
+    misidentification = made(reference)
+    expected = brute_force(plan, reference)
+    assert float(misidentification.wrong(plan.T @ plan / RUNS)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_many_matrices_at_once_and_a_singular_one() -> None:
+    misidentification = made(columns(9, 60))
+    plans = [columns(seed) for seed in range(3)]
+    informations = np.array([plan.T @ plan / RUNS for plan in plans])
+    informations[2, :, 0] = informations[2, 0, :] = 0.0  # a base parameter that the plan does not show
+    found = misidentification.wrong(informations)
+    assert found.shape == (3,)
+    assert found[:2] == pytest.approx([float(misidentification.wrong(one)) for one in informations[:2]])
+    assert found[2] == np.inf
+
+
+def test_an_effect_that_the_plan_hides_and_two_that_are_the_same() -> None:
+    reference, plan = columns(9, 60), columns(1)
+    plan[:, OWN + 1] = plan[:, OWN]  # the first two effects are one and the same column
+    plan[:, OWN + 4] = 0.0
+    wrong = float(made(reference).wrong(plan.T @ plan / RUNS))
+    assert np.isfinite(wrong)
+    assert wrong == pytest.approx(brute_force(plan, reference), rel=1e-4)  # lstsq's rank cut against the ridge
+    assert np.all(np.isfinite(made(reference).gradient(plan.T @ plan / RUNS)))
+
+
+def test_an_effect_that_the_base_model_explains_plays_no_part() -> None:
+    """As the compliance of one joint where that of all joints is in the model: the same figures with and without."""
+    reference, plan = columns(9, 60), columns(1)
+    for data in (reference, plan):
+        data[:, OWN + 1] = data[:, :OWN] @ [0.5, -2.0, 1.0]
+    information = plan.T @ plan / RUNS
+    mean = reference.T @ reference / (len(reference) / 2)
+    everything = MisidentificationBound(OWN, BASES[:3], WEIGHTS[:3], mean)
+    without = MisidentificationBound(OWN, (BASES[0], BASES[2]), WEIGHTS[[0, 2]], mean)
+    assert len(everything.directions) == 5
+    assert float(everything.wrong(information)) == pytest.approx(float(without.wrong(information)), rel=1e-12)
+    np.testing.assert_allclose(everything.gradient(information), without.gradient(information), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gradient_by_finite_differences(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    misidentification, plan = made(columns(50 + seed, 60)), columns(seed)
+    information = plan.T @ plan / RUNS
+    gradient = misidentification.gradient(information)
+    for _ in range(5):
+        step = generator.normal(size=information.shape)
+        step = step + step.T
+        ends = [-np.log(float(misidentification.wrong(information + t * step))) for t in (-1e-6, 1e-6)]
+        assert (ends[1] - ends[0]) / 2e-6 == pytest.approx(float(np.sum(gradient * step)), rel=1e-5, abs=1e-7)
+
+
+def test_the_bound_holds_for_simulated_measurements() -> None:
+    """Two effects of one parameter, hidden with either sign, named by least squares: wrong at most as often."""
+    generator = np.random.default_rng(7)
+    reference, plan = columns(9, 600), columns(1)
+    plan[:, OWN + 1] = plan[:, OWN] + 0.25 * plan[:, OWN + 1]  # much alike
+    bases = BASES[:2]
+    misidentification = MisidentificationBound(OWN, bases, np.ones(2), reference.T @ reference / 300)
+    bound = float(misidentification.wrong(plan.T @ plan / RUNS))
+    basis = np.linalg.qr(plan[:, :OWN])[0]
+    seen = [column - basis @ (basis.T @ column) for column in plan[:, OWN : OWN + 2].T]
+    scale = [LAMBDA / left_of(reference[:, OWN + h], reference[:, :OWN]) * np.sqrt(300 / RUNS) for h in (0, 1)]
+    count, wrong = 4000, 0
+    for number in range(count):
+        h = number % 2
+        data = seen[h] * scale[h] + generator.normal(size=len(plan))
+        falls = [(data @ column) ** 2 / (column @ column) for column in seen]
+        wrong += falls[h] < falls[1 - h]
+    assert 0.02 < bound < 0.5
+    error = np.sqrt(bound / count)
+    assert wrong / count < bound + 3.0 * error
+    assert wrong / count > 0.3 * bound - 3.0 * error  # the pair's own part of it, the rest is `nothing`
+
+
+# -- in space ----------------------------------------------------------------------------------------------------------
+ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
+TOOLS = {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10.0, 60.0])}
+GRAVITY = Gravity([0.0, 0.0, -9.81], [7.0, 5.0, 4.0], [0.5, 0.5, 0.5], 2.0)
+LOSS, FEW = 0.1, 9
+
+
+def spatial(points: int) -> Arm:
+    chain = replace(chain_of(ROWS), tools=dict(list(TOOLS.items())[:points]))
+    limits = {"lower": np.radians([-170.0, -100.0, -120.0]), "upper": np.radians([170.0, 100.0, 120.0])}
+    return Arm(chain, sigma=0.05, gravity=GRAVITY, **limits)
+
+
+def columns_design_spatial(model: Model, postures: Array, points: int) -> Array:
+    """(points, m, 3, p) scaled derivatives of every point's positions by central differences, at zero."""
+    steps = 1e-4 * np.diag(1.0 / model.scales)
+    each = []
+    for k in range(points):
+        at = Conditions(marker=np.full(len(postures), k))
+        moved = [model.position(postures, step, at) - model.position(postures, -step, at) for step in steps]
+        each.append(np.moveaxis(moved, 0, -1) / 2e-4)
+    return np.array(each)
+
+
+def stacked(derivatives: Array) -> Array:
+    """(N, p) one row per number measured."""
+    return derivatives.reshape(-1, derivatives.shape[-1])
+
+
+@pytest.mark.parametrize("points", [1, 2])
+def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
+    arm = spatial(points)
+    choices = np.random.default_rng(points).uniform(arm.lower, arm.upper, (10, 3))
+    problem = DesignProblem.of(Model(arm), choices=choices)
+    found = discrimination_design(problem, arm, FEW, loss=LOSS)
+    library = EffectLibrary.of(arm)
+    inner = library.shown_by_postures.model  # type: ignore[attr-defined]
+    cloud = stacked(columns_design_spatial(inner, pool_of(problem, CLOUD, np.random.default_rng(0)), points))
+    of_choices = columns_design_spatial(inner, choices, points)
+    scale = np.sqrt(len(cloud) / (3.0 * points) / 10.0)  # all of the list stand for random postures
+    assert scale == pytest.approx(1.0)
+    best, every = found.best.value, {}
+    for rows in combinations(range(10), FEW):
+        if problem.objective(choices[list(rows)]) >= best - problem.parameters * -np.log1p(-LOSS):
+            plan = stacked(of_choices[:, list(rows)])
+            every[rows] = brute_force(plan, cloud, library.bases, library.weights, library.base)
+    assert found.relative_efficiency >= 1.0 - LOSS
+    assert len(every) > 1
+    assert found.wrong == pytest.approx(min(1.0, *every.values()), rel=1e-3)
+    assert found.wrong <= found.best_wrong
+
+
+def test_a_slide_is_moved_off_its_limits_and_never_goes_round() -> None:
+    rows = [*ROWS[:2], DHRow(0.0, 0.0, 100.0, 0.0, "prismatic", (0.0, 500.0))]
+    arm = Arm(replace(chain_of(rows), tools={"a": TOOLS["a"]}), sigma=0.05)
     problem = DesignProblem.of(Model(arm))
-    wide, best = Swaps(problem, EffectLibrary.of(arm)), solve(problem, 20, seconds=5.0)
-    allowed = -8.0 * np.log(0.9)
-    starts = [plan for plan, _ in initial_plans(wide, best, allowed, np.random.default_rng(0), Budget(1))]
-    assert len(starts) == 2
-    assert log_det(starts[1]) >= log_det(best.plan.postures) - 0.75 * allowed - 1e-9
-    inside = [np.mean(np.abs(np.degrees(plan)) < 60.0) for plan in (best.plan.postures, starts[1])]
-    assert inside[1] > inside[0] + 0.1
-    free = Arm(LENGTHS, sigma=0.1)
-    plan = solve(DesignProblem.of(Model(free)), 20)
-    several = initial_plans(
-        Swaps(DesignProblem.of(Model(free)), EffectLibrary.of(free)),
-        plan,
-        allowed,
-        np.random.default_rng(0),
-        Budget(1),
-    )
-    assert len(list(several)) == 1
+    assert turning(problem).tolist() == [True, True, False]
+    corners = np.column_stack([np.zeros((12, 2)), np.tile([0.0, 500.0], 6)])
+    moved = off_the_limits(problem, corners, -np.inf, np.random.default_rng(1))[:, 2]
+    assert np.all((moved >= 0.0) & (moved <= 500.0))
+    assert np.abs(moved - corners[:, 2]).max() > 20.0  # some of 30 degrees of a range that counts as a turn

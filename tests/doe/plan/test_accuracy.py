@@ -9,12 +9,32 @@ import numpy as np
 import pytest
 
 from doe.bounds.certificate import Bound
+from doe.criteria import E
 from doe.design import score
-from doe.plan.accuracy import error_at_poses, expected_deviations
-from doe.problem.uncertain import average_error
-from identification.arm import Arm
+from doe.plan.accuracy import (
+    TipError,
+    TipErrors,
+    criterion_values,
+    error_at_poses,
+    expected_deviations,
+    observability,
+    tip_beside_random,
+)
+from doe.problem.problem import DesignProblem
+from doe.problem.uncertain import (
+    EnsembleModel,
+    average_error,
+    missing_effects,
+    robust_problem,
+    tip_jacobians,
+    workspace,
+)
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.arrays import Array
+from identification.gap.library_prior import library_prior
 from identification.model import Model
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
+from tests.doe.six_axis import SIX_AXIS, six_axis
 
 
 def fourier(runs: int, links: int) -> np.ndarray:
@@ -26,7 +46,6 @@ def test_optimal_plan(runs: int) -> None:
     sigma = 0.1
     arm = Arm(FOUR.lengths, sigma=sigma)
     found = expected_deviations(problem(arm), fourier(runs, 4))
-    assert found is not None
     lengths = arm.lengths
     np.testing.assert_allclose(found.length, sigma / np.sqrt(runs))  # eq. 24, corrected
     np.testing.assert_allclose(found.orientation, sigma / np.sqrt(runs) / lengths)
@@ -37,7 +56,6 @@ def test_optimal_plan(runs: int) -> None:
 
 def test_the_papers_table() -> None:
     found = expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1)), fourier(20, 4))
-    assert found is not None
     np.testing.assert_allclose(found.length, 0.022, atol=5e-4)  # Table III, 20 points, to its printed digits
     np.testing.assert_allclose(np.degrees(found.orientation), [0.005, 0.007, 0.011, 0.013], atol=5e-4)
 
@@ -50,7 +68,6 @@ def test_agrees_with_simulated_least_squares_on_any_plan() -> None:
     estimates = (np.linalg.pinv(jacobian) @ generator.normal(0.0, 0.1, (18, 20_000))).T
     offsets = estimates[:, 4:8]
     found = expected_deviations(case, plan)
-    assert found is not None
     # relative standard error of a standard deviation from 20,000 samples is 0.5 %; alert 3, fail 6 of it
     np.testing.assert_allclose(found.length, estimates[:, :4].std(axis=0), rtol=0.03)
     np.testing.assert_allclose(found.joint_offset, offsets.std(axis=0), rtol=0.03)
@@ -84,7 +101,6 @@ def test_zero_for_what_is_known() -> None:
     from doe.problem.problem import DesignProblem
 
     found = expected_deviations(DesignProblem.of(model), fourier(8, 4))
-    assert found is not None
     assert found.length[1] == 0.0
     assert found.joint_offset[0] == 0.0
     assert np.all(found.length[[0, 2, 3]] > 0.0)
@@ -96,8 +112,6 @@ def test_measured_postures_help() -> None:
     plan = fourier(8, 4)
     together = expected_deviations(problem(FOUR), np.vstack([plan, kept]))
     apart = expected_deviations(problem(FOUR, kept=kept), plan)
-    assert together is not None
-    assert apart is not None
     np.testing.assert_allclose(apart.length, together.length)
 
 
@@ -106,8 +120,6 @@ def test_weights_share_the_runs_out() -> None:
     weights = np.array([3, 1, 1, 1, 1, 1]) / 8
     shared = expected_deviations(problem(FOUR), plan, weights)
     repeated = expected_deviations(problem(FOUR), plan[[0, 0, 0, 1, 2, 3, 4, 5]])
-    assert shared is not None
-    assert repeated is not None
     # six runs instead of eight, shared out in the same way
     np.testing.assert_allclose(shared.length, repeated.length * np.sqrt(8 / 6))
     np.testing.assert_allclose(shared.joint_offset, repeated.joint_offset * np.sqrt(8 / 6))
@@ -119,3 +131,208 @@ def test_none_where_only_rounding_makes_the_information_regular() -> None:
     plan = np.array(list(product((-1.0, 1.0), half_turn, (-1.0, 1.0), (-1.0, 0.5))))
     assert expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1), ECCENTRICITY), plan) is None
     assert expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1)), plan) is not None
+
+
+# -- observability -----------------------------------------------------------------------------------------------------
+def test_definitions() -> None:
+    case = problem(FOUR, OFFSET)
+    plan = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (9, 4))
+    jacobian = (case.model.jacobian(plan) / case.model.parameters.scales).reshape(18, 10)
+    eigenvalues = np.sort(np.linalg.eigvalsh(jacobian.T @ jacobian))
+    s = np.sqrt(eigenvalues)
+    found = observability(case, plan)
+    assert found["o1"] == pytest.approx(np.prod(s) ** (1 / 10) / 3)
+    assert found["o1"] == pytest.approx(np.exp(case.objective(plan) / 20))  # D
+    assert found["o2"] == pytest.approx(s[0] / s[-1])
+    assert found["o3"] == pytest.approx(np.sqrt(9 * float(E().value(case.information(plan)))))  # E
+    assert found["o4"] == pytest.approx(s[0] ** 2 / s[-1])
+    assert found["o5"] == pytest.approx(1 / np.sum(1 / s))
+    assert set(found) == {"o1", "o2", "o3", "o4", "o5"}
+
+
+def test_kept_postures_count_and_nothing_is_seen_by_too_few() -> None:
+    plan = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (9, 4))
+    assert observability(problem(FOUR, kept=plan[5:]), plan[:5])["o3"] == pytest.approx(
+        observability(problem(FOUR), plan)["o3"]
+    )
+    assert observability(problem(FOUR), plan[:3])["o1"] == 0.0
+    assert observability(problem(FOUR), np.zeros((6, 4)))["o2"] == 0.0
+
+
+def test_every_criterion_from_the_information_matrix() -> None:
+    case = problem(FOUR, OFFSET)
+    plan = np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (9, 4))
+    jacobian = case.model.jacobian(plan) / case.model.parameters.scales
+    m = np.einsum("idp,idq->pq", jacobian, jacobian) / 9
+    inverse, lengths = np.linalg.inv(m), [unit == "mm" for unit in case.model.parameters.units]
+    angles = np.logical_not(lengths)
+    poses = case.model.jacobian(workspace(case)) / case.model.parameters.scales
+    found = criterion_values(case, plan)
+    assert found["D"] == pytest.approx(np.linalg.slogdet(m)[1])
+    assert found["A"] == pytest.approx(-np.trace(inverse))
+    assert found["E"] == pytest.approx(np.linalg.eigvalsh(m)[0])
+    assert found["I"] == pytest.approx(-np.einsum("kdp,pq,kdq->", poses, inverse, poses) / len(poses))
+    assert found["Ds"] == pytest.approx(-np.linalg.slogdet(inverse[lengths][:, lengths])[1])
+    assert found["Dstar"] == pytest.approx(sum(np.linalg.slogdet(m[k][:, k])[1] for k in (lengths, angles)))
+    assert criterion_values(case, plan[:2])["D"] is None
+
+
+# -- error of the tip --------------------------------------------------------------------------------------------------
+ARM = Arm([300.0, 200.0], np.radians([-170, -100]), np.radians([170, 100]), 0.1)
+PLAIN = DesignProblem.of(Model(ARM))
+MISSING = missing_effects(PLAIN, ["encoder_eccentricity", "gear_ratio", "base_offset"])
+WIDE = robust_problem(PLAIN, MISSING)
+POSTURES = np.random.default_rng(3).uniform(ARM.lower, ARM.upper, (6, 2))
+
+
+def tip_error(problem: DesignProblem, wide: DesignProblem, plan: Array, poses: Array | None = None) -> TipError:
+    at = workspace(problem) if poses is None else poses
+    return TipErrors(problem, wide, tip_jacobians(wide, at)).of_plan(plan)
+
+
+def test_against_simulated_arms() -> None:
+    """1,000 arms of the prior, measured at the plan, fitted by the linear model without effects: least squares alone.
+
+    A mean square of one direction has the standard error sqrt(2 / 1000) = 4.5 %; four of them.
+    """
+    generator, count, wide = np.random.default_rng(1), 1000, MISSING.model
+    sizes = wide.parameters.vector(MISSING.prior.deviations, default=0.0)
+    poses = workspace(PLAIN)[:100]
+    found = {}
+    for name, size in (("right", 0.0), ("missing", 1.0)):
+        truth = size * sizes * generator.standard_normal((count, len(sizes)))
+        clean = wide.position(POSTURES, truth) - wide.position(POSTURES, np.zeros(len(sizes)))
+        data = (clean + 0.1 * generator.standard_normal(clean.shape)).reshape(count, -1)
+        jacobian, at_poses = PLAIN.model.jacobian(POSTURES).reshape(-1, 4), PLAIN.model.jacobian(poses).reshape(-1, 4)
+        estimates = np.linalg.lstsq(jacobian, data.T, rcond=None)[0]
+        real = (wide.position(poses, truth) - wide.position(poses, np.zeros(len(sizes)))).reshape(count, -1)
+        found[name] = float(np.sum((at_poses @ estimates - real.T) ** 2) / count / len(poses))
+    expected = tip_error(PLAIN, WIDE, POSTURES, poses)
+    assert expected.right**2 == pytest.approx(found["right"], rel=4.0 * np.sqrt(2.0 / count))
+    assert expected.missing**2 == pytest.approx(found["missing"], rel=4.0 * np.sqrt(2.0 / count))
+
+
+def test_with_the_prior_it_is_criterion_i() -> None:
+    poses = workspace(PLAIN)
+    expected = -replace(WIDE, criterion=average_error(WIDE, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
+    assert tip_error(PLAIN, WIDE, POSTURES).with_prior ** 2 == pytest.approx(expected, rel=1e-9)
+
+
+def test_measured_postures_count() -> None:
+    kept = [replace(case, kept=POSTURES[:3]) for case in (PLAIN, WIDE)]
+    shared = tip_error(*kept, POSTURES[3:]).to_json()
+    assert shared == pytest.approx(tip_error(PLAIN, WIDE, POSTURES).to_json(), rel=1e-9)
+
+
+def test_too_few_runs_have_no_error() -> None:
+    assert tip_error(PLAIN, WIDE, POSTURES[:1]) == TipError()
+
+
+def test_where_no_sizes_are_known_there_is_none() -> None:
+    assert TipErrors.of(DesignProblem.of(Model(Arm([300.0, 200.0])))) is None
+    assert TipErrors.of(replace(PLAIN, model=EnsembleModel(PLAIN.model, np.zeros((1, 4))))) is None
+    assert TipErrors.of(WIDE) is None
+
+
+def test_of_a_diagnosed_arm_nothing_is_missing() -> None:
+    """What is right of it is criterion I of its own model; nothing is promised of effects that it may lack."""
+    values = {"encoder_eccentricity:1.a": 1e-3, "encoder_eccentricity:1.b": 0.0}
+    own = ARM.with_effects(EffectSpec("encoder_eccentricity", 1))
+    case = DesignProblem.of(Model(replace(own, calibration=Calibration(values))))
+    errors = TipErrors.of(case)
+    found, poses = errors.of_plan(POSTURES), workspace(case)
+    expected = -replace(case, criterion=average_error(case, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
+    assert found.right**2 == pytest.approx(expected, rel=1e-9)
+    said = found.to_json()
+    assert (said["effects_missing"], said["effects_missing_prior"]) == (None, None)
+    assert tip_beside_random(case, POSTURES) is None
+
+
+def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
+    """The prior as further rows, zero measured with its deviations: least squares of more rows."""
+    case = six_axis()
+    wide = robust_problem(case, missing_effects(case, ["encoder_eccentricity", "gear_ratio"]))
+    postures = np.random.default_rng(5).uniform(case.lower, case.upper, (14, 6))
+    found, poses, own = tip_error(case, wide, postures), workspace(case), case.parameters
+    spatial_i = replace(case, criterion=average_error(case, poses)).objective(postures)
+    assert found.right**2 == pytest.approx(-spatial_i * 0.05**2 / len(postures), rel=1e-9)
+    rows, targets = (wide.scaled_jacobians(q).reshape(-1, wide.parameters) for q in (postures, poses))
+    held = np.diag(0.05 / (case.model.parameters.scales * deviations(case)))
+    sizes = wide.model.parameters.vector(wide.deviations, default=np.inf)[own:] * wide.model.parameters.scales[own:]
+    seen = np.vstack([rows[:, own:] * sizes, np.zeros((own, len(sizes)))])
+    taken = np.linalg.lstsq(np.vstack([rows[:, :own], held]), seen, rcond=None)[0]
+    bias = np.sum((targets[:, :own] @ taken - targets[:, own:] * sizes) ** 2) / len(poses)
+    assert found.missing**2 == pytest.approx(found.right**2 + bias, rel=1e-6)
+    assert found.right < found.with_prior < found.missing
+    own_rows = np.vstack([rows[:, :own], held])
+    at = targets[:, :own].reshape(len(poses), 3, own)
+    squares = 0.05**2 * np.trace(at @ np.linalg.inv(own_rows.T @ own_rows) @ np.swapaxes(at, 1, 2), axis1=1, axis2=2)
+    assert found.worst**2 == pytest.approx(squares.max(), rel=1e-6)
+
+
+def deviations(case: DesignProblem) -> Array:
+    """(p,) of the prior [mm, rad], infinite where nothing is known."""
+    return np.array([case.deviations.get(name, np.inf) for name in case.model.parameters.names])
+
+
+def test_several_points_are_a_mean_over_them() -> None:
+    """The posterior of all parameters written out: mean over points and poses of what it leaves of each point."""
+    chain = replace(SIX_AXIS.chain, tools={"a": np.array([60.0, 40.0, 100.0]), "b": np.array([-50.0, 20.0, 80.0])})
+    problem = six_axis(replace(SIX_AXIS, chain=chain))
+    wide = robust_problem(problem)
+    poses, plan = (np.random.default_rng(seed).uniform(-2.0, 2.0, (20, 6)) for seed in (4, 5))
+    rows, known = wide.scaled_jacobians(plan), np.diag(wide.precisions)
+    noise = wide.model.sigma
+    posterior = noise**2 * np.linalg.inv(np.einsum("mda,mdb->ab", rows, rows) + known)
+    points = wide.scaled_jacobians(poses).reshape(40, 3, -1)
+    expected = np.einsum("mda,ab,mdb->", points, posterior, points) / 40 + wide.beyond
+    assert tip_error(problem, wide, plan, poses).with_prior ** 2 == pytest.approx(expected, rel=1e-6)
+
+
+def test_what_no_name_has_is_counted_against_simulated_arms() -> None:
+    """1,000 arms with everything that may be missing, all waves of their error curves and an own error of each posture
+    drawn one by one: fitted by the geometry alone, and by the mode of the posterior of what the plan is to show.
+
+    Standard error of the mean square at most sqrt(2 / 1000) = 4.5 %: four of them. The posterior takes waves above the
+    fastest that it has for noise: it errs by less than it says, since they are none where postures are near each other.
+    """
+    wide, whole = robust_problem(PLAIN), library_prior(ARM)
+    generator, count, plan = np.random.default_rng(6), 1000, np.random.default_rng(7).uniform(-1.5, 1.5, (30, 2))
+    poses = workspace(PLAIN)[:100]
+    sizes = whole.model.parameters.vector(whole.prior.deviations, default=0.0)
+    at = np.concatenate([plan, poses])
+    drawn = sizes[:, None] * generator.standard_normal((len(sizes), count))
+    real = whole.model.jacobian(at).reshape(-1, len(sizes)) @ drawn
+    real += whole.prior.own_error * generator.standard_normal(real.shape)
+    data = real[:60] + 0.1 * generator.standard_normal((60, count))
+    columns = PLAIN.model.jacobian(at).reshape(-1, 4)
+    left = columns[60:] @ np.linalg.lstsq(columns[:60], data, rcond=None)[0] - real[60:]
+    expected = TipErrors(PLAIN, wide, tip_jacobians(wide, poses)).of_plan(plan)
+    slow = wide.model.parameters.vector(missing_effects(PLAIN).prior.deviations, default=1e3)
+    rows = wide.model.jacobian(at).reshape(-1, len(slow)) * slow
+    noise = np.hypot(0.1, whole.prior.own_error)
+    gain = np.linalg.solve(rows[:60].T @ rows[:60] + noise**2 * np.eye(len(slow)), rows[:60].T)
+    held = rows[60:] @ gain @ data - real[60:]
+    for error, promised in ((left, expected.missing), (held, expected.with_prior)):
+        assert np.sum(error**2) / count / 100 == pytest.approx(promised**2, rel=4.0 * np.sqrt(2.0 / count))
+
+
+@pytest.mark.parametrize("problem", [PLAIN, WIDE])
+def test_a_plan_beside_random_ones(problem: DesignProblem) -> None:
+    """By the fit that it is meant for, each random plan by itself; the same seed gives the same."""
+    found = tip_beside_random(problem, POSTURES, seed=2)
+    assert found.fit == problem.fit
+    judged = TipErrors(problem, WIDE, tip_jacobians(WIDE, workspace(PLAIN))) if problem.fit else TipErrors.of(PLAIN)
+    expected = judged.with_prior(POSTURES) if problem.fit else judged.missing(POSTURES)
+    assert found.plan == pytest.approx(expected, rel=1e-9)
+    assert len(found.random) == 50
+    assert np.all(found.random > 0.0)
+    said = found.to_json()
+    assert said["better_than"] == np.mean(found.random > found.plan)
+    assert (
+        said
+        == tip_beside_random(problem, POSTURES, seed=2).to_json()
+        != tip_beside_random(problem, POSTURES, 3).to_json()
+    )
+    worse = tip_beside_random(problem, np.tile(POSTURES[:3], (2, 1)), seed=2)
+    assert "no better than postures chosen at random" in str(worse)

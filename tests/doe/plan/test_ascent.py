@@ -123,12 +123,6 @@ def test_plans_that_stand_for_fewer_runs() -> None:
     assert PlanAscent(case, runs=12).rise(plan)[0] == pytest.approx(float(case.criterion.value(mixture)), rel=1e-12)
 
 
-@pytest.mark.parametrize("case", [problem(FOUR), WALLS], ids=["limits", "walls"])
-def test_without_time_plans_stay_as_they_are(case: DesignProblem) -> None:
-    start = random_plan(case, 12)
-    np.testing.assert_allclose(PlanAscent(case)(start, stop=lambda: True), start, atol=1e-12)
-
-
 def test_singular_plans_have_no_slope_and_do_not_get_worse() -> None:
     """Stretched out, the arm's four lengths have equal columns, without rounding; at six equal postures the last digit
     decides whether M is singular, so that the plan may climb."""
@@ -141,8 +135,3 @@ def test_singular_plans_have_no_slope_and_do_not_get_worse() -> None:
     assert np.all((ended >= FOUR.lower - 1e-12) & (ended <= FOUR.upper + 1e-12))
     before, after = (PlanAscent(case).rise(plan)[0] for plan in (same, ended))
     assert after >= before
-
-
-def test_where_gradients_are_the_choice() -> None:
-    assert six_axis().many_parameters
-    assert not problem(FOUR).many_parameters

@@ -66,17 +66,14 @@ def test_a_plan_of_a_sine_is_the_best_of_all_pairs() -> None:
     assert design.value == pytest.approx(log_det(design.plan.postures[:, 0]), abs=1e-9)
     assert max(log_det(np.array(pair)) for pair in combinations(FINE[::20], 2)) <= design.value + 1e-9
     assert design.to_json()["table_1_max_residual"] is None
-    assert design.deviations is not None  # a^2 = sigma^2 / 2 of four runs in two orthogonal directions
     np.testing.assert_allclose(design.deviations.values * [1.0, 100.0], 0.5 / np.sqrt(2.0), rtol=1e-6)
 
 
 def test_relaxation_advice_and_score_of_a_sine() -> None:
     weights = relax(SINE, FINE[:, None])
     assert weights.value == pytest.approx(-2.0 * np.log(2.0), abs=1e-6)
-    assert weights.bound is not None
     advice = advise(SINE, [2, 3, 4, 8], target=0.3)
     assert advice.efficient_runs() == (2, 3, 4, 8)  # three points 60 degrees apart are as good
-    assert advice.smallest is not None
     assert len(advice.smallest.plan) == 8  # 0.5 sqrt(2 / 4) = 0.35, 0.5 sqrt(2 / 8) = 0.25
     scored = score_plan(SINE, np.array([[0.0], [0.1]]))
     assert scored.efficiency == pytest.approx(np.exp((log_det(np.array([0.0, 0.1])) + 2.0 * np.log(2.0)) / 2.0))
@@ -208,13 +205,11 @@ def test_a_five_bar_linkage_is_designed_identified_and_refused_a_diagnosis() -> 
     information = np.array(columns) @ np.array(columns).T / 8.0
     assert design.value == pytest.approx(np.linalg.slogdet(information)[1], abs=1e-4)
     assert design.value > max(problem.objective(plan) for plan in at_random)
-    assert design.bound is not None
     assert design.bound.value >= design.value
     truth = np.array([0.5, -0.3, 0.4, 0.2, 0.003, -0.002])
     exact = five_bar_tip(design.plan.postures, truth)
     data = Measurements(design.plan.postures, exact + 0.05 * generator.standard_normal(exact.shape))
     fit = estimate(FiveBar(), data)  # type: ignore[arg-type]
-    assert design.deviations is not None
     assert np.all(np.abs(fit.parameters - truth) < 4.0 * design.deviations.values)
     with pytest.raises(InputError, match=r"^arm: FiveBar, allowed: an Arm"):
         diagnose(FiveBar(), data)  # type: ignore[arg-type]

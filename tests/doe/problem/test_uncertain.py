@@ -3,19 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 
-from doe.criteria import Average, SoftWorst, Worst
+from doe.bounds.best_known import best_known_bound
+from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
+from doe.criteria import A, Average, D, SoftWorst, Worst
 from doe.design import score
 from doe.problem.problem import DesignProblem
-from doe.problem.uncertain import ensemble_problem, prior_draws
+from doe.problem.uncertain import (
+    EnsembleModel,
+    average_error,
+    ensemble_problem,
+    missing_effects,
+    prior_draws,
+    robust_problem,
+    with_choices,
+    workspace,
+)
 from doe.report.design import accuracy
 from doe.solvers import solve
 from identification.arm import Arm, Calibration, EffectSpec, Machining
+from identification.arrays import Array
 from identification.document import Sheet
 from identification.errors import InputError
+from identification.estimation.problem import Problem
+from identification.kinematics.chain import DHRow, chain_of
+from identification.measurements import Conditions
 from identification.model import Model
 
 ARM = Arm(
@@ -53,7 +69,6 @@ def test_design_for_the_prior_beats_the_design_for_one_guess(kind: str) -> None:
     one_guess = solve(plain, 9, starts=10)
     judge = np.sum if kind == "average" else np.min
     assert judge(each_log_det(design.plan.postures)) >= judge(each_log_det(one_guess.plan.postures))
-    assert design.bound is not None
     assert design.value <= design.bound.value + 1e-9
     generator = np.random.default_rng(3)
     for _ in range(20):  # no other plan exceeds the bound
@@ -135,3 +150,189 @@ def test_expected_deviations_are_those_of_every_arm_by_itself() -> None:
     assert isinstance(table, Sheet)
     assert len(table.headings) == 7
     assert "std_worst_draw" not in score(DesignProblem.of(MODEL), plan).to_json()
+
+
+# -- missing effects ---------------------------------------------------------------------------------------------------
+LENGTHS = np.array([300.0, 200.0])
+ARM_ROBUST = Arm(LENGTHS, np.radians([-170, -100]), np.radians([170, 100]), 0.1)
+NAMES = ("encoder_eccentricity", "gear_ratio", "base_offset")
+DEVIATIONS = np.array([1.0, 1.0, *[5e-4] * 4, *[1e-4] * 2])  # base x, y; a, b of joint 1, then 2; e of 1 and 2
+PLAIN = DesignProblem.of(Model(ARM_ROBUST))
+CASE = robust_problem(PLAIN, missing_effects(PLAIN, NAMES))
+FOURS = list(combinations(range(8), 4))
+POSTURES = np.random.default_rng(3).uniform(ARM_ROBUST.lower, ARM_ROBUST.upper, (6, 2))
+
+
+def tip(q: Array, x: Array) -> complex:
+    """Position, in the order dl, dq, base, eccentricities, gear ratios: written again from the mathematics."""
+    angles = q + x[2:4] + x[6:10:2] * np.cos(q) + x[7:10:2] * np.sin(q) + x[10:12] * q
+    orientations = np.cumsum(angles)
+    return complex((LENGTHS + x[:2]) @ np.exp(1j * orientations) + x[4] + 1j * x[5])
+
+
+def columns(postures: Array) -> Array:
+    """(m, 2, 12) central differences."""
+    steps = np.diag([1e-2, 1e-2, *[1e-5] * 2, 1e-2, 1e-2, *[1e-5] * 6])
+    made = [[(tip(q, step) - tip(q, -step)) / (2.0 * step.max()) for step in steps] for q in postures]
+    return np.stack([np.real(made), np.imag(made)], axis=1)
+
+
+def posterior(postures: Array) -> Array:
+    """(12, 12) covariance of all parameters, inverse of information / sigma^2 + prior precision."""
+    rows = columns(postures).reshape(-1, 12)
+    return np.linalg.inv(rows.T @ rows / 0.1**2 + np.diag(np.r_[np.zeros(4), DEVIATIONS**-2.0]))
+
+
+def in_my_order() -> list[int]:
+    names = ["length_error:1", "length_error:2", "joint_offset:1", "joint_offset:2", "base_offset.x0", "base_offset.y0"]
+    names += [f"encoder_eccentricity:{j}.{s}" for j in (1, 2) for s in "ab"] + ["gear_ratio:1.e", "gear_ratio:2.e"]
+    assert set(names) == set(CASE.model.parameters.names)
+    return [CASE.model.parameters.index(name) for name in names]
+
+
+def test_d_is_the_determinant_of_the_joint_posterior() -> None:
+    scales = CASE.model.parameters.scales[in_my_order()]
+    expected = (
+        -np.linalg.slogdet(posterior(POSTURES))[1] + 12 * np.log(0.1**2 / len(POSTURES)) - 2 * np.log(scales).sum()
+    )
+    design = score(replace(CASE, criterion=D()), POSTURES)
+    assert design.value == pytest.approx(expected, abs=1e-6)
+    assert design.log_det == design.value
+    assert CASE.fewest_runs == 2  # four lengths and offsets; eight more of which something is known
+
+
+def test_a_and_the_expected_deviations_are_those_of_the_posterior() -> None:
+    order, covariance = in_my_order(), posterior(POSTURES)
+    design = score(replace(CASE, criterion=A()), POSTURES)
+    scaled = np.diag(covariance) * CASE.model.parameters.scales[order] ** 2
+    assert design.value == pytest.approx(-scaled.sum() * len(POSTURES) / 0.1**2, rel=1e-6)
+    assert design.deviations.values[order] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
+
+
+def test_i_is_the_error_of_simulated_arms_drawn_from_the_prior() -> None:
+    """400 arms with effects of the prior, measured and fitted with it; sqrt(-Phi sigma^2 / m) is their RMS tip error.
+
+    The mean square of 400 arms has a standard error of at most sqrt(2 / 400) = 7 % (one direction dominating): alert at
+    two, fail at four.
+    """
+    generator, count, model = np.random.default_rng(11), 400, Model(missing_effects(PLAIN, NAMES).arm)
+    prior = missing_effects(PLAIN, NAMES).prior
+    deviations = model.parameters.vector(prior.deviations, default=0.0)
+    deviations[:4] = [1.0, 1.0, 5e-3, 5e-3]  # the geometry may be anything
+    truth = deviations * generator.standard_normal((count, 12))
+    clean = model.position(POSTURES, truth)
+    data = clean + 0.1 * generator.standard_normal(clean.shape)
+    told = Problem(model, POSTURES, Conditions(), data, np.full(6, 100.0), prior=prior)
+    fitted = told.minimized(np.zeros((count, 12)))
+    poses = workspace(PLAIN)[:200]
+    missed = model.position(poses, fitted.parameters) - model.position(poses, truth)
+    simulated = float(np.mean(np.sum(missed**2, axis=-1)))
+    case = replace(CASE, criterion=average_error(CASE, poses))
+    promised = -case.objective(POSTURES) * 0.1**2 / len(POSTURES)
+    assert simulated == pytest.approx(promised, rel=4.0 * np.sqrt(2.0 / count))
+
+
+@pytest.mark.parametrize("criterion", [None, D()])
+def test_sensitivity_is_below_the_bound_at_the_optimum(criterion: D | None) -> None:
+    """Optimal weights over all postures, and tr(G F) by its own formula on a grid of 1 or 1.6 degrees."""
+    case = CASE if criterion is None else replace(CASE, criterion=criterion)
+    runs = 12
+    found = continuous_design(case, runs=runs)
+    jacobians, known = case.scaled_jacobians(found.plan.postures), np.diag(case.precisions)
+    information = np.einsum("k,kda,kdb->ab", found.plan.shares, jacobians, jacobians) + known / runs
+    gradient = case.criterion.gradient(information)
+    fine = np.stack(np.meshgrid(*np.linspace(case.lower, case.upper, 217).T), axis=-1).reshape(-1, 2)
+    moved = case.scaled_jacobians(fine)
+    sensitivity = np.einsum("kda,ab,kdb->k", moved, gradient, moved) + np.sum(gradient * known) / runs
+    level = np.sum(gradient * information)
+    on_grid = np.einsum("kda,ab,kdb->k", jacobians, gradient, jacobians) + np.sum(gradient * known) / runs
+    assert on_grid.max() <= level * (1.0 + 1e-6)  # equality on the support
+    assert sensitivity.max() <= level * (1.0 + 1e-8)
+    assert sensitivity.max() > level * 0.99  # the grid is not far from the support
+    exact = solve(case, runs, solver="exchange", starts=3)
+    assert exact.value <= exact.bound.value
+    assert exact.bound.value == pytest.approx(found.value, rel=1e-6)
+
+
+def test_prior_precision_can_only_help_and_nothing_known_is_nothing() -> None:
+    free = replace(CASE, deviations={})
+    assert free.fewest_runs == 6
+    assert free.prior.empty
+    more = np.random.default_rng(5).uniform(ARM_ROBUST.lower, ARM_ROBUST.upper, (20, 2))
+    assert CASE.objective(more) > free.objective(more)
+    wide = replace(CASE, deviations={name: 1e6 * size for name, size in CASE.deviations.items()})
+    assert wide.objective(more) == pytest.approx(free.objective(more), rel=1e-6)
+
+
+def test_choices_are_the_workspace() -> None:
+    listed = replace(PLAIN, choices=POSTURES)
+    assert workspace(listed) == pytest.approx(np.array(POSTURES))
+    assert robust_problem(listed).parameters > CASE.parameters
+
+
+def test_bad_input_is_said() -> None:
+    with pytest.raises(InputError, match=r"^--robust needs the instrument's scatter"):
+        robust_problem(DesignProblem.of(Model(Arm(LENGTHS))))
+    with pytest.raises(InputError, match="robust: EnsembleModel has no missing_effects, allowed: a model with it"):
+        robust_problem(replace(PLAIN, model=EnsembleModel(PLAIN.model, np.zeros((2, 4)))))
+    with pytest.raises(InputError, match="deviations: joint_offset:1 has 0"):
+        replace(PLAIN, deviations={"joint_offset:1": 0.0})
+    with pytest.raises(InputError, match="unknown name 'nothing'"):
+        replace(PLAIN, deviations={"nothing": 1.0})
+    with pytest.raises(InputError, match=r"^a prior needs the instrument's scatter"):
+        DesignProblem.of(Model(Arm(LENGTHS)), deviations={"joint_offset:1": 1.0})
+
+
+def test_the_best_of_all_plans_of_several_points() -> None:
+    """Two reflectors, and two frames with their orientations, on three joints: every plan of 4 of 8 postures, by
+    central differences of positions that are compared with those of the arm itself."""
+    generator = np.random.default_rng(8)
+    rows = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
+    tools = {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10.0, 60.0])}
+    for angle_scale, each in ((None, 3), (200.0, 6)):
+        chain = replace(chain_of(rows), tools=tools, angle_scale=angle_scale)
+        choices = generator.uniform(-2.0, 2.0, (8, 3))
+        problem = DesignProblem.of(Model(Arm(chain, sigma=0.05)), choices=choices)
+        case = robust_problem(problem, missing_effects(problem, ["encoder_eccentricity", "gear_ratio"]))
+        model = case.model
+        assert case.model.dimension == 2 * each
+        sides = [np.repeat(choices, 2, axis=0), Conditions(marker=np.tile([0.0, 1.0], 8))]
+        if angle_scale is not None:
+            sides[1] = replace(sides[1], orientation=model.orientations(*sides))
+        step = 1e-4 / model.scales
+        moved = [[model.position(sides[0], s * np.diag(step)[k], sides[1]) for k in range(len(step))] for s in (1, -1)]
+        columns = np.moveaxis((np.array(moved[0]) - np.array(moved[1])) / 2e-4, 0, -1).reshape(8, 2 * each, -1)
+        known = [case.deviations.get(name, np.inf) for name in model.names]
+        prior = np.diag((0.05 / (model.scales * known)) ** 2)
+        of_each = np.einsum("mdp,mdq->mpq", columns, columns)
+        poses = of_each.mean(axis=0)  # I: over the list, which is the workspace
+        every = [np.trace(np.linalg.solve(of_each[list(four)].sum(axis=0) + prior, poses)) for four in FOURS]
+        found = solve(case, 4, starts=20)
+        assert -found.value / 4 == pytest.approx(min(every), rel=1e-5)
+
+
+def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
+    """Weights on postures climbed from the list beat every bound over the list, and not this one."""
+    some = replace(CASE, choices=np.random.default_rng(0).uniform(ARM_ROBUST.lower, ARM_ROBUST.upper, (40, 2)))
+    sampled = replace(some, sampled=True)
+    listed, everywhere = best_known_bound(some, 12), best_known_bound(sampled, 12)
+    assert (listed.source, listed.rigorous, listed.candidates) == ("grid", True, 40)
+    assert (everywhere.source, everywhere.rigorous, everywhere.candidates) == ("continuous", False, None)
+    effort = {"runs": 12, "tolerance": 1e-3}
+    found = column_generation(some, some.choices, **effort)
+    climbed = ContinuousSet(CASE, found.prior).best(found.gradient, found.plan.postures)[0]
+    better = column_generation(CASE, np.concatenate([some.choices, climbed]), **effort)
+    value = float(CASE.criterion.value(better.information))
+    assert listed.value < value - 1e-3 * abs(value)  # what was called a bound of all plans
+    assert value < everywhere.value
+    # and against another set of postures altogether, a fine grid with its exact bound
+    grid = np.stack(np.meshgrid(*np.linspace(ARM_ROBUST.lower, ARM_ROBUST.upper, 25).T), axis=-1).reshape(-1, 2)
+    fine = column_generation(CASE, grid, **effort)
+    assert float(CASE.criterion.value(fine.information)) < everywhere.value
+
+
+def test_only_a_list_of_its_own_making_is_a_sample() -> None:
+    assert with_choices(CASE).sampled
+    listed = replace(CASE, choices=POSTURES)
+    assert not with_choices(listed).sampled
+    assert not with_choices(listed, POSTURES[:1] + 0.1).sampled

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from itertools import combinations_with_replacement
+from dataclasses import replace
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 import pytest
 
 from doe.bounds.certificate import Bound
-from doe.criteria import D
-from doe.solvers import Exchange, solve
+from doe.bounds.planar_theorem import closed_form_log_det
+from doe.problem.postures import random_postures
+from doe.solvers import Exchange, Fedorov, Gradient, solve
 from doe.solvers.solver import Budget
 from identification.arm import Arm
-from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
-
-
-def test_determinant_lemma_is_direct_evaluation() -> None:
-    generator = np.random.default_rng(0)
-    root = generator.normal(size=(3, 9, 6))
-    information = np.swapaxes(root, -1, -2) @ root
-    for d in (2, 3):
-        jacobians = generator.normal(size=(3, 11, d, 6))
-        direct = np.linalg.slogdet(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians)[1]
-        found = D().values_after_adding(information, jacobians) + np.linalg.slogdet(information)[1][:, None]
-        np.testing.assert_allclose(found, direct, atol=1e-7)  # the ridge is 1e-9 of the mean eigenvalue
+from identification.errors import InputError
+from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
+from tests.doe.problem.test_spatial_constraints import BOX, SIGHT
+from tests.doe.six_axis import LIMITED, SIX_AXIS, difference_information, six_axis
 
 
 def test_no_single_exchange_improves_the_end() -> None:
@@ -74,3 +68,116 @@ def test_measured_postures_count() -> None:
 
 def test_single_link() -> None:
     assert solve(problem(Arm([100.0])), 1, "exchange").value == pytest.approx(0.0, abs=1e-12)
+
+
+# -- of a list ---------------------------------------------------------------------------------------------------------
+LIST = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (18, 4))
+
+
+def test_best_of_all_subsets() -> None:
+    case = problem(FOUR, choices=LIST)
+    values = {rows: case.objective(LIST[list(rows)]) for rows in combinations(range(18), 5)}
+    best = max(values, key=lambda rows: values[rows])
+    design = solve(case, 5)
+    assert design.value == pytest.approx(values[best], abs=1e-12)
+    assert sorted(map(tuple, design.plan.postures)) == sorted(map(tuple, LIST[list(best)]))
+    assert design.bound.source == "grid"
+    assert design.bound.value >= values[best]
+
+
+def test_around_measured_postures() -> None:
+    kept = LIST[:4]
+    case = problem(FOUR, choices=LIST, kept=kept)
+    values = [case.objective(LIST[list(rows)]) for rows in combinations(range(18), 3)]
+    design = solve(case, 3)
+    assert design.value == pytest.approx(max(values), abs=1e-12)
+    assert design.efficiency <= 1.0 + 1e-9
+
+
+def test_repeats_only_when_asked_for() -> None:
+    few = LIST[:6]
+    assert len(np.unique(solve(problem(FOUR, choices=few), 6).plan.postures, axis=0)) == 6
+    repeated = solve(problem(FOUR, choices=few, minimum_distance=0.0), 12)
+    assert len(repeated.plan) == 12
+    with pytest.raises(InputError, match=r"runs: found 12, allowed: up to 6, the different postures"):
+        solve(problem(FOUR, choices=np.vstack([few, few])), 12)
+
+
+def test_choices_outside_the_limits_are_not_chosen() -> None:
+    beyond = np.array(LIST)
+    beyond[:5, 1] = np.radians(150.0)
+    design = solve(problem(FOUR, OFFSET, choices=beyond), 8)
+    assert np.all(design.plan.postures <= FOUR.upper)
+
+
+def test_bad_input() -> None:
+    with pytest.raises(InputError, match="ipopt cannot choose from a list"):
+        solve(problem(FOUR, choices=LIST), 6, "ipopt")
+    with pytest.raises(InputError, match="found none, allowed: with --candidates"):
+        solve(problem(FOUR), 6, Fedorov())
+    with pytest.raises(InputError, match=r"allowed: \(N, 4\)"):
+        solve(problem(FOUR, choices=LIST[:, :3]), 6)
+    with pytest.raises(InputError, match="0 of 18"):
+        solve(problem(FOUR, choices=LIST + 10.0), 6)
+
+
+# -- with climbs on gradients ------------------------------------------------------------------------------------------
+NONE = Bound(np.inf, "continuous")
+
+
+def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
+    """Six axes, one reflector; 0.995 is the aim, and a random plan has 0.87."""
+    problem = six_axis()
+    design = solve(problem, 30, Gradient(count=2), seed=2)
+    assert design.solver == "gradient"
+    assert 0.999 < design.efficiency <= 1.0
+    expected = difference_information(problem, problem.model, design.plan.postures)  # type: ignore[arg-type]
+    assert design.value == pytest.approx(np.linalg.slogdet(expected)[1], abs=1e-3)
+    plain = np.random.default_rng(4).uniform(problem.lower, problem.upper, (20, 30, 6))
+    assert max(problem.objective(plan) for plan in plain) < design.bound.value - 39 * 0.05
+
+
+def test_exchanges_between_climbed_plans_help() -> None:
+    problem = six_axis(LIMITED)
+    one, two = (solve(problem, 20, Gradient(batch=5), starts=n, seed=3, bound=NONE).value for n in (5, 10))
+    assert two > one
+
+
+def test_it_is_the_default_for_many_parameters() -> None:
+    design = solve(six_axis(LIMITED), 12, starts=2, bound=NONE)
+    assert (design.solver, design.starts) == ("gradient", 2)
+
+
+def test_a_feasible_plan_better_than_the_best_list() -> None:
+    """A box and a tracker that must see the reflector: exchanges on a list of 1,000 feasible postures fall short."""
+    arm = replace(SIX_AXIS, constraints=(BOX, SIGHT))
+    problem = six_axis(arm)
+    design = solve(problem, 12, starts=4, bound=NONE)
+    assert (design.solver, design.outside) == ("gradient", ())
+    assert problem.feasible(design.plan.postures).all()
+    choices = random_postures(problem, 1000, np.random.default_rng(1))
+    chosen = solve(replace(problem, choices=choices), 12, Fedorov(), bound=NONE)
+    # four seeds of the climb reach 0.978 to 1.004 of the list's best weights, the best exchange on the list 0.902
+    assert problem.criterion.efficiency(chosen.value, design.value, problem.parameters) < 0.96
+
+
+# -- from rounded weights ----------------------------------------------------------------------------------------------
+def test_reaches_known_optima() -> None:
+    """Sixteen runs: the relaxation's factorial, rounded, is optimal at once; eleven: near the best known."""
+    design = solve(problem(FIVE), 16, "relaxation_rounding")
+    assert design.value > closed_form_log_det(problem(FIVE)) - 1e-6
+    assert solve(problem(FOUR), 10, "relaxation_rounding").value > -0.1445  # -0.14288 is the best known
+
+
+def test_a_rounded_plan_has_the_runs_asked_for() -> None:
+    design = solve(problem(FIVE), 9, "relaxation_rounding", starts=3)
+    assert len(design.plan) == 9
+    assert np.all((design.plan.postures >= FIVE.lower) & (design.plan.postures <= FIVE.upper))
+
+
+def test_long_plans_are_not_polished() -> None:
+    """600 runs: IPOPT would need a dense matrix of 1,800 x 1,800 second derivatives for each step."""
+    four = problem(FOUR)
+    found = solve(four, 600, "relaxation_rounding", starts=2, seconds=20.0)
+    assert found.value <= found.bound.value + 1e-9
+    assert found.value >= found.bound.value - 1e-3

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,15 @@ import pytest
 from doe.bounds.certificate import Bound
 from doe.design import score_plan
 from doe.problem.problem import DesignProblem
-from doe.solvers import Offer, solve
+from doe.solvers import Offer, Random, solve
 from doe.solvers.solver import LONG_PLAN
-from doe.solvers.solving import SOLVERS
-from identification.errors import InputError
+from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers, chosen_solver
+from doe.studies.comparison import Comparison
+from identification.arm import Arm, EffectSpec
+from identification.errors import InputError, JobError
+from identification.running import Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
+from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 
 
 @dataclass
@@ -81,3 +86,164 @@ def test_of_very_many_runs_a_random_plan_is_better_than_none(monkeypatch: pytest
     apart = np.abs(plan[:, None] - plan).max(axis=2)[np.triu_indices(runs, 1)]
     assert apart.min() >= np.radians(1.0) * (1 - 1e-9)
     assert np.all((plan >= FOUR.lower) & (plan <= FOUR.upper))
+
+
+# -- the search --------------------------------------------------------------------------------------------------------
+GOOD = factorial(FOUR, offset=False)
+POOR = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (8, 4))
+
+
+@dataclass
+class Scripted:
+    """A solver that offers what it is told to; a `BaseException` in the script is raised."""
+
+    script: list[Any]
+    name: str = "scripted"
+    taken: int = field(default=0)
+
+    def starts_for(self, problem: object) -> int:
+        return 100
+
+    def offers(self, *_: object) -> Iterator[Offer]:
+        for entry in self.script:
+            self.taken += 1
+            if isinstance(entry, BaseException):
+                raise entry
+            yield entry
+
+
+def test_clips_and_recomputes() -> None:
+    beyond = GOOD + 1e-8 * np.sign(GOOD)
+    design = solve(problem(FOUR), 8, Scripted([Offer(POOR, 1), Offer(beyond, 1)]))
+    postures = design.plan.postures
+    assert np.all(postures >= FOUR.lower)
+    assert np.all(postures <= FOUR.upper)
+    assert design.value == pytest.approx(complex_log_det(postures), abs=1e-12)
+    assert design.value <= -0.0612353258  # a plan outside the limits would be better
+    assert design.certified_optimal
+
+
+def test_keeps_the_best_and_stops_at_the_bound() -> None:
+    solver = Scripted([Offer(POOR, 1), Offer(GOOD, 1), Offer(POOR, 1)])
+    design = solve(problem(FOUR), 8, solver)
+    assert solver.taken == 2
+    assert (design.status, design.starts) == (Status.bound_reached, 2)
+    np.testing.assert_array_equal(design.plan.postures[:, 1:], problem(FOUR).clip(GOOD)[:, 1:])
+
+
+def test_stops_when_independent_starts_agree_unless_a_number_is_asked_for() -> None:
+    offers = [Offer(POOR, 1, independent=True)] * 50
+    assert solve(problem(FOUR), 8, Scripted(offers)).status is Status.agreed
+    assert solve(problem(FOUR), 8, Scripted(offers)).starts == AGREEMENT
+    assert solve(problem(FOUR), 8, Scripted(offers), starts=50).starts == 50
+    assert solve(problem(FOUR), 8, Scripted([Offer(POOR, 1)] * 50)).status is Status.starts_finished
+
+
+def test_ctrl_c_returns_the_best_so_far() -> None:
+    design = solve(problem(FOUR), 8, Scripted([Offer(POOR, 1), KeyboardInterrupt()]))
+    assert design.status is Status.interrupted
+    assert design.value == pytest.approx(complex_log_det(POOR))
+
+
+def test_ctrl_c_before_the_first_plan() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        solve(problem(FOUR), 8, Scripted([KeyboardInterrupt()]))
+
+
+def test_time_limit() -> None:
+    design = solve(problem(FOUR), 8, Scripted([Offer(POOR, 1)] * 10), seconds=1e-9)
+    assert (design.status, design.starts) == (Status.time_limit, 1)
+
+
+def test_a_solver_without_a_useful_plan() -> None:
+    singular = Offer(np.zeros((8, 4)), 1)
+    with pytest.raises(JobError, match="no plan that identifies all 8 parameters"):
+        solve(problem(FOUR), 8, Scripted([singular]))
+    assert solve(problem(FOUR), 8, Scripted([singular]), throw=False).value == -np.inf
+    with pytest.raises(JobError, match="scripted"):
+        solve(problem(FOUR), 8, Scripted([]), throw=False)
+
+
+def test_a_plan_that_breaks_the_minimum_distance_is_no_result() -> None:
+    crowded = Scripted([Offer(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 4)), 1)])  # tells all
+    apart = replace(problem(FOUR), minimum_distance=2.0)  # just 12 fit into the limits
+    with pytest.raises(JobError, match=r"postures 114.592 deg apart was found by scripted"):
+        solve(apart, 12, crowded)
+
+
+def test_a_bound_may_be_given() -> None:
+    value = complex_log_det(POOR)
+    design = solve(problem(FOUR), 8, Scripted([Offer(POOR, 1)] * 3), bound=Bound(value, "continuous"))
+    assert design.status is Status.bound_reached
+    assert design.bound.source == "continuous"
+
+
+# -- what cannot be solved ---------------------------------------------------------------------------------------------
+def test_what_no_posture_tells_apart_is_named() -> None:
+    lost = {
+        "base_rotation": r"joint_offset:1 \+ base_rotation.angle",
+        "base_drift": "base_drift.vx; base_drift.vy",
+    }
+    for name, combination in lost.items():
+        with pytest.raises(JobError, match=f"no posture distinguishes: {combination}"):
+            solve(problem(FOUR, EffectSpec(name)), 12, "random")
+
+
+def test_candidates_that_cannot_identify_are_no_plan() -> None:
+    """One posture gives two equations; det M is 0 but for rounding, whatever the angles."""
+    for posture in ([0.0, 0.0, 0.0, 0.0], [0.3, 0.7, -0.5, 0.2]):
+        case = problem(FOUR, choices=np.array([posture]), minimum_distance=0.0)
+        with pytest.raises(JobError, match="1 candidates cannot identify all 8 parameters"):
+            solve(case, 8, starts=5)
+    assert solve(case, 8, starts=5, throw=False).status is Status.not_identifiable
+
+
+def test_no_information_is_never_a_bound_reached() -> None:
+    """Links of a metre's millionth between links of a kilometre: their offsets drown in rounding."""
+    case = problem(Arm([1e6, 1e-3, 1e6, 1e-3]))
+    design = solve(case, 8, throw=False)
+    assert (design.value, design.status) == (-np.inf, Status.not_identifiable)
+
+
+@pytest.mark.parametrize("runs", [8.0, "8", None, True, np.float64(8.0)])
+def test_runs_are_a_whole_number(runs: Any) -> None:
+    with pytest.raises(InputError, match=r"runs: .*allowed: a whole number"):
+        solve(problem(FOUR), runs)
+
+
+# -- solvers by name ---------------------------------------------------------------------------------------------------
+pytestmark = pytest.mark.filterwarnings("ignore:armcal.solvers of installed packages")
+
+
+def test_every_solver_has_the_name_it_is_asked_for_by() -> None:
+    for name in SOLVERS:
+        assert chosen_solver(problem(FOUR), name).name == name
+    with pytest.raises(InputError, match="did you mean 'fedorov'"):
+        chosen_solver(problem(FOUR), "federov")
+
+
+def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("baseline", "doe.solvers.solving:Random", "armcal.solvers")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.solvers" else [])
+    available_solvers.cache_clear()
+    try:
+        assert chosen_solver(problem(FOUR), "baseline") == Random()  # a class is called without arguments
+        assert set(available_solvers()) == {*SOLVERS, "baseline"}
+        Comparison([FOUR], [4], ["baseline"])
+    finally:
+        available_solvers.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [("no_such_package_at_all:Mine", "No module named"), ("math:pi", "a solver with offers"), ("math:tau2", "tau2")],
+)
+def test_a_broken_solver_of_a_package_is_named(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
+    point = EntryPoint("mine", value, "armcal.solvers")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
+    available_solvers.cache_clear()
+    try:
+        with pytest.raises(InputError, match=f"mine = {value}.*{expected}"):
+            chosen_solver(problem(FOUR), "mine")
+    finally:
+        available_solvers.cache_clear()

@@ -14,11 +14,10 @@ from identification.conditions import Conditions
 from identification.documents.pictures import (
     Compared,
     caption,
-    dense,
     draw_errors,
-    joint_error,
     joint_errors,
     line_between,
+    share_of,
     signed_figures,
 )
 from identification.error_curve import ErrorCurve
@@ -80,8 +79,10 @@ def test_the_line_is_the_effect_of_the_model_and_the_points_before_lack_it() -> 
     leaves, here what wrong lengths do, the red points are on the wave where the blue ones are on zero."""
     q = np.random.default_rng(7).uniform(-1.5, 1.5, (14, 2))
     real = model_with(EffectSpec("transmission_ripple", 2, {"k": 9.0}), a=1e-3)
-    wave = joint_error(real, real.effects[0], q)
-    grid = dense(q[:, 1])
+    nothing = np.zeros((14, 2))
+    plain = Compared(real.arm, q, nothing, nothing)
+    grid, wave, _, smooth = share_of(real, real.effects[0], plain, real.joint_levers(q)[:, :, 1])
+    assert smooth
     basis = np.column_stack([np.sin(9.0 * grid), np.cos(9.0 * grid)])
     part = np.linalg.lstsq(basis, wave, rcond=None)[0]
     assert np.hypot(*part) == pytest.approx(1e-3, rel=1e-3)

@@ -1,0 +1,174 @@
+"""Plan files: rows in the order of measurement, weights of approximate designs, exact round trips."""
+
+from __future__ import annotations
+
+from itertools import combinations, permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from doe.plan.plan import Plan, apportion, load_plan, ordered, plan_text, rounded_plan, shortest_path, travel
+from identification.errors import InputError
+
+
+def load(tmp_path: Path, text: str, links: int | None = None) -> Plan:
+    (tmp_path / "plan.csv").write_text(text)
+    return load_plan(tmp_path / "plan.csv", links)
+
+
+def test_text_is_as_documented() -> None:
+    assert plan_text(Plan(np.radians([[30, -60], [90, 0]]))) == "run,q1_deg,q2_deg\n1,30.0,-60.0\n2,90.0,0.0\n"
+    assert plan_text(Plan([[0.0], [np.pi]], [0.25, 0.75])) == "run,q1_deg,weight\n1,0.0,0.25\n2,180.0,0.75\n"
+
+
+def test_reading(tmp_path: Path) -> None:
+    plan = load(tmp_path, "run,q1_deg,q2_deg\n1,30,-60\n2,400,0\n", links=2)
+    np.testing.assert_allclose(plan.postures, np.radians([[30, -60], [400, 0]]))  # nothing is clipped
+    assert plan.weights is None
+    plan = load(tmp_path, "q1_rad,weight\n3,0\n1.5,1\n")
+    np.testing.assert_array_equal(plan.postures, [[3], [1.5]])
+    np.testing.assert_array_equal(plan.weights, [0, 1])
+
+
+def test_unknown_columns_are_named_once(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match=r"plan.csv: columns are not used: 'wieght' \(did you mean 'weight'\?\), 'z'$"):
+        assert load(tmp_path, "q1_deg,wieght,z\n1,1,1\n").weights is None
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("run,q1_deg\n", ["no rows"]),
+        ("run,weight\n1,1\n", ["'q1_deg' is missing"]),
+        ("run,q1_deg\n1,1\n2,nan\n", ["row 2 (line 3), column q1_deg", "found 'nan'", "allowed: a finite angle"]),
+        ("q1_deg,weight\n1,1.5\n2,-0.5\n", ["row 2 (line 3), column weight", "found '-0.5'", "allowed: a number >= 0"]),
+        ("q1_deg,weight\n1,0.5\n2,0.4\n", ["column weight", "found a sum of 0.9", "allowed: 1 (within 1e-06)"]),
+        ("q1_deg,weight\n1,0.5\n2,0.500002\n", ["column weight", "found a sum of 1.000002", "allowed: 1"]),
+        ("q1_deg;weight\n1,5;0,5\n2;0,4\n", ["column weight", "found a sum of 0.9"]),
+    ],
+)
+def test_bad_input_gets_one_line(tmp_path: Path, text: str, parts: list[str]) -> None:
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, text)
+    message = str(caught.value)
+    assert "\n" not in message
+    missing = [part for part in ["plan.csv: ", *parts] if part not in message]
+    assert not missing, f"{missing} not in {message!r}"
+
+
+def test_number_of_links_must_fit(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"plan.csv: column 'q2_deg' is missing"):
+        load(tmp_path, "q1_deg\n1\n", links=2)
+    with pytest.raises(InputError, match=r"plan.csv: found column q2_deg, but the arm has 1 links"):
+        load(tmp_path, "q1_deg,q2_deg\n1,1\n", links=1)
+
+
+@st.composite
+def plans(draw: st.DrawFn) -> Plan:
+    """Exact and approximate plans."""
+    m, n = draw(st.integers(1, 6)), draw(st.integers(1, 4))
+    weights = draw(st.none() | arrays(float, m, elements=st.floats(0.0, 1.0)))
+    if weights is not None and weights.sum() > 0.1:
+        weights = weights / weights.sum()
+    elif weights is not None:
+        weights = np.eye(m)[0]
+    return Plan(draw(arrays(float, (m, n), elements=st.floats(-10, 10))), weights)
+
+
+@given(plans())
+def test_round_trip(tmp_path_factory: pytest.TempPathFactory, plan: Plan) -> None:
+    path = tmp_path_factory.mktemp("plan") / "plan.csv"
+    path.write_text(plan_text(plan))
+    again = load_plan(path, plan.links)
+    np.testing.assert_allclose(again.postures, plan.postures, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(again.shares, plan.shares)
+    assert (again.weights is None) == (plan.weights is None)
+
+
+# -- order of measurement ----------------------------------------------------------------------------------------------
+def by_hand(postures: np.ndarray, speeds: np.ndarray) -> float:
+    return sum(max(abs(a - b) / s for a, b, s in zip(p, q, speeds)) for p, q in zip(postures[:-1], postures[1:]))  # noqa: B905, RUF007
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_shortest_of_all_permutations(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    postures, speeds = generator.uniform(-2, 2, (7, 3)), np.array([1.0, 2.0, 0.5])
+    best = min(by_hand(postures[list(p)], speeds) for p in permutations(range(7)))
+    path = shortest_path(postures, speeds)
+    assert sorted(path) == list(range(7))
+    assert travel(postures[path], speeds) == pytest.approx(by_hand(postures[path], speeds))
+    assert travel(postures[path], speeds) == pytest.approx(best)
+
+
+def test_points_on_a_line_are_visited_in_order() -> None:
+    """The shortest path on a line is its length, whatever m: 20 and 40 exactly, 100 by 2-opt."""
+    for m in (20, 40, 100):
+        postures = np.random.default_rng(m).permutation(np.linspace(-1, 1, m))[:, None] * [1.0, 0.3]
+        assert travel(postures[shortest_path(postures)]) == pytest.approx(2.0)
+
+
+def test_long_plans_have_no_exchange_left_and_gain() -> None:
+    postures = np.random.default_rng(3).uniform(-2, 2, (60, 4))
+    found = postures[shortest_path(postures)]
+    assert travel(found) < 0.7 * travel(postures)
+    for i, k in combinations(range(1, 60), 2):
+        other = np.vstack([found[:i], found[i:k][::-1], found[k:]])
+        assert travel(other) >= travel(found) - 1e-9
+
+
+def test_ordered() -> None:
+    plan = Plan(np.random.default_rng(0).uniform(-1, 1, (9, 3)), np.linspace(1, 2, 9) / 13.5)
+    np.testing.assert_array_equal(ordered(plan, "given").postures, plan.postures)
+    for order in ("random", "travel"):
+        found = ordered(plan, order, seed=1)
+        rows = [int(np.flatnonzero((plan.postures == p).all(axis=1))[0]) for p in found.postures]
+        assert sorted(rows) == list(range(9))
+        np.testing.assert_array_equal(found.weights, plan.weights[rows])
+        assert travel(found.postures) == pytest.approx(by_hand(found.postures, np.ones(3)))
+    with pytest.raises(InputError, match="did you mean 'travel'"):
+        ordered(plan, "travl")
+
+
+def test_one_and_two_postures() -> None:
+    for m in (1, 2, 3):
+        plan = Plan(np.random.default_rng(m).uniform(-1, 1, (m, 2)))
+        assert travel(ordered(plan, "travel").postures) <= travel(plan.postures)
+
+
+# -- whole numbers of runs ---------------------------------------------------------------------------------------------
+@settings(max_examples=100)
+@given(st.integers(1, 12), st.integers(0, 60), st.integers(0, 2**32 - 1))
+def test_sums_and_guaranteed_efficiency(k: int, more: int, seed: int) -> None:
+    weights = np.random.default_rng(seed).dirichlet(np.ones(k)) * 0.98 + 0.02 / k
+    runs = k + more
+    numbers = apportion(weights / weights.sum(), runs)
+    assert numbers.sum() == runs
+    assert numbers.min() >= 1
+    # an apportionment is efficient exactly if no move of one run raises the smallest n_i / (m w_i)  (their eq. 3)
+    shares = weights / weights.sum()
+    assert np.min(numbers / shares) >= np.max((numbers - 1) / shares) - 1e-9
+    assert np.min(numbers / (runs * shares)) >= 1 - k / runs
+
+
+def test_whole_shares_stay() -> None:
+    np.testing.assert_array_equal(apportion(np.array([0.5, 0.25, 0.25]), 8), [4, 2, 2])
+
+
+def test_fewer_runs_than_postures() -> None:
+    np.testing.assert_array_equal(apportion(np.array([0.1, 0.4, 0.2, 0.3]), 2), [0, 1, 0, 1])
+
+
+def test_rounded() -> None:
+    plan = Plan(np.array([[1.0], [2.0], [3.0]]), np.array([0.5, 0.0, 0.5]))
+    np.testing.assert_array_equal(rounded_plan(plan, 4).ravel(), [1, 1, 3, 3])
+
+
+@pytest.mark.parametrize("weights", [[0.5, 0.4], [1.1, -0.1], [1.0, 0.0]])
+def test_bad_weights(weights: list[float]) -> None:
+    with pytest.raises(InputError, match="sum one"):
+        apportion(np.array(weights), 5)
