@@ -154,31 +154,21 @@ class Calibration(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class Arm(ByValue):
-    """An arm of n joints.
+    """An arm of n joints."""
 
-    Parameters
-    ----------
-    chain : its geometry; n lengths of links [mm] stand for the planar arm of these links
-    lower, upper : (n,) joint limits [rad, mm]; None: those of the chain, -pi..pi of a planar arm. Warns (`UserWarning`)
-        of what looks like degrees
-    sigma : standard deviation of one measured coordinate [mm]; None: estimated from the data
-    gear_ratios : (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
-    machining : what that geometry may be off by
-    counting : how the controller counts the joints, whose columns, commands and limits files have; None: as the model
-    """
-
-    chain: KinematicChain
+    chain: KinematicChain  # its geometry; n lengths of links [mm] stand for the planar arm of these links
+    # (n,) joint limits [rad, mm]; None: those of the chain, -pi..pi of a planar arm. Warns of what looks like degrees
     lower: Array = None  # type: ignore[assignment]
     upper: Array = None  # type: ignore[assignment]
-    sigma: float | None = None
+    sigma: float | None = None  # standard deviation of one measured coordinate [mm]; None: estimated from the data
     name: str = "arm"
     gravity: Gravity | None = None
     constraints: tuple[WorkspaceConstraint, ...] = ()
     effects: tuple[EffectSpec, ...] = ()
     calibration: Calibration | None = None
-    gear_ratios: Array | None = None
-    machining: Machining = Machining()
-    counting: Counting | None = None
+    gear_ratios: Array | None = None  # (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
+    machining: Machining = Machining()  # what that geometry may be off by
+    counting: Counting | None = None  # of the controller's columns, commands and limits; None: as the model counts
 
     def __post_init__(self) -> None:
         chain = self.chain if isinstance(self.chain, KinematicChain) else _of_links(self.chain)

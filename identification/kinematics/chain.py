@@ -60,17 +60,13 @@ Solver = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True, eq=False)
 class Joint(ByValue):
-    """One joint that moves.
-
-    origin : (4, 4) pose of its frame in that of the joint before [mm];  axis : (3,) direction in its own frame
-    lower, upper : limits [rad, mm]
-    """
+    """One joint that moves."""
 
     name: str
-    origin: Array
-    axis: Array
+    origin: Array  # (4, 4) pose of its frame in that of the joint before [mm]
+    axis: Array  # (3,) direction in its own frame
     type: str = REVOLUTE
-    lower: float = -np.pi
+    lower: float = -np.pi  # [rad, mm]
     upper: float = np.pi
 
     def __post_init__(self) -> None:
@@ -101,28 +97,19 @@ class Joint(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class KinematicChain(ByValue):
-    """Joints from base to tip.
-
-    end : (4, 4) pose of the tip's frame in that of the last joint [mm];  base : (4, 4) pose of the base
-    tools : name of each measured point -> (3,) its place in the tip's frame [mm]
-    settled : those of `base` and `tool` that are given, and not to be found from the measurements
-    fixed : names of further parameters that are not estimated (identification/model/minimal.py)
-    angle_scale : [mm/rad] what a radian of a measured orientation counts as; None: only points are measured
-    tool_axes : name -> (3, 3) axes of a measured frame in the tip's frame; those that are not there are the tip's
-    instrument : what is measured of a point
-    axes : of the frames, along which positions are measured: `xyz`, or `xy` of a planar arm (`planar_chain`)
-    """
+    """Joints from base to tip."""
 
     joints: tuple[Joint, ...]
-    end: Array
-    base: Array = field(default_factory=lambda: np.eye(4))
+    end: Array  # (4, 4) pose of the tip's frame in that of the last joint [mm]
+    base: Array = field(default_factory=lambda: np.eye(4))  # (4, 4) pose of the base [mm]
+    # name of each measured point -> (3,) its place in the tip's frame [mm]
     tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.zeros(3)})
-    settled: frozenset[str] = frozenset()
-    fixed: frozenset[str] = frozenset()
-    angle_scale: float | None = None
-    tool_axes: Mapping[str, Array] = field(default_factory=dict)
-    instrument: Instrument = TRACKER
-    axes: str = IN_SPACE
+    settled: frozenset[str] = frozenset()  # those of `base` and `tool` that are given, and not to be found
+    fixed: frozenset[str] = frozenset()  # names of parameters that are not estimated (model/minimal.py)
+    angle_scale: float | None = None  # [mm/rad] a radian of a measured orientation counts as; None: only points are
+    tool_axes: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) of measured frames where not the tip's
+    instrument: Instrument = TRACKER  # what is measured of a point
+    axes: str = IN_SPACE  # of the frames, along which positions are measured: `xyz`, or `xy` of a planar arm
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "end", readonly(self.end))
