@@ -123,7 +123,10 @@ class StrictTable(BaseModel):
     def _has_its_keys(cls, values: Any, info: ValidationInfo) -> Any:
         if not isinstance(values, dict):
             return values
-        fields = {key: field for key, field in cls.model_fields.items() if _of(field, _dimension(info))}
+        dimension = _dimension(info)
+        fields = {
+            key: field for key, field in cls.model_fields.items() if _mark(field).get("of", dimension) == dimension
+        }
         for key in (key for key in values if key not in cls.model_fields):  # first: what is misspelt is missing, too
             tables = {name: (field.annotation, *get_args(field.annotation)) for name, field in fields.items()}
             below = [name for name, types in tables.items() for t in types if key in getattr(t, "model_fields", ())]
@@ -131,7 +134,7 @@ class StrictTable(BaseModel):
                 _refuse(key, f"found outside of a table, allowed: under [{below[0]}]")
             _refuse(key, f"unknown key, {nearest(key, fields, OTHER_KEYS)}")
         for key in (key for key in values if key not in fields):
-            this, other = ARMS[_dimension(info)], ARMS[5 - _dimension(info)]
+            this, other = ARMS[dimension], ARMS[5 - dimension]
             _refuse(key, f"found in the file of {this}, allowed: in that of {other}")
         for key, field in fields.items():
             if key not in values and (field.is_required() or _mark(field).get("needed")):
@@ -141,11 +144,6 @@ class StrictTable(BaseModel):
 
 def _mark(field: FieldInfo) -> dict[str, Any]:
     return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-
-
-def _of(field: FieldInfo, dimension: int) -> bool:
-    """Whether a key is one of arms of a dimension."""
-    return bool(_mark(field).get("of", dimension) == dimension)
 
 
 def _table(name: str, needed: str = "", check: Callable[..., Any] | None = None, /, **keys: Any) -> Any:
