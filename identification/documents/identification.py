@@ -24,6 +24,7 @@ from identification.document import (
 )
 from identification.effects.catalogue import GRAVITY, Entry
 from identification.kinematics.parameters import REVOLUTE
+from identification.running import Status
 from identification.sessions import placing
 
 if TYPE_CHECKING:
@@ -91,6 +92,8 @@ def reading_unit(model: Any) -> str:
 
 def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
+    closed = fit.method == "linear" and fit.status is Status.converged
+    outcome = "Closed form, the exact global minimum." if closed else fit.status.value
     unit, tip = reading_unit(fit.model), None
     if fit.expected_tip is not None:
         doubt = "; but chi2 says that it is not" if fit.misfit else ""
@@ -104,7 +107,7 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
         chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}: {scatter}"
     angles = None if fit.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return [
-        ("method", f"{fit.method}: {fit.outcome}"),
+        ("method", f"{fit.method}: {outcome}"),
         ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} {unit}"),
         ("largest", "{:.4g} -> {:.4g} ".format(*fit.largest) + unit),
         ("orientations, RMS", angles),
