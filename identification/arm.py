@@ -126,8 +126,7 @@ class Calibration(ByValue):
         errors, offsets = np.ravel(length_errors), np.ravel(joint_offsets)
         counted = f"calibration: found {len(errors)} length errors and {len(offsets)} joint offsets"
         _require(len(errors) == len(offsets), f"{counted}, allowed: one of each for every joint")
-        chain = chain_parameters(np.ones(len(errors)))
-        values = chain.mapping(np.r_[errors, offsets]) | dict(effects)
+        values = chain_parameters(np.ones(len(errors))).mapping(np.r_[errors, offsets]) | dict(effects)
         return cls(values, parameter_names, covariance, provenance)
 
     @property
@@ -155,31 +154,21 @@ class Calibration(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class Arm(ByValue):
-    """An arm of n joints.
+    """An arm of n joints."""
 
-    Parameters
-    ----------
-    chain : its geometry; n lengths of links [mm] stand for the planar arm of these links
-    lower, upper : (n,) joint limits [rad, mm]; None: those of the chain, -pi..pi of a planar arm. Warns (`UserWarning`)
-        of what looks like degrees
-    sigma : standard deviation of one measured coordinate [mm]; None: estimated from the data
-    gear_ratios : (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
-    machining : what that geometry may be off by
-    counting : how the controller counts the joints, whose columns, commands and limits files have; None: as the model
-    """
-
-    chain: KinematicChain
+    chain: KinematicChain  # its geometry; n lengths of links [mm] stand for the planar arm of these links
+    # (n,) joint limits [rad, mm]; None: those of the chain, -pi..pi of a planar arm. Warns of what looks like degrees
     lower: Array = None  # type: ignore[assignment]
     upper: Array = None  # type: ignore[assignment]
-    sigma: float | None = None
+    sigma: float | None = None  # standard deviation of one measured coordinate [mm]; None: estimated from the data
     name: str = "arm"
     gravity: Gravity | None = None
     constraints: tuple[WorkspaceConstraint, ...] = ()
     effects: tuple[EffectSpec, ...] = ()
     calibration: Calibration | None = None
-    gear_ratios: Array | None = None
-    machining: Machining = Machining()
-    counting: Counting | None = None
+    gear_ratios: Array | None = None  # (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
+    machining: Machining = Machining()  # what that geometry may be off by
+    counting: Counting | None = None  # of the controller's columns, commands and limits; None: as the model counts
 
     def __post_init__(self) -> None:
         chain = self.chain if isinstance(self.chain, KinematicChain) else _of_links(self.chain)
@@ -241,29 +230,25 @@ class Arm(ByValue):
         """Length of the stretched nominal arm [mm]."""
         return self.chain.reach
 
-    def _repr_html_(self) -> str:
-        return _html(self)
-
     def with_effects(self, *effects: EffectSpec) -> Arm:
         """The same arm with these effects instead of its own."""
         return replace(self, effects=tuple(effects))
 
-
-def _html(arm: Arm) -> str:
-    """A line about the arm and a table of its joints, for notebooks."""
-    sigma = "not given" if arm.sigma is None else f"{arm.sigma:g} mm"
-    effects = ", ".join(spec.key for spec in arm.effects) or "none"
-    summary = f"{arm.name}: {arm.dimension} coordinates, reach {arm.reach:.6g} mm, sigma {sigma}, effects {effects}"
-    summary += "" if arm.calibration is None else ", calibrated"
-    heads = ("joint", "type", "length [mm]", "lower", "upper")
-    rows = []
-    for j, (kind, *figures) in enumerate(zip(arm.joint_types, arm.lengths, arm.lower, arm.upper, strict=True), start=1):
-        length, low, high = figures
-        limits = f"{low:g} mm", f"{high:g} mm"
-        if kind == REVOLUTE:
-            limits = f"{np.degrees(low):.6g} deg", f"{np.degrees(high):.6g} deg"
-        rows.append((str(j), kind, f"{length:.6g}", *limits))
-    return html_lines([summary]) + html_table(heads, rows)
+    def _repr_html_(self) -> str:
+        """A line about the arm and a table of its joints, for notebooks."""
+        sigma = "not given" if self.sigma is None else f"{self.sigma:g} mm"
+        effects = ", ".join(spec.key for spec in self.effects) or "none"
+        summary = (
+            f"{self.name}: {self.dimension} coordinates, reach {self.reach:.6g} mm, sigma {sigma}, effects {effects}"
+        )
+        summary += "" if self.calibration is None else ", calibrated"
+        rows, turn = [], 180.0 / np.pi
+        for j, (kind, length, *limits) in enumerate(
+            zip(self.joint_types, self.lengths, self.lower, self.upper, strict=True), start=1
+        ):
+            low, high = (f"{x * turn:.6g} deg" if kind == REVOLUTE else f"{x:g} mm" for x in limits)
+            rows.append((str(j), kind, f"{length:.6g}", low, high))
+        return html_lines([summary]) + html_table(("joint", "type", "length [mm]", "lower", "upper"), rows)
 
 
 def _of_links(lengths: ArrayLike) -> KinematicChain:
@@ -279,26 +264,20 @@ def _joint_limits(
     lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, chain: KinematicChain
 ) -> tuple[Array, Array]:
     """(n,) lower and upper, those of the chain where None. Raises `InputError` for others than n pairs in order."""
-    n, sliding = len(chain), [j for j, kind in enumerate(chain.joint_types) if kind != REVOLUTE]
+    n, turning = len(chain), np.array(chain.joint_types) == REVOLUTE
     lower = readonly([joint.lower for joint in chain.joints] if lower_limits is None else lower_limits, -1)
     upper = readonly([joint.upper for joint in chain.joints] if upper_limits is None else upper_limits, -1)
     for name, limits in (("lower", lower), ("upper", upper)):
         _require(limits.size == n, f"joint_limits_deg.{name}: {limits.size} values for {n} links, allowed: {n}")
         _require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")
     for j in np.flatnonzero(lower >= upper):
-        unit, (low, high) = "mm", (lower[j], upper[j])
-        if j not in sliding:
-            unit, (low, high) = "deg", np.degrees((low, high))
-        raise InputError(
-            f"joint_limits_{unit}: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper"
-        )
-    turning = np.setdiff1d(np.arange(n), sliding)
-    farther = np.where(-lower > upper, lower, upper)[turning]
-    if (far := np.abs(farther) > MANY_TURNS).any():
-        worst = int(np.argmax(far))
-        limit = (
-            f"limit {farther[worst]:g} of joint {turning[worst] + 1} is {abs(farther[worst]) / (2.0 * np.pi):.0f} turns"
-        )
+        unit, factor = ("deg", 180.0 / np.pi) if turning[j] else ("mm", 1.0)
+        order = f"joint {j + 1} has lower {lower[j] * factor:g} >= upper {upper[j] * factor:g}"
+        raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
+    farther = np.where(-lower > upper, lower, upper) * turning
+    worst = int(np.argmax(np.abs(farther)))
+    if abs(farther[worst]) > MANY_TURNS:
+        limit = f"limit {farther[worst]:g} of joint {worst + 1} is {abs(farther[worst]) / (2.0 * np.pi):.0f} turns"
         message = f"Arm: {limit} and looks like degrees; lower and upper are in radians"
         warnings.warn(message, UserWarning, stacklevel=4)
     return lower, upper

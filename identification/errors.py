@@ -13,7 +13,44 @@ from types import MappingProxyType
 FEWEST, LONGEST = 3, 60  # characters of a word in which letters may be wrong: shorter ones are like too many others
 NEAR, NEAR_OF_THREE = 0.75, 0.66  # share of the letters that two words have in common, in this order; of three letters
 SHOWN = 3  # names that are suggested at once; more help nobody
+LONGEST_WORD, LONGEST_LINE = 400, 2000  # characters of a message; what is in the middle of a longer one is left out
 NOTHING: Mapping[str, str] = MappingProxyType({})
+
+
+class ArmcalError(Exception):
+    """Base of every error this project raises on purpose."""
+
+    exit_code = 1
+
+
+class InputError(ArmcalError):
+    """Bad input or usage: the message names the place, what was found and what is allowed."""
+
+    exit_code = 2
+
+
+class JobError(ArmcalError):
+    """The input was fine, the job itself could not be done (solver failed, parameters not identifiable)."""
+
+
+def in_one_line(text: str) -> str:
+    """A message as one line of printable characters, whatever names and cells of files it repeats.
+
+    Control characters are written as in Python; of a very long word or line the middle is left out.
+
+    >>> in_one_line("arm\\nfile.toml: no such file")
+    'arm\\\\nfile.toml: no such file'
+    """
+
+    def shortened(text: str, most: int) -> str:
+        return text if len(text) <= most else f"{text[: most * 2 // 3]} .. {text[-most // 4 :]}"
+
+    return shortened(re.sub(r"\S+", lambda word: shortened(word.group(), LONGEST_WORD), printable(text)), LONGEST_LINE)
+
+
+def printable(text: str) -> str:
+    """`text` with control characters, line breaks, and what no output can encode written as in Python."""
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
 
 
 def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> list[str]:
@@ -45,64 +82,19 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
 
 
 def _is_part(word: str, name: str) -> bool:
-    """Whether a name has all parts of the word, begins with it, or is the beginning of it, whatever separates them."""
+    """Whether a name has all parts of the word, begins with it, or is the beginning of it, whatever separates them; or
+    both have the same number at the end, and a name begins as the word does: `dir1`, `direction1`."""
     parts, name_parts = ([part for part in re.split(r"[^a-z0-9]+", text) if part] for text in (word, name))
     if not parts or not name_parts:
         return False
-    if parts[0] == name_parts[0] and set(name_parts) <= set(parts):
+    if parts[0] == name_parts[0] and (set(name_parts) <= set(parts) or (len(parts) == 1 and len(word) < FEWEST)):
         return True
-    begins = len(word) >= FEWEST and ("".join(name_parts).startswith("".join(parts)) or _is_numbered(word, name))
-    if len(parts) == 1 and len(word) < FEWEST:
-        return parts[0] == name_parts[0]
-    return begins or set(parts) <= set(name_parts)
-
-
-def _is_numbered(word: str, name: str) -> bool:
-    """Whether both have the same number at the end, and a name begins as the word does: `dir1`, `direction1`."""
-    (head, number), (stem, other) = (re.fullmatch(r"(.*?)(\d*)", text, re.DOTALL).groups() for text in (name, word))  # type: ignore[union-attr]
-    return bool(number) and number == other and len(stem) >= FEWEST and head.startswith(stem)
-
-
-LONGEST_WORD, LONGEST_LINE = 400, 2000  # characters of a message; what is in the middle of a longer one is left out
-
-
-class ArmcalError(Exception):
-    """Base of every error this project raises on purpose."""
-
-    exit_code = 1
-
-
-class InputError(ArmcalError):
-    """Bad input or usage: the message names the place, what was found and what is allowed."""
-
-    exit_code = 2
-
-
-class JobError(ArmcalError):
-    """The input was fine, the job itself could not be done (solver failed, parameters not identifiable)."""
-
-    exit_code = 1
-
-
-def in_one_line(text: str) -> str:
-    """A message as one line of printable characters, whatever names and cells of files it repeats.
-
-    Control characters are written as in Python; of a very long word or line the middle is left out.
-
-    >>> in_one_line("arm\\nfile.toml: no such file")
-    'arm\\\\nfile.toml: no such file'
-    """
-    words = re.sub(rf"\S{{{LONGEST_WORD + 1},}}", lambda word: _shortened(word.group(), LONGEST_WORD), printable(text))
-    return _shortened(words, LONGEST_LINE)
-
-
-def printable(text: str) -> str:
-    """`text` with control characters, line breaks, and what no output can encode written as in Python."""
-    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
-
-
-def _shortened(text: str, most: int) -> str:
-    return text if len(text) <= most else f"{text[: most * 2 // 3]} .. {text[-most // 4 :]}"
+    if len(word) < FEWEST:
+        return len(parts) > 1 and set(parts) <= set(name_parts)
+    stem, number = word.rstrip("0123456789"), re.sub(r".*?(\d*)$", r"\1", word, flags=re.DOTALL)
+    numbered = bool(number) and name.startswith(stem) and name.endswith(number) and len(stem) >= FEWEST
+    numbered = numbered and name.rstrip("0123456789") + number == name
+    return numbered or "".join(name_parts).startswith("".join(parts)) or set(parts) <= set(name_parts)
 
 
 def nearest(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> str:

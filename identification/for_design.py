@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.gap.detectability import Detectability
     from identification.gap.library_prior import LibraryPrior
-    from identification.kinematics.parameters import ParameterSet
 
 NEEDS_SIGMA = (  # the end of a sentence
     "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
@@ -50,37 +49,13 @@ BATCH, BATCHES = 4000, 10  # effort: random postures that are led to the surface
 TOUCHES = 1e-6  # [mm] how near is on the surface
 
 
-@dataclass(frozen=True)
-class ArmModel:
+class ArmModel(Model):
     """The model of an arm, all of its measured points read at every posture: d is that of one times their number."""
-
-    model: Model
-
-    @classmethod
-    def of(cls, arm: Arm) -> ArmModel:
-        """That of an arm with its effects."""
-        return cls(Model(arm))
-
-    # -- what every design needs -----------------------------------------------------------------------------------
-    @property
-    def parameters(self) -> ParameterSet:
-        """(p) the parameters to identify."""
-        return self.model.parameters
-
-    @property
-    def values(self) -> Array:
-        """(p,) their best known values."""
-        return self.model.values
 
     @property
     def dimension(self) -> int:
         """d, coordinates per posture, point by point."""
-        return self.model.dimension * self.points_read
-
-    @property
-    def joint_types(self) -> tuple[str, ...]:
-        """(n) `revolute` or `prismatic`."""
-        return self.model.joint_types
+        return self.arm.chain.coordinates * self.points_read
 
     @property
     def lower(self) -> Array:
@@ -92,25 +67,13 @@ class ArmModel:
         """(n,) joint limits [rad, mm]."""
         return self.arm.upper
 
-    @property
-    def sigma(self) -> float | None:
-        """Standard deviation of a coordinate [mm], None: the arm does not say."""
-        return self.model.sigma
-
-    @property
-    def prior(self) -> Mapping[str, float]:
-        """Name -> standard deviation before the data, of machining; empty in the plane and for a minimal set."""
-        return self.model.prior
-
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(d,) coordinates [mm] at a posture (n,) and parameters (p,), under conditions of which nothing is said."""
-        if self.points_read == 1:
-            return self.model.position_function(q, ca.DM(self.model.neutral_conditions), p)
-        place, each = Conditions.columns(self.model.joints, self.model.remembers), []
+        place, each = Conditions.columns(self.joints, self.remembers), []
         for point in range(self.points_read):
-            conditions = np.array(self.model.neutral_conditions)
-            conditions[place] = point
-            each.append(self.model.position_function(q, ca.DM(conditions), p))
+            conditions = np.array(self.neutral_conditions)
+            conditions[place : place + (self.points_read > 1)] = point
+            each.append(self.position_function(q, ca.DM(conditions), p))
         return ca.vertcat(*each)
 
     # -- what constraints need -------------------------------------------------------------------------------------
@@ -124,38 +87,22 @@ class ArmModel:
         """2 in the plane, 3 in space."""
         return self.arm.dimension
 
-    @property
-    def reach(self) -> float:
-        """Length of the stretched arm [mm]."""
-        return self.model.reach
-
-    def points(self, postures: ArrayLike) -> Array:
-        """(m, k, 2 or 3) base, joints and tip [mm] at postures (m, n)."""
-        return self.model.points(postures)
-
-    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
-        """The same k points at one posture (n,)."""
-        return self.model.symbolic_points(q)
-
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""
         chain = self.arm.chain
         if chain.planar:
             return self
         tools = {name: place + offset for name, place in chain.tools.items()}
-        return ArmModel(replace(self.model, arm=replace(self.arm, chain=replace(chain, tools=tools))))
+        return replace(self, arm=replace(self.arm, chain=replace(chain, tools=tools)))
 
     # -- before a plan is made -------------------------------------------------------------------------------------
     def placed(self) -> ArmModel:
-        """The same with its measured points in place, and without a sigma for a minimal set of parameters.
-
-        Raises `InputError` for contacts with a surface whose place is not known. Warns (`UserWarning`) of points that
-        are assumed.
-        """
+        """The same with its measured points in place, and without a sigma for a minimal set of parameters. Raises
+        `InputError` for contacts with a surface whose place is not known; warns of points that are assumed."""
         if self.arm.chain.positions_in_plane:
             return self
-        model = replace(self.model, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
-        return ArmModel(minimal(model) if model.sigma is None and model.prior else model)
+        model = replace(self, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
+        return design_model(minimal(model)) if model.sigma is None and model.prior else model
 
     @property
     def tied(self) -> bool:
@@ -165,15 +112,13 @@ class ArmModel:
     def tied_postures(
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
     ) -> Array:
-        """(N, n) random postures at which the measured point is on the surface and all else of the arm outside.
+        """(N, n) random postures at which the measured point is on the surface and all else of the arm outside. Raises
+        `InputError` where there are hardly any, and for a sphere whose radius nobody knows; warns of what plans are of.
 
         lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
-
-        Raises `InputError` where there are hardly any, and for a sphere whose radius nobody knows. Warns
-        (`UserWarning`) of what plans and bounds are of.
         """
         chain = self.arm.chain
-        if key := chain.instrument.unknown(self.model.best_known):
+        if key := chain.instrument.unknown(self.best_known):
             reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
             raise InputError(f"instrument: {reason}, allowed for plans: with {key}, or a calibrated arm")
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
@@ -181,7 +126,7 @@ class ArmModel:
             anywhere = generator.uniform(lower, upper, (BATCH, len(chain)))
             targets = len(chain.instrument.targets)  # as many postures for each
             target = np.arange(BATCH, dtype=float) % targets if targets else None
-            q = led_to_contact(self.model, anywhere, chain.instrument.touched, units, target)
+            q = led_to_contact(self, anywhere, chain.instrument.touched, units, target)
             q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
@@ -199,13 +144,13 @@ class ArmModel:
         instrument = self.arm.chain.instrument
         if not (instrument.contact and instrument.targets):
             return {}
-        points = of_positions(self.model).position(postures)
+        points = of_positions(self).position(postures)
         apart = [np.linalg.norm(points - place, axis=1) for place in instrument.targets.values()]
         return {instrument.target: np.array([*instrument.targets])[np.argmin(apart, axis=0)].tolist()}
 
     def gaps(self, postures: Array) -> Array:
         """(m,) how far the measured point is from what it is to touch [mm] at postures (m, n)."""
-        return np.asarray(np.linalg.norm(self.model.position(postures) - self.arm.chain.instrument.touched, axis=1))
+        return np.asarray(np.linalg.norm(self.position(postures) - self.arm.chain.instrument.touched, axis=1))
 
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the
@@ -214,7 +159,7 @@ class ArmModel:
         points = self.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3]
         # of a segment the nearest point to a sphere is that to its center, to a plane an end
         points = np.concatenate([points, nearest_on_segment(np.zeros(3), points[:, :-1], points[:, 1:])], axis=1)
-        own = np.array([self.model.best_known[p.name] for p in chain.instrument.parameters])
+        own = np.array([self.best_known[p.name] for p in chain.instrument.parameters])
         return chain.instrument.clear(points, own, 2.0 * TOUCHES)
 
     # -- what accuracy is about ------------------------------------------------------------------------------------
@@ -223,27 +168,26 @@ class ArmModel:
         """Number of measured points."""
         return len(self.arm.chain.tools)
 
-    def jacobian(self, postures: ArrayLike) -> Array:
-        """(m, d, p) derivative of the coordinates with respect to the parameters, at their best known values."""
-        q = np.atleast_2d(np.asarray(postures, dtype=float))
+    def _of_each_point(self, model: Model, postures: Array, conditions: Conditions) -> Array:
+        """(m, d, p) derivative of the coordinates of all measured points, at the parameters' best known values."""
         if self.points_read == 1:
-            return self.model.jacobian(q)
-        points = (Conditions(marker=np.full(len(q), float(k))) for k in range(self.points_read))
-        return np.concatenate([self.model.jacobian(q, None, at) for at in points], axis=1)
+            return model.jacobian(postures, None, conditions)
+        points = (np.full(len(postures), float(k)) for k in range(self.points_read))
+        return np.concatenate([model.jacobian(postures, None, replace(conditions, marker=k)) for k in points], axis=1)
 
     def tip_jacobian(self, postures: ArrayLike) -> Array:
         """(k, P, c, p) derivative of the P measured points' positions at postures (k, n), whatever is read of them: x
         and y, or x, y, z and of a measured frame its orientation [mm]."""
-        if of_positions(self.model) is not self.model:  # something else is read
-            return tip_jacobian(self.model, postures)[:, None]
-        jacobian = self.jacobian(postures)
-        return jacobian.reshape(len(jacobian), self.points_read, self.model.dimension, -1)
+        if of_positions(self) is not self:  # something else is read
+            return tip_jacobian(self, postures)[:, None]
+        jacobian = self._of_each_point(self, np.atleast_2d(np.asarray(postures, dtype=float)), Conditions())
+        return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)
 
     @property
     def covariance(self) -> Array | None:
         """(p, p) of the calibration, None: it has none of these parameters."""
         calibration = self.arm.calibration
-        same = calibration is not None and calibration.parameter_names == self.model.names
+        same = calibration is not None and calibration.parameter_names == self.names
         return calibration.covariance if calibration is not None and same else None
 
     @property
@@ -272,13 +216,13 @@ class ArmModel:
         parameters; and the mean square [mm^2] of the tip's distance at postures (k, n) that no plan can lower."""
         own_error = missing.prior.own_error
         arm = replace(missing.arm, sigma=float(np.hypot(self.sigma or 0.0, own_error)))
-        model = replace(Model(arm), held=self.model.held)
+        model = ArmModel(arm, self.held)
 
         def beyond(poses: Array) -> float:
             levers = of_positions(model).joint_levers(poses)
             return float(np.mean(np.einsum("kdj,j->k", levers**2, missing.faster))) + levers.shape[1] * own_error**2
 
-        return ArmModel(model), missing.prior.deviations, beyond
+        return model, missing.prior.deviations, beyond
 
     def rival_effects(self) -> tuple[int, ArmModel, tuple[Array, ...], Array, Callable[[Array], Array], Any]:
         """The fields of `doe.discrimination.design.EffectLibrary`: what a plan distinguishes, the effects
@@ -310,14 +254,12 @@ class ArmModel:
             time = session_time(np.arange(len(postures), dtype=float))
             past = past_from_order(postures) if ordered.remembers else None
             conditions = Conditions(time=time, directions=directions_from_order(postures), past=past)
-            points = [None] if self.points_read == 1 else [np.full(len(postures), k) for k in range(self.points_read)]
-            each = (replace(conditions, marker=point) for point in points)
-            return np.concatenate([ordered.jacobian(postures, conditions=at) for at in each], axis=1) / ordered.scales
+            return self._of_each_point(ordered, postures, conditions) / ordered.scales
 
         def preflight(postures: Array) -> Detectability:
             return detectability(arm, postures)
 
-        return base, ArmModel(model), tuple(bases), weights, by_order, preflight
+        return base, design_model(model), tuple(bases), weights, by_order, preflight
 
     # -- what theory knows -----------------------------------------------------------------------------------------
     @property
@@ -329,20 +271,15 @@ class ArmModel:
     def theorem_joints(self) -> tuple[int, ...] | None:
         """Joints (from 0) on which det M depends where the planar theorem holds, that is for all lengths and joint
         offsets of a planar chain: all but the first, and the first too with a base offset; None: it does not hold."""
-        if not self.planar or not self.model.linear_in_links:
+        if not self.planar or not self.linear_in_links:
             return None
-        offset = any(effect.name == "base_offset" for effect in self.model.effects)
-        return tuple(range(0 if offset else 1, self.model.joints))
-
-    @property
-    def arm(self) -> Arm:
-        """The arm."""
-        return self.model.arm
+        offset = any(effect.name == "base_offset" for effect in self.effects)
+        return tuple(range(0 if offset else 1, self.joints))
 
 
 def design_model(model: Any) -> Any:
     """The `ArmModel` of the model of an arm; any other model as it is."""
-    return ArmModel(model) if isinstance(model, Model) else model
+    return model if isinstance(model, ArmModel) or not isinstance(model, Model) else ArmModel(model.arm, model.held)
 
 
 def without_prior(arm: Arm) -> Arm:

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
@@ -42,7 +41,11 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
     Columns that not every table has are left out, with a warning (`UserWarning`). Raises `InputError` for tables of
     different arms.
     """
-    parts = [replace(table, session=_labels(name, table), session_names=()) for name, table in tables.items()]
+    parts = []
+    for name, table in tables.items():
+        several = table.sessions if len(table.sessions) > 1 else ()
+        labels = [f"{name}/{session}" for session in table.session] if several else np.full(len(table), name)  # type: ignore[union-attr]
+        parts.append(replace(table, session=np.array(labels), session_names=()))
     if len({part.dimension for part in parts}) > 1 and {part.dimension for part in parts} <= {3, 6}:
         parts = [replace(part, positions=part.positions[:, POINT], orientations=None) for part in parts]
         warnings.warn("not in all of the data, and left out: orientations", UserWarning, stacklevel=2)
@@ -67,13 +70,6 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
     provenance: dict[str, Any] = {"file": ", ".join(origins["file"])} if origins["file"] else {}
     provenance |= {"sha256": origins["sha256"]} if origins["sha256"] else {}
     return Measurements(**joined, provenance=MappingProxyType(provenance))
-
-
-def _labels(name: str, table: Measurements) -> NDArray[np.str_]:
-    """(m,) session of each row."""
-    if table.session is not None and len(table.sessions) > 1:
-        return np.array([f"{name}/{session}" for session in table.session.tolist()])
-    return np.full(len(table), name)
 
 
 def of_these_sessions(holdout: Measurements, measurements: Measurements) -> Measurements:
@@ -101,52 +97,38 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
         return placed_model(Model(arm), measurements).arm
     if count < 2:
         return arm
-    spec = EffectSpec(SESSIONS, values={"sessions": float(count)})
+    spec, values = EffectSpec(SESSIONS, values={"sessions": float(count)}), dict[str, float]()
     if not arm.chain.planar:
-        return _in_space(arm, measurements, spec)
-    wide = with_base(arm)
-    bases = base_of_each_session(with_base_offset(arm), measurements)
-    values = Model(wide).best_known | bases[0] | dict(Model(wide).fixed)
-    shift = complex(values[BASE[0]], values[BASE[1]])
-    for number, base in enumerate(bases[1:], start=2):
+        # base of session k = that of the first, shifted along the axes of the instrument and turned about its own
+        placed = arm if arm.chain.fixed else placed_model(Model(arm), measurements).arm
+        chain, bases = session_bases(placed, measurements)
+        values |= {} if placed.calibration is None else placed.calibration.values
+        hidden_values: dict[str, float] = {}
+        for number, base in enumerate(bases[1:], start=2):
+            movement, hidden = chain.instrument.between(bases[0], base)
+            values |= {f"{SESSIONS}.{short}{number}": value for short, value in movement.items()}
+            hidden_values |= {f"{short}{number}": movement[short] for short in hidden}
+        spec = replace(spec, values={**spec.values, **hidden_values})
+        kept = Calibration(values) if placed.calibration is None else replace(placed.calibration, values=values)
+        return replace(placed.with_effects(*placed.effects, spec), chain=chain, calibration=kept)
+    wide, model = with_base(arm), Model(with_base_offset(arm))
+    start = model.parameters.vector(model.best_known)
+    computed = model.position(measurements.postures, start, replace(measurements.conditions, session=None))
+    rows_of = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
+    for number, session in enumerate(measurements.session_names, start=1):
+        moved = start
+        if (rows := rows_of.get(session)) is not None:
+            moved = start_at_bases(start, model, computed[rows], measurements.positions[rows])
+        x, y, turn = (float(moved[model.parameters.index(name)]) for name in BASE)
+        if number == 1:
+            values = Model(wide).best_known | dict(zip(BASE, (x, y, turn), strict=True)) | dict(Model(wide).fixed)
+            continue
         # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
-        place = complex(base[BASE[0]], base[BASE[1]]) - shift
-        named = {"x": place.real, "y": place.imag, "w": base[BASE[2]] - values[BASE[2]]}
+        first = (values[name] for name in BASE)
+        named = {short: a - b for short, a, b in zip("xyw", (x, y, turn), first, strict=True)}
         values |= {f"{SESSIONS}.{short}{number}": value for short, value in named.items()}
     provenance = {} if arm.calibration is None else arm.calibration.provenance
-    with_bases = wide.with_effects(*wide.effects, spec)
-    return replace(with_bases, calibration=Calibration(values, provenance=provenance))
-
-
-def _in_space(arm: Arm, measurements: Measurements, spec: EffectSpec) -> Arm:
-    """The spatial arm where the first session finds it, with the bases of the others beside it.
-
-    Base of session k = that of the first, shifted along the axes of the instrument and turned about its own.
-    """
-    placed = arm if arm.chain.fixed else placed_model(Model(arm), measurements).arm
-    chain, bases = session_bases(placed, measurements)
-    values = {} if placed.calibration is None else dict(placed.calibration.values)
-    hidden_values: dict[str, float] = {}
-    for number, base in enumerate(bases[1:], start=2):
-        movement, hidden = chain.instrument.between(bases[0], base)
-        values |= {f"{SESSIONS}.{short}{number}": value for short, value in movement.items()}
-        hidden_values |= {f"{short}{number}": movement[short] for short in hidden}
-    spec = replace(spec, values={**spec.values, **hidden_values})
-    kept = Calibration(values) if placed.calibration is None else replace(placed.calibration, values=values)
-    return replace(placed.with_effects(*placed.effects, spec), chain=chain, calibration=kept)
-
-
-def base_of_each_session(arm: Arm, measurements: Measurements) -> list[dict[str, float]]:
-    """Rotation and shift of the base for each session, by `start_at_bases`, of an arm with a base offset."""
-    model, conditions = Model(arm), measurements.conditions
-    start, bases = model.parameters.vector(model.best_known), []
-    computed = model.position(measurements.postures, start, replace(conditions, session=None))
-    by_name = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
-    for session in measurements.session_names:
-        rows = by_name.get(session)
-        moved = start if rows is None else start_at_bases(start, model, computed[rows], measurements.positions[rows])
-        bases.append({name: float(moved[model.parameters.index(name)]) for name in BASE})
-    return bases
+    return replace(wide.with_effects(*wide.effects, spec), calibration=Calibration(values, provenance=provenance))
 
 
 def without_sessions(calibration: Calibration) -> Calibration:

@@ -11,7 +11,7 @@ import numpy as np
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array, rows_in_words
 from identification.effects import build_all
-from identification.effects.noise import Scene
+from identification.effects.formulas import Scene
 from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.kinematics.frames import turned

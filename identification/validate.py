@@ -371,58 +371,44 @@ def as_calibrated(arm: Arm) -> Arm:
 
 
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
-    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts."""
-    if not arm.chain.planar:
-        model = _spatial(arm, measurements, refit)
-        return model, model.values
-    values = Model(arm).best_known
+    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; in space the
+    offsets of the first joint and the last stay, which base and points stand for."""
+    planar, last = arm.chain.planar, arm.links - (not arm.chain.planar)
+    free = {f"{JOINT_OFFSET}:{j}" for j in range(2, last + 1)} if refit == "offsets" else set[str]()
+    if planar and refit != "none" and arm.chain.positions_in_plane:
+        values = Model(arm).best_known
+        free |= {*PLANAR_BASE}
+        model = Model(with_base_offset(arm), {name: value for name, value in values.items() if name not in free})
+        start = model.parameters.vector(values)
+        computed = model.position(measurements.postures, start, conditions)
+        return model, start_at_bases(start, model, computed, measurements.positions)
+    arm = arm if planar else as_calibrated(arm)
+    chain, names = arm.chain, measurements.marker_names
     if refit == "none":
-        return Model(arm, values), np.zeros(0)
-    offsets = [f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)] if refit == "offsets" else []
-    if not arm.chain.positions_in_plane:  # its targets are where it stands
-        model = placed_model(Model(arm), measurements)
-        free = {*offsets, *(p.name for p in model.arm.chain.instrument.parameters)}
-        model = replace(model, held={k: v for k, v in model.best_known.items() if k not in free})
-        return model, model.values
-    model = Model(with_base_offset(arm), {k: value for k, value in values.items() if k not in (*PLANAR_BASE, *offsets)})
-    start = model.parameters.vector(values)
-    computed = model.position(measurements.postures, start, conditions)
-    return model, start_at_bases(start, model, computed, measurements.positions)
-
-
-def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
-    """Starts at the closed form.
-
-    refit : `base`: base and measured points; `offsets`: those and the offsets of the joints between the first and the
-        last, which base and points stand for; `none`: nothing
-    """
-    arm = as_calibrated(arm)
-    if refit == "none":
-        chain, names = arm.chain, measurements.marker_names
         # of one point it is that which is measured, whatever the data call it
-        if not chain.instrument.own_targets and not len(chain.tools) == 1 == len(names):
+        if not planar and not chain.instrument.own_targets and not len(chain.tools) == 1 == len(names):
             fault = "no column marker, and the arm has several measured points" if not names else ""
             fresh = [repr(name) for name in names if name not in chain.tools]
             fault = f"unknown name {', '.join(fresh)}" if fresh else fault if len(chain.tools) > 1 else ""
             if fault:
                 allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
                 raise InputError(f"measurements.marker: {fault}, {allowed}")
-        model = Model(replace(arm, chain=with_markers(arm.chain, measurements)))
-        return replace(model, held=model.best_known)
-    chain = replace(one_unnamed(arm.chain, measurements), settled=frozenset())
-    model = placed_model(Model(replace(arm, chain=chain)), measurements)
-    if len(model.arm.chain.tools) == 1 == len(chain.tools):  # curves have the point by its name in the calibration
-        (old,), (new,) = chain.tools, model.arm.chain.tools
-        effects = []
-        for spec in model.arm.effects:
-            if spec.curve is not None:
-                geometry = {k.replace(f"{TOOL}[{old}]", f"{TOOL}[{new}]"): v for k, v in spec.curve.geometry.items()}
-                spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
-            effects.append(spec)
-        model = replace(model, arm=model.arm.with_effects(*effects))
-    free = {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}
-    free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links)} if refit == "offsets" else set()
-    return replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
+        model = Model(arm if planar else replace(arm, chain=with_markers(chain, measurements)))
+    else:
+        chain = chain if planar else replace(one_unnamed(chain, measurements), settled=frozenset())
+        model = placed_model(Model(replace(arm, chain=chain)), measurements)
+        if not planar and len(model.arm.chain.tools) == 1 == len(chain.tools):
+            (old,), (new,), effects = chain.tools, model.arm.chain.tools, []
+            for spec in model.arm.effects:  # curves have the point by its name in the calibration
+                if (curve := spec.curve) is not None:
+                    geometry = {k.replace(f"{TOOL}[{old}]", f"{TOOL}[{new}]"): v for k, v in curve.geometry.items()}
+                    spec = replace(spec, curve=replace(curve, geometry=geometry))
+                effects.append(spec)
+            model = replace(model, arm=model.arm.with_effects(*effects))
+        free |= {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}
+        free |= {p.name for p in model.arm.chain.instrument.parameters} if planar else set()
+    model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
+    return model, model.values
 
 
 def extrapolation(arm: Arm, postures: Array) -> str | None:

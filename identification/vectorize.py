@@ -18,53 +18,26 @@ from numpy.typing import ArrayLike
 Evaluate = Callable[..., tuple[np.ndarray, ...]]  # of arrays, see `vectorize`
 PART = 4096  # of a batch at a time: the arrays of an instruction, 32 kB each, stay in the processor's cache
 
-BINARY = {
+# CasADi operation -> numpy source of its operands
+ARITHMETIC = {
     ca.OP_ADD: "{0} + {1}",
     ca.OP_SUB: "{0} - {1}",
     ca.OP_MUL: "{0} * {1}",
     ca.OP_DIV: "{0} / {1}",
-    ca.OP_POW: "np.power({0}, {1})",
-    ca.OP_CONSTPOW: "np.power({0}, {1})",
-    ca.OP_ATAN2: "np.arctan2({0}, {1})",
-    ca.OP_FMIN: "np.minimum({0}, {1})",
-    ca.OP_FMAX: "np.maximum({0}, {1})",
-    ca.OP_FMOD: "np.fmod({0}, {1})",
-    ca.OP_HYPOT: "np.hypot({0}, {1})",
-    ca.OP_COPYSIGN: "np.copysign({0}, {1})",
-    ca.OP_LT: "np.less({0}, {1}) * 1.0",
-    ca.OP_LE: "np.less_equal({0}, {1}) * 1.0",
-    ca.OP_EQ: "np.equal({0}, {1}) * 1.0",
-    ca.OP_NE: "np.not_equal({0}, {1}) * 1.0",
-    ca.OP_AND: "np.logical_and({0}, {1}) * 1.0",
-    ca.OP_OR: "np.logical_or({0}, {1}) * 1.0",
-    ca.OP_IF_ELSE_ZERO: "np.where({0}, {1}, 0.0)",
-}
-UNARY = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_NEG: "-{0}",
-    ca.OP_SIN: "np.sin({0})",
-    ca.OP_COS: "np.cos({0})",
-    ca.OP_TAN: "np.tan({0})",
-    ca.OP_ASIN: "np.arcsin({0})",
-    ca.OP_ACOS: "np.arccos({0})",
-    ca.OP_ATAN: "np.arctan({0})",
-    ca.OP_SINH: "np.sinh({0})",
-    ca.OP_COSH: "np.cosh({0})",
-    ca.OP_TANH: "np.tanh({0})",
-    ca.OP_EXP: "np.exp({0})",
-    ca.OP_LOG: "np.log({0})",
-    ca.OP_LOG1P: "np.log1p({0})",
-    ca.OP_EXPM1: "np.expm1({0})",
-    ca.OP_SQRT: "np.sqrt({0})",
     ca.OP_SQ: "{0} * {0}",
     ca.OP_TWICE: "2.0 * {0}",
     ca.OP_INV: "1.0 / {0}",
-    ca.OP_FABS: "np.abs({0})",
-    ca.OP_SIGN: "np.sign({0})",
-    ca.OP_FLOOR: "np.floor({0})",
-    ca.OP_CEIL: "np.ceil({0})",
-    ca.OP_NOT: "np.logical_not({0}) * 1.0",
+    ca.OP_IF_ELSE_ZERO: "np.where({0}, {1}, 0.0)",
 }
+# CasADi operation -> function of numpy, and of those that are true or false
+ALIKE = "sin cos tan sinh cosh tanh exp log log1p expm1 sqrt sign floor ceil fmod hypot copysign"
+NAMES = {name: name for name in ALIKE.split()} | {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "fabs": "abs"}
+NAMES |= {"pow": "power", "constpow": "power", "atan2": "arctan2", "fmin": "minimum", "fmax": "maximum"}
+TRUTHS = {"lt": "less", "le": "less_equal", "eq": "equal", "ne": "not_equal"}
+TRUTHS |= {"and": "logical_and", "or": "logical_or", "not": "logical_not"}
+FUNCTIONS = {getattr(ca, f"OP_{name.upper()}"): function for name, function in (NAMES | TRUTHS).items()}
 
 
 def vectorize(function: ca.Function) -> Evaluate:
@@ -84,7 +57,7 @@ def vectorize(function: ca.Function) -> Evaluate:
         # components first: each is written in contiguous runs; structural zeros are zero
         full = [np.zeros((*shape, *batch)) for shape in shapes]
         for part in _parts(batch):
-            outputs = compiled([_components(_of(a, part)) for a in inputs])
+            outputs = compiled([_components(a, part) for a in inputs])
             for array, values, place in zip(full, outputs, places, strict=True):
                 for value, (row, column) in zip(values, place, strict=True):
                     where: tuple[int | slice, ...] = (row, column, *part)
@@ -105,16 +78,11 @@ def _parts(batch: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
         yield tuple(slice(start, start + rows) if k == axis else slice(None) for k in range(len(batch)))
 
 
-def _of(array: np.ndarray, part: tuple[slice, ...]) -> np.ndarray:
-    """What a part of the batch needs of an argument; axes that broadcast stay."""
-    if not part:
-        return array
-    axes = part[len(part) - (array.ndim - 1) :]
-    return array[tuple(one if size > 1 else slice(None) for one, size in zip(axes, array.shape[:-1], strict=True))]
-
-
-def _components(array: np.ndarray) -> list[np.ndarray]:
-    """Along the last axis."""
+def _components(array: np.ndarray, part: tuple[slice, ...]) -> list[np.ndarray]:
+    """What a part of the batch needs of an argument, along the last axis; axes that broadcast stay."""
+    if part:
+        axes = part[len(part) - (array.ndim - 1) :]
+        array = array[tuple(one if size > 1 else slice(None) for one, size in zip(axes, array.shape[:-1], strict=True))]
     return list(array.transpose(-1, *range(array.ndim - 1)))
 
 
@@ -123,26 +91,26 @@ def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]]], list[list[n
     """The function as numpy source; equal functions are set up again and again, as parts of different models."""
     function = ca.Function.deserialize(serialized)
     lines = ["def run(x):", f"    y = [[0.0] * k for k in {[function.nnz_out(i) for i in range(function.n_out())]}]"]
-    for k in range(function.n_instructions()):
-        lines.append("    " + _line(function, k))
-    lines.append("    return y")
+    lines += [f"    {_line(function, k)}" for k in range(function.n_instructions())]
     scope: dict[str, object] = {"np": np}
-    exec(compile("\n".join(lines), f"<instructions of {function.name()}>", "exec"), scope)
+    exec(compile("\n".join([*lines, "    return y"]), f"<instructions of {function.name()}>", "exec"), scope)
     return scope["run"]  # type: ignore[return-value]
 
 
 def _line(function: ca.Function, k: int) -> str:
-    operation = function.instruction_id(k)
-    sources, targets = function.instruction_input(k), function.instruction_output(k)
-    if operation == ca.OP_CONST:
-        return f"w{targets[0]} = {function.instruction_constant(k)!r}"
-    if operation == ca.OP_INPUT:
-        return f"w{targets[0]} = x[{sources[0]}][{sources[1]}]"
+    operation, operands = function.instruction_id(k), function.instruction_input(k)
+    target, *place = function.instruction_output(k)
+    words = [f"w{operand}" for operand in operands]
     if operation == ca.OP_OUTPUT:
-        return f"y[{targets[0]}][{targets[1]}] = w{sources[0]}"
-    template = UNARY.get(operation) or BINARY.get(operation)
-    if template is None:
-        raise NotImplementedError(
-            f"CasADi operation {operation} has no numpy form here; add it to identification/vectorize.py"
-        )
-    return f"w{targets[0]} = " + template.format(*(f"w{s}" for s in sources))
+        return f"y[{target}][{place[0]}] = {words[0]}"
+    if operation == ca.OP_CONST:
+        return f"w{target} = {function.instruction_constant(k)!r}"
+    if operation == ca.OP_INPUT:
+        return f"w{target} = x[{operands[0]}][{operands[1]}]"
+    if operation in ARITHMETIC:
+        return f"w{target} = " + ARITHMETIC[operation].format(*words)
+    if operation not in FUNCTIONS:
+        reason = f"CasADi operation {operation} has no numpy form here"
+        raise NotImplementedError(f"{reason}; add it to identification/vectorize.py")
+    one = " * 1.0" if FUNCTIONS[operation] in TRUTHS.values() else ""
+    return f"w{target} = np.{FUNCTIONS[operation]}({', '.join(words)}){one}"

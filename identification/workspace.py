@@ -117,12 +117,13 @@ WorkspaceConstraint = ColumnLimits | WorkspaceBox | KeepOutCircle | KeepOutCylin
 
 
 class PostureCondition(Protocol):
-    """What a posture must satisfy besides the joint limits, as computed by `doe.problem.constraints`."""
+    """What a posture must satisfy besides the joint limits, as computed by `doe.problem.constraints`.
+
+    kind : name in messages, as in the arm file
+    """
 
     @property
-    def kind(self) -> str:
-        """Name in messages, as in the arm file."""
-        ...
+    def kind(self) -> str: ...
 
     def margin(self, postures: Array) -> Array:
         """(m, k) margins [mm] of postures (m, n), satisfied where >= 0."""

@@ -22,14 +22,12 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SEED = 0
 ESTIMATION = "tests/identification/estimation"
-MODEL = ["tests/identification/kinematics", "tests/identification/model/test_arm_model.py"]
 TESTED = {  # module -> tests that must notice
     "identification/information.py": ["tests/identification/test_information.py"],
-    "identification/kinematics/closed_form.py": [
+    "identification/kinematics/chain.py": [
+        *("tests/identification/kinematics", "tests/identification/model"),
         *(f"{ESTIMATION}/test_{name}.py" for name in ("estimate", "batch")),
-        "tests/identification/kinematics/test_closed_form.py",
     ],
-    "identification/kinematics/chain.py": [*MODEL, "tests/identification/model/test_minimal.py"],
     "identification/estimation/levenberg_marquardt.py": [f"{ESTIMATION}/test_levenberg_marquardt.py"],
     "identification/estimation/uncertainty.py": [f"{ESTIMATION}/test_uncertainty.py"],
     "identification/estimation/estimate.py": [f"{ESTIMATION}/test_estimate.py", f"{ESTIMATION}/test_prior.py"],

@@ -302,7 +302,7 @@ def score_files(
     try:
         sees = detectability(without_prior(loaded), judged.postures)
         tables: list[Any] = [*sees.document().parts]
-        pictures[aliases] = drawing("alias_figure", sees)
+        pictures[aliases] = sees.figure
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
         if aliases is not None:
             raise InputError(f"--aliases: {plan}: {reason}") from reason
@@ -405,7 +405,7 @@ def relax_files(
     from doe.cross_check import cross_check
     from doe.plan.plan import load_plan, plan_text
     from doe.problem.uncertain import with_choices
-    from doe.report.design import cross_check_table, relax_document
+    from doe.report.design import relax_document
     from identification import load_arm
 
     loaded, robust = load_arm(arm), criterion.robust
@@ -434,16 +434,16 @@ def relax_files(
     weighted = end - 0.5 * (seconds or 40.0) if check else end
     new = runs or (problem.parameters if problem.deviations else None)
     relaxation = relax(problem, places, solver, runs=new, stop=lambda: perf_counter() > weighted)
-    data, shown = relaxation.to_json(), list[Any]([relax_document(relaxation)])
+    data, compared = relaxation.to_json(), list[dict[str, Any]]()
     if check:
         progress(1, 2, "cross-check")
         checked = with_choices(problem) if robust else problem
         exact = runs or max(2 * loaded.links, problem.fewest_runs)
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
-        shown.append(cross_check_table(compared))
     text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
-    return with_collisions(Answer(data, [*shown, *written({out: text}, force, "plan with weights")]), loaded)
+    document = relax_document(relaxation, compared)
+    return with_collisions(Answer(data, [document, *written({out: text}, force, "plan with weights")]), loaded)
 
 
 def compare_files(

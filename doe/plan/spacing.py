@@ -133,14 +133,14 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: Gener
     constant. Where even steps are below the minimum distance, the widest of them sets apart postures that are alike in
     all other joints.
     """
-    from scipy.spatial import KDTree
-
     spread, m = np.array(postures), len(postures)
     for joint in free_joints(problem):
         shares = (generator.permutation(m) + 0.5) / m
         spread[:, joint] = problem.lower[joint] + shares * (problem.upper[joint] - problem.lower[joint])
     if not 1.0 < replicates_allowed(problem) < m:
         return spread
+    from scipy.spatial import KDTree
+
     # of evenly spaced values of the widest free joint the least used that no equal posture has yet
     joint, count = free_joints(problem)[0], int(replicates_allowed(problem))
     searched, kept = searched_part(problem, spread), searched_part(problem, problem.kept)

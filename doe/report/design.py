@@ -342,8 +342,8 @@ def advice_sentence(advice: Advice) -> str:
 SHOWN = 5e-6  # of the weights: smaller ones would be printed as zero
 
 
-def relax_document(design: ApproximateDesign) -> Document:
-    """Value, bound and efficiency, then the support, heaviest first."""
+def relax_document(design: ApproximateDesign, compared: Sequence[Data] = ()) -> Document:
+    """Value, bound and efficiency, then the support, heaviest first, and independent answers side by side."""
     where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
     order = np.argsort(-design.plan.shares, kind="stable")
     weighted = zip(design.plan.shares[order], design.plan.displayed[order], strict=True)
@@ -360,15 +360,11 @@ def relax_document(design: ApproximateDesign) -> Document:
         ("status", design.status.value),
     ]
     support = Sheet(["weight", *posture_headings(design.plan)], rows, "Support", 24)
-    return Document("Weights", [], [facts_sheet(facts), support, *rest])
-
-
-def cross_check_table(compared: list[dict[str, Any]]) -> Sheet:
-    """Independent answers side by side."""
     digits = {"value": 7, "bound": 7, "table_1_max_residual": 4}
-    rows = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
+    answers = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
     title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
-    return Sheet(("method", "over", "value", "upper bound", "Table I"), rows, title)
+    check = Sheet(("method", "over", "value", "upper bound", "Table I"), answers, title)
+    return Document("Weights", [], [facts_sheet(facts), support, *rest, check])
 
 
 # -- missing effects ---------------------------------------------------------------------------------------------------

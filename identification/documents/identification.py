@@ -24,6 +24,7 @@ from identification.document import (
 )
 from identification.effects.catalogue import GRAVITY, Entry
 from identification.kinematics.parameters import REVOLUTE
+from identification.running import Status
 from identification.sessions import placing
 
 if TYPE_CHECKING:
@@ -91,6 +92,8 @@ def reading_unit(model: Any) -> str:
 
 def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
+    closed = fit.method == "linear" and fit.status is Status.converged
+    outcome = "Closed form, the exact global minimum." if closed else fit.status.value
     unit, tip = reading_unit(fit.model), None
     if fit.expected_tip is not None:
         doubt = "; but chi2 says that it is not" if fit.misfit else ""
@@ -104,7 +107,7 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
         chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}: {scatter}"
     angles = None if fit.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return [
-        ("method", f"{fit.method}: {fit.outcome}"),
+        ("method", f"{fit.method}: {outcome}"),
         ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} {unit}"),
         ("largest", "{:.4g} -> {:.4g} ".format(*fit.largest) + unit),
         ("orientations, RMS", angles),
@@ -262,29 +265,22 @@ def dh_sections(rows: Sequence[CorrectedValue], lines: Sequence[str], name: str 
 
 
 def in_short(rows: Sequence[CorrectedValue], minimal: bool) -> Section:
-    """Of a spatial arm the values that the measurements determine, the others counted, and where all of them are.
+    """Of a spatial arm the values that the measurements determine, base and points, the others counted, and where all
+    of them are.
 
     minimal : whether a minimal set can be fitted instead, which has no prior
     """
-    frames = [row for row in rows if row.nominal is not None]
+    frames, places = ([row for row in rows if (row.nominal is None) is placed] for placed in (False, True))
     sure = [row for row in frames if not row.weak and not equals_drawing(row, 3)]
     weak: dict[str, list[str]] = {}  # `joint 2 x, y, yaw; zero of joint 5`
     for place, _, axis in (row.name.rpartition(" ") for row in frames if row.weak):
         weak.setdefault(place, []).append(axis)
-    parts: list[Part] = [corrected_table(sure)]
+    parts: list[Part] = [corrected_table([*sure, *(row for row in places if row.corrected is not None)])]
     if weak:
         named = "; ".join(f"{place} {', '.join(axes)}" for place, axes in weak.items())
         parts.append(f"Weakly determined, mostly the prior of [machining]: {named}.")
     if same := len(frames) - len(sure) - sum(map(len, weak.values())):
         parts.append(f"As drawn to three decimals: {same} more.")
-    places: dict[str, list[str]] = {}  # base and points, with deviations: of parallel axes only a sum may be known
-    for row in rows:
-        if row.nominal is None and row.corrected is not None:
-            place, _, axis = row.name.rpartition(" ")
-            std = "" if row.std is None else f" +- {number(row.std, 3)}"
-            unit = "" if row.unit == "mm" else f" {row.unit}"
-            places.setdefault(place, []).append(f"{axis} {row.corrected:z.3f}{std}{unit}")
-    parts += [f"{place} [mm]: {', '.join(figures)}" for place, figures in places.items()]
     title = f"Well determined: {len(sure)} of {len(frames)} corrected values"
     return Section(title, [*parts, *(ALL_OF_THEM if minimal else ALL_OF_THEM[:1])])
 

@@ -35,33 +35,24 @@ DIGITS = 6  # of a value, significant: labels and files hold it exactly
 
 @dataclass(frozen=True)
 class Scope:
-    """Information from which the values of a setting may be computed: the arm, the joint (from 1), and the data.
-
-    postures : (m, n) [rad], None without data;  conditions : of these rows
-    """
+    """Information from which the values of a setting may be computed: the arm, the joint (from 1), and the data."""
 
     arm: Arm
     joint: int | None = None
-    postures: Array | None = None
-    conditions: Conditions = field(default_factory=Conditions)
+    postures: Array | None = None  # (m, n) [rad], None without data
+    conditions: Conditions = field(default_factory=Conditions)  # of these rows
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A number that is chosen rather than estimated: the order of a wave, the time of a step, a time constant.
+    """A number that is chosen rather than estimated: the order of a wave, the time of a step, a time constant."""
 
-    low, high : range allowed in an arm file
-    values : to try in `diagnose`, a list or a function of `Scope`; None: all whole numbers from low to high
-    whole : whole numbers only
-    symbolic : True if the effect's formula accepts a CasADi symbol, so that one function serves all values; False if it
-        needs the number itself, as in `range(k)`
-    """
-
-    low: float
+    low: float  # range allowed in an arm file
     high: float
+    # to try in `diagnose`, a list or a function of `Scope`; None: all whole numbers from low to high
     values: Sequence[float] | Callable[[Scope], Sequence[float]] | None = None
-    whole: bool = False
-    symbolic: bool = True
+    whole: bool = False  # whole numbers only
+    symbolic: bool = True  # the formula accepts a CasADi symbol, which serves all values; else as in `range(k)`
 
     @classmethod
     def of(cls, setting: Setting | tuple[int, int]) -> Setting:
@@ -130,36 +121,9 @@ class Effect:
     """Base class of all effects. Subclasses set the class variables, list the parameters, and have methods with the
     names of places.
 
-    Class variables:
-
-    name : as in the arm file;  summary : one line for people
-    numbers : the parameters, in the order in which the formulas receive their values, or a method that lists them
-    per_joint : `required`, `optional` or `none`: whether the effect is given for a single joint
-    first_joint : lowest joint (from 1) that can have it
-    needs : what the arm or the data must have: gravity, distance (measured ones), directions, temperature, time,
-        session, past
-    family : class of effects that are rivals for the same physical cause (`diagnose` may merge them); by default
-        that of the base class, or the name
-    through : kind of effects that it modifies, by what they need: `gravity`; without such effects it does nothing
-    settings : numbers that are chosen, not estimated; a pair (low, high) means all whole numbers in between. In
-        formulas `self.chosen[name]` is the number, or a CasADi symbol when all values are tried at once
-    prior : prior weight relative to the common effects of the library, which have 1
-    alias : base parameters from which no measurement of the tip can distinguish it, or None
-    nuisance : True if it is no fault of the arm, so that `diagnose` does not search for it
-    of_commands : True if it acts between command and encoder reading, so that models of the readings ignore it
-        (identification/simulate.py)
-    scatter : True if it acts on the noise, so that the model of the mean ignores it (identification/effects/noise.py)
-    once : True if it belongs to the session of the identification; in later sessions its final state applies
-    of_positions : True if it is of the frame in which positions are measured, which other instruments do not have
-    tabulated : True if it is a table of values (`EffectSpec.curve`) without parameters
-    dimensions : dimensions of the arms that can have it: 2 in the plane, 3 in space
-
-    Attributes of an instance:
-
-    chain : the nominal geometry;  joint : from 1, None: the whole arm;  chosen : values of the settings
-    tagged : True if names include the settings, `transmission_ripple:1[k=20].a`, as the arm has a similar effect at the
-        same joint (see `build_all`)
-    parameters : as `define` returns them
+    An instance has the nominal `chain`, its `joint` (from 1, None: the whole arm), the values `chosen` of its settings,
+    its `parameters`, and is `tagged` where their names have the settings in them, `transmission_ripple:1[k=20].a`, as
+    the arm has a similar effect at the same joint (`build_all`).
 
     Places, each a method of the symbols of the nominal arm (`Chain`) and the values of the parameters that returns
     CasADi SX of this many elements, or a number for all of them. Where n joints or 3 n coordinates are asked for, an
@@ -179,24 +143,27 @@ class Effect:
     instrument : (d,) added to the true position [mm], which it has in place of the chain
     """
 
-    name: ClassVar[str]
-    summary: ClassVar[str]
-    numbers: ClassVar[Any] = ()
-    per_joint: ClassVar[str] = "none"
-    first_joint: ClassVar[int] = 1
+    name: ClassVar[str]  # as in the arm file
+    summary: ClassVar[str]  # one line for people
+    numbers: ClassVar[Any] = ()  # the parameters, in the order in which formulas receive their values, or a method
+    per_joint: ClassVar[str] = "none"  # `required`, `optional` or `none`: whether it is given for a single joint
+    first_joint: ClassVar[int] = 1  # lowest joint (from 1) that can have it
+    # of arm or data: gravity, distance (measured ones), directions, temperature, time, session, past
     needs: ClassVar[frozenset[str]] = frozenset()
-    family: ClassVar[str] = ""
-    through: ClassVar[str] = ""
+    family: ClassVar[str] = ""  # rivals for the same physical cause, which `diagnose` may merge; its name by default
+    through: ClassVar[str] = ""  # kind of effects that it modifies, by what they need; without these it does nothing
+    # numbers that are chosen, not estimated; a pair (low, high) means all whole numbers in between. In formulas
+    # `self.chosen[name]` is the number, or a CasADi symbol when all values are tried at once
     settings: ClassVar[Mapping[str, Setting | tuple[int, int]]] = MappingProxyType({})
-    prior: ClassVar[float] = 1.0
-    alias: ClassVar[str | None] = None
-    nuisance: ClassVar[bool] = False
-    of_commands: ClassVar[bool] = False
-    scatter: ClassVar[bool] = False
-    once: ClassVar[bool] = False
-    of_positions: ClassVar[bool] = False
-    tabulated: ClassVar[bool] = False
-    dimensions: ClassVar[tuple[int, ...]] = (2, 3)
+    prior: ClassVar[float] = 1.0  # weight relative to the common effects of the library, which have 1
+    alias: ClassVar[str | None] = None  # base parameters from which no measurement of the tip can distinguish it
+    nuisance: ClassVar[bool] = False  # it is no fault of the arm, so that `diagnose` does not search for it
+    of_commands: ClassVar[bool] = False  # between command and encoder reading: models of the readings ignore it
+    scatter: ClassVar[bool] = False  # it acts on the noise (`disturb`): the model of the mean ignores it
+    once: ClassVar[bool] = False  # of the session of the identification; in later ones its final state applies
+    of_positions: ClassVar[bool] = False  # of the frame in which positions are measured: not of other instruments
+    tabulated: ClassVar[bool] = False  # a table of values (`EffectSpec.curve`) without parameters
+    dimensions: ClassVar[tuple[int, ...]] = (2, 3)  # of the arms that can have it: 2 in the plane, 3 in space
     disturb: ClassVar[Callable[..., Array]]
     curve: ErrorCurve | None = None
 

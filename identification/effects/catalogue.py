@@ -37,30 +37,20 @@ payload_kg = 0.0  # at the tip"""  # block of an arm file, for three links
 
 
 class Entry(NamedTuple):
-    """An effect of the library, as `armcal effects` lists it.
-
-    summary, formula : one line, and the formula in words
-    place : `each joint`, `one joint or all`, `each joint from 2`, `the whole arm`
-    arms : `planar`, `spatial` or both;  needs : as `Effect.needs`, sorted
-    settings : name -> range allowed in an arm file
-    kind : `looked for` by diagnose, `scatter`, `alias` of base parameters, `table` of values, `sessions`,
-        `commands`, `on request` of the arm file only;  alias : as `Effect.alias`
-    parameters : for an arm of three joints;  supply : how to give what it needs, one sentence each
-    own : defined by the user
-    """
+    """An effect of the library, as `armcal effects` lists it."""
 
     name: str
-    summary: str
-    formula: str
-    place: str
-    arms: tuple[str, ...]
-    needs: tuple[str, ...]
-    settings: dict[str, str]
-    kind: str
-    alias: str | None
-    parameters: tuple[Parameter, ...]
-    supply: tuple[str, ...]
-    own: bool
+    summary: str  # one line
+    formula: str  # in words
+    place: str  # `each joint`, `one joint or all`, `each joint from 2`, `the whole arm`
+    arms: tuple[str, ...]  # `planar`, `spatial` or both
+    needs: tuple[str, ...]  # as `Effect.needs`, sorted
+    settings: dict[str, str]  # name -> range allowed in an arm file
+    kind: str  # `looked for` by diagnose, `scatter`, `alias`, `table`, `sessions`, `commands`, `on request` of a file
+    alias: str | None  # as `Effect.alias`
+    parameters: tuple[Parameter, ...]  # for an arm of three joints
+    supply: tuple[str, ...]  # how to give what it needs, one sentence each
+    own: bool  # defined by the user
 
     @property
     def example(self) -> str:

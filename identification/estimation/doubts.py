@@ -23,8 +23,14 @@ from identification.arrays import Array, rows_in_words
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, product_inverse
 from identification.inspection.readings import DRAWN, read_differently
-from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR, KinematicChain
-from identification.kinematics.closed_form import PlanarClosedForm
+from identification.kinematics.chain import (
+    BASE,
+    ROTATION_ERROR,
+    TOOL,
+    TRANSLATION_ERROR,
+    KinematicChain,
+    PlanarClosedForm,
+)
 from identification.kinematics.counting import in_columns, turned_into
 from identification.kinematics.parameters import (
     FILE_UNITS,

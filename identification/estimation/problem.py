@@ -34,7 +34,7 @@ from identification.estimation.levenberg_marquardt import (
     outcomes,
 )
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, product_inverse, significant, spectrum
-from identification.kinematics.closed_form import PlanarClosedForm
+from identification.kinematics.chain import PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.measurements import Conditions, Measurements
 from identification.model import Model

@@ -35,6 +35,7 @@ from identification.running import Status
 STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
 ZERO = "add to the zero of joint {j}: real position = reading + this; or take it off every command"
 STANDS = "where the arm stands: type it into the controller only if the measurements are in the controller's own frame"
+TURNED = f"zero of joint 1 with how the arm is turned, {STANDS}"
 FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y, z, then roll, pitch, yaw"
 TURNED_FRAME = (
     "frame of joint {j} in that of {before}: x, y, z, then how it is turned from the drawing about its own x, y and z "
@@ -218,12 +219,6 @@ class Identification:
         before, after = (rms_distance(r[:, POINT.stop :]) for r in (self.residuals_before, self.residuals_after))
         return before / scale, after / scale
 
-    @property
-    def outcome(self) -> str:
-        """How the fit ended, in a sentence."""
-        closed = self.method == "linear" and self.status is Status.converged
-        return "Closed form, the exact global minimum." if closed else self.status.value
-
     # -- onward ----------------------------------------------------------------------------------------------------
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
@@ -372,7 +367,7 @@ def corrected_values(
     names, values = calibration.parameter_names, {**model.fixed, **calibration.values}
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
-    quantities = (*_geometry(arm, values, {*names, *unknown}), *_effects(model, values))
+    quantities = _quantities(model, values, {*names, *unknown})
     rows = (_row(one, calibration, freedom, unknown, before, seen) for one in quantities)
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
@@ -407,65 +402,60 @@ def _row(
     return CorrectedValue(name, parameter, nominal, corrected, std, low, high, unit, convention, prior, held)
 
 
-def _effects(model: Model, values: Values) -> Iterator[Quantity]:
-    """Parameters of effects, their names with the settings."""
-    for effect in model.effects:
-        stands = effect.name == "base_offset"
-        convention = STANDS if stands else "no value of a controller: armcal compensate takes it off the commands"
-        for p in effect.parameters:
-            name, value = f"{effect.label}.{p.short}", values.get(p.name, 0.0) * p.to_file
-            bounds = p.lower * p.to_file, p.upper * p.to_file
-            yield name, p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, convention, bounds
-
-
-def _geometry(arm: Arm, values: Values, names: Collection[str]) -> Iterator[Quantity]:
+def _quantities(model: Model, values: Values, names: Collection[str]) -> Iterator[Quantity]:
     """Lengths and zeros of a planar arm; in space zeros, frames, base and measured points, with derivatives by the
-    parameters `names`; and values of the instrument, where they were estimated."""
-    chain, zeros = arm.chain, [*_zeros(arm, values)]
+    parameters `names`; values of the instrument, where they were estimated; and parameters of effects."""
+    arm, chain = model.arm, model.arm.chain
+    if chain.planar:
+        for j, length in enumerate(arm.lengths.tolist(), start=1):
+            value = length + values.get(name := f"{LENGTH_ERROR}:{j}", 0.0)
+            yield f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link", UNBOUNDED
+    # what each joint adds to what is read, as the controller counts: of coupled joints what both add
+    shares, zeros = np.eye(arm.links) if arm.counting is None else arm.counting.matrix, list[Quantity]()
+    turned = chain.planar and any(spec.name == "base_offset" for spec in arm.effects)
+    for j, kind in enumerate(arm.joint_types, start=1):
+        p = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind])
+        slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in enumerate(shares[j - 1].tolist(), start=1) if x}
+        value, alone = (
+            sum(x * values.get(name, 0.0) for name, x in slopes.items()),
+            p.name if len(slopes) == 1 else None,
+        )
+        convention = (
+            ZERO.format(j=j) if j > 1 or not turned else f"zero of joint 1 with how the arm is turned, {STANDS}"
+        )
+        if not chain.planar or alone not in chain.instrument.hidden(chain.base):
+            zeros.append((f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, convention, UNBOUNDED))
     instrument = [
         (name, parameter, None, value, slopes, unit, convention, UNBOUNDED)
         for name, parameter, value, slopes, unit, convention in chain.instrument.own_values(values)
         # what the arm file says of them is where fits start
         if all(p.name in values for p in chain.instrument.parameters)
     ]
-    if chain.planar:
-        for j, length in enumerate(arm.lengths.tolist(), start=1):
-            name = f"{LENGTH_ERROR}:{j}"
-            value = length + values.get(name, 0.0)
-            yield f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link", UNBOUNDED
+    yield from (*instrument, *zeros) if chain.planar else zeros
+    if not chain.planar:
+        drawn, corrected = _tables(chain, {}), _tables(chain, values)
+        steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in names and p.kind != JOINT_OFFSET}
+        slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
+        for (place, key), value in corrected.items():
+            convention, nominal = "measured point in the frame of the tip", None
+            if place == "base":
+                convention = "pose of the base for the instrument, turned about its own x, y and z axis"
+            if place.startswith("joint "):
+                j = int(place.removeprefix("joint "))
+                frame = FRAME if (place, "roll_deg") in corrected else TURNED_FRAME
+                convention = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
+                nominal = drawn[place, key] + 0.0  # no -0
+                value = value - _turns(value - nominal, key)
+            axis, _, unit = key.rpartition("_")
+            yield f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, convention, UNBOUNDED
         yield from instrument
-        yield from (zero for zero in zeros if zero[1] not in chain.instrument.hidden(chain.base))
-        return
-    yield from zeros
-    drawn, corrected = _tables(chain, {}), _tables(chain, values)
-    steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in names and p.kind != JOINT_OFFSET}
-    slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
-    for (place, key), value in corrected.items():
-        convention, nominal = "measured point in the frame of the tip", None
-        if place == "base":
-            convention = "pose of the base for the instrument, turned about its own x, y and z axis"
-        if place.startswith("joint "):
-            j, frame = int(place.removeprefix("joint ")), FRAME if (place, "roll_deg") in corrected else TURNED_FRAME
-            convention = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
-            nominal = drawn[place, key] + 0.0  # no -0
-            value = value - _turns(value - nominal, key)
-        axis, _, unit = key.rpartition("_")
-        yield f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, convention, UNBOUNDED
-    yield from instrument
-
-
-def _zeros(arm: Arm, values: Values) -> Iterator[Quantity]:
-    """What each joint adds to what is read, as the controller counts: of coupled joints what both add."""
-    shares = np.eye(arm.links) if arm.counting is None else arm.counting.matrix
-    turned = arm.chain.planar and any(spec.name == "base_offset" for spec in arm.effects)
-    for j, kind in enumerate(arm.joint_types, start=1):
-        p = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind])
-        slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in enumerate(shares[j - 1].tolist(), start=1) if x}
-        value = sum(x * values.get(name, 0.0) for name, x in slopes.items())
-        alone = p.name if len(slopes) == 1 else None
-        stands = f"zero of joint 1 with how the arm is turned, {STANDS}"
-        convention = stands if turned and j == 1 else ZERO.format(j=j)
-        yield f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, convention, UNBOUNDED
+    for effect in model.effects:  # their names with the settings
+        convention = "no value of a controller: armcal compensate takes it off the commands"
+        convention = STANDS if effect.name == "base_offset" else convention
+        for p in effect.parameters:
+            value, bounds = values.get(p.name, 0.0) * p.to_file, (p.lower * p.to_file, p.upper * p.to_file)
+            slopes = {p.name: p.to_file}
+            yield f"{effect.label}.{p.short}", p.name, 0.0, value, slopes, p.file_unit, convention, bounds
 
 
 def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], float]:

@@ -281,26 +281,18 @@ def sandwich(
 
 def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> tuple[Array, Array, Array]:
     """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, r, k) V and (G, k) V^T Q_g^T r_g, zero where a
-    group has fewer than k directions;  groups as large as each other at a time, small ones by Q_g Q_g^T."""
+    group has fewer than k directions;  groups as large as each other at a time."""
     d, r = columns.shape[1:]
     order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
-    starts, most = np.cumsum(counts) - counts, min(r, d * int(counts.max()))
-    values, vectors = np.zeros((len(counts), most)), np.zeros((len(counts), r, most))
-    scores = np.zeros((len(counts), most))
+    starts, shape = np.cumsum(counts) - counts, (len(counts), min(r, d * int(counts.max())))
+    values, vectors, scores = np.zeros(shape), np.zeros((len(counts), r, shape[1])), np.zeros(shape)
     for size in np.unique(counts):
-        of_size, columns_used = np.flatnonzero(counts == size), slice(min(r, d * int(size)))
+        of_size, k = np.flatnonzero(counts == size), min(r, d * int(size))
         rows = order[starts[of_size, None] + np.arange(size)]
-        q = columns[rows].reshape(len(of_size), -1, r)
-        across = np.swapaxes(q, 1, 2)
-        if q.shape[1] < r:
-            eigenvalues, left = np.linalg.eigh(q @ across)
-            # leverages below 1e-15 are rounding
-            directions = across @ left / np.sqrt(np.where(eigenvalues > 1e-15, eigenvalues, np.inf))[:, None, :]
-        else:
-            eigenvalues, directions = np.linalg.eigh(across @ q)
-        values[of_size, columns_used], vectors[of_size, :, columns_used] = eigenvalues, directions
-        projected = np.swapaxes(directions, 1, 2) @ (across @ residual[rows].reshape(len(of_size), -1, 1))
-        scores[of_size, columns_used] = projected[:, :, 0]
+        left, singular, right = np.linalg.svd(columns[rows].reshape(len(of_size), -1, r), full_matrices=False)
+        values[of_size, :k], vectors[of_size, :, :k] = singular**2, np.swapaxes(right, 1, 2)
+        projected = np.swapaxes(left, 1, 2) @ residual[rows].reshape(len(of_size), -1, 1)
+        scores[of_size, :k] = singular * projected[:, :, 0]
     return values, vectors, scores
 
 

@@ -114,16 +114,13 @@ def _by_api(names: Names) -> Names:
     return {api: (file, factor) for file, (api, factor) in names.items()}
 
 
-def _named(names: Names, key: str, place: str, without: str = "", points: bool = False) -> tuple[str, float]:
-    """The parameter of this name. Raises `InputError` for another;  without : what is allowed where there are no names
-
-    points : measured points of any name are allowed, too
-    """
+def _named(names: Names, key: str, place: str, points: bool = False) -> tuple[str, float]:
+    """The parameter of this name. Raises `InputError` for another;  points : measured points of any name are allowed"""
     if key in names:
         return names[key]
     if points and (point := MARKER.fullmatch(key)):
         return key, math.degrees(1.0) if point[1] else 1.0
-    raise InputError(f"{place}: unknown parameter {key!r}, {nearest(key, names) if names else without}")
+    raise InputError(f"{place}: unknown parameter {key!r}, {nearest(key, names)}")
 
 
 def _built(specs: Iterable[EffectSpec], chain: KinematicChain) -> Effects:
@@ -299,9 +296,9 @@ def _effects(file: Any, chain: KinematicChain) -> Effects:
                 raise InputError(f"{place}.{key}: unknown key of {table.name}, allowed: for {CURVE} only")
             if table.name == CURVE and missing and key != "geometry":
                 raise InputError(f"{place}.{key}: is missing, allowed: as `armcal diagnose --out` writes it")
-        if table.from_deg is not None and table.to_deg is not None and table.values_deg is not None:
+        if table.name == CURVE:
+            ends = math.radians(table.from_deg), math.radians(table.to_deg)
             try:
-                ends = math.radians(table.from_deg), math.radians(table.to_deg)
                 curve = ErrorCurve(*ends, np.radians(table.values_deg))
             except InputError as error:
                 raise InputError(f"{place}.{error}") from None
@@ -320,20 +317,13 @@ def _effects(file: Any, chain: KinematicChain) -> Effects:
             values[parameter.short] = value / parameter.to_file
         specs.append(EffectSpec(table.name, table.joint, MappingProxyType(values), curve))
     effects = _built(specs, chain)
-    names, state = _names(chain.every_parameter, effects), "no [instrument] table"
-    if file.instrument:
-        state = f"an [instrument] of kind {chain.instrument.kind}"
+    names, offers = _names(chain.every_parameter, effects), chain.instrument.offers
+    state = f"an [instrument] of kind {chain.instrument.kind}" if file.instrument else "no [instrument] table"
     for k, ((spec, effect), table) in enumerate(zip(effects, file.effects, strict=True), start=1):
         for wrong, sentence in (
             (effect.of_positions and file.instrument, f"is of measured positions, found {state}, allowed: without it"),
-            (
-                "distance" in effect.needs - chain.instrument.offers,
-                f"needs measured distances, found {state}, allowed: kind distance",
-            ),
-            (
-                "gravity" in effect.needs and file.gravity is None,
-                "needs gravity torques, found no [gravity] table, allowed: with one",
-            ),
+            ("distance" in effect.needs - offers, f"needs measured distances, found {state}, allowed: kind distance"),
+            ("gravity" in effect.needs and not file.gravity, "needs gravity torques, found no [gravity], allowed: one"),
         ):
             if wrong:
                 raise InputError(f"effects: {spec.key} {sentence}")
@@ -357,18 +347,12 @@ def _calibration(
     if table.tools:  # which the file has where they are not known
         chain = _with_tools(chain, table.tools)
     names = _names(chain.parameters(), effects)
-    geometry = {key: name for key, name in names.items() if GEOMETRY.fullmatch(key)}
     lists = ((LENGTH_ERROR, table.length_errors_mm), (JOINT_OFFSET, table.joint_offsets_deg))
     of_links = {f"{kind}:{j}": value for kind, list_ in lists for j, value in enumerate(list_ or (), start=1)}
     values = {}
-    for place, entries, allowed in (
-        ("values", of_links | (table.values or {}), geometry),
-        ("effects", table.effects, {key: name for key, name in names.items() if key not in geometry}),
-    ):
-        for key, value in entries.items():
-            without = "allowed: parameters of effects that the file has under [[effects]]"
-            api, factor = _named(allowed, key, f"calibration.{place}", without)
-            values[api] = value / factor
+    for key, value in {**of_links, **(table.values or {}), **table.effects}.items():
+        api, factor = _named(names, key, "calibration")
+        values[api] = value / factor
     order = [_named(names, key, "calibration.parameters") for key in table.parameters or ()]
     factors = np.array([factor for _, factor in order])
     matrix = None if table.covariance is None else np.array(table.covariance).reshape(len(order), len(order))

@@ -133,9 +133,9 @@ def _checked_target(path: PathLike, force: bool) -> Path:
     target = Path(os.path.realpath(path))  # a link stays a link: its target is replaced
     try:
         os.stat(target)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         pass
-    except OSError as error:  # a folder that is none, a name that is too long, links that lead in a circle
+    except OSError as error:  # a name that is too long, links that lead in a circle
         raise InputError(f"{path}: cannot be written ({error.strerror}), allowed: another file name") from None
     folder = str(Path(path).parent)
     for wrong, sentence in (

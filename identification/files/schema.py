@@ -85,8 +85,8 @@ def _refuse(key: str, sentence: str) -> NoReturn:
 
 
 def _only(dimension: int, kind: Any, *, needed: bool = False) -> Any:
-    """The type of a key that only arms of a dimension have, or need."""
-    return Annotated[kind | None, Field(json_schema_extra={"of": dimension, "needed": needed})]
+    """The type of a key that only arms of a dimension have, or need, and what it is where it is left out."""
+    return Annotated[kind | None, Field(json_schema_extra={"of": dimension, "needed": needed})], None
 
 
 F = TypeVar("F", bound=BaseModel)
@@ -123,7 +123,10 @@ class StrictTable(BaseModel):
     def _has_its_keys(cls, values: Any, info: ValidationInfo) -> Any:
         if not isinstance(values, dict):
             return values
-        fields = {key: field for key, field in cls.model_fields.items() if _of(field, _dimension(info))}
+        dimension = _dimension(info)
+        fields = {
+            key: field for key, field in cls.model_fields.items() if _mark(field).get("of", dimension) == dimension
+        }
         for key in (key for key in values if key not in cls.model_fields):  # first: what is misspelt is missing, too
             tables = {name: (field.annotation, *get_args(field.annotation)) for name, field in fields.items()}
             below = [name for name, types in tables.items() for t in types if key in getattr(t, "model_fields", ())]
@@ -131,9 +134,8 @@ class StrictTable(BaseModel):
                 _refuse(key, f"found outside of a table, allowed: under [{below[0]}]")
             _refuse(key, f"unknown key, {nearest(key, fields, OTHER_KEYS)}")
         for key in (key for key in values if key not in fields):
-            _refuse(
-                key, f"found in the file of {ARMS[_dimension(info)]}, allowed: in that of {ARMS[5 - _dimension(info)]}"
-            )
+            this, other = ARMS[dimension], ARMS[5 - dimension]
+            _refuse(key, f"found in the file of {this}, allowed: in that of {other}")
         for key, field in fields.items():
             if key not in values and (field.is_required() or _mark(field).get("needed")):
                 _refuse(key, "is missing, allowed: a value for it")
@@ -142,11 +144,6 @@ class StrictTable(BaseModel):
 
 def _mark(field: FieldInfo) -> dict[str, Any]:
     return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-
-
-def _of(field: FieldInfo, dimension: int) -> bool:
-    """Whether a key is one of arms of a dimension."""
-    return bool(_mark(field).get("of", dimension) == dimension)
 
 
 def _table(name: str, needed: str = "", check: Callable[..., Any] | None = None, /, **keys: Any) -> Any:
@@ -274,12 +271,8 @@ PoseTable = _table(
     "PoseTable", **{f"{axis}_mm": (Coordinate, 0.0) for axis in "xyz"} | {f"r{x}_deg": (Angle, 0.0) for x in "xyz"}
 )
 LimitsTable = _table("LimitsTable", "lower upper", lower=list[Angle], upper=list[Angle])
-JointsTable = _table(
-    "JointsTable", sign=list[int], coupled_to=list[int], zero_deg=list[Angle]
-)  # as the controller counts them
-MachiningTable = _table(
-    "MachiningTable", translation_mm=Length, rotation_deg=Annotated[float, Field(gt=0, le=LARGEST_ANGLE)]
-)
+JointsTable = _table("JointsTable", sign=list[int], coupled_to=list[int], zero_deg=list[Angle])
+MachiningTable = _table("MachiningTable", translation_mm=Length, rotation_deg=Annotated[Angle, Field(gt=0)])
 MeasurementTable = _table("MeasurementTable", sigma_mm=Sigma, sigma_deg=_only(3, Positive))
 RowTable = _table(
     "RowTable",

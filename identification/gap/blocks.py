@@ -330,15 +330,21 @@ def times(columns: Array, functions: Array) -> Array:
     return np.asarray((columns[..., None] * functions[:, None, None, :]).reshape(*columns.shape[:2], -1))
 
 
+def stacked(*functions: Array) -> Array:
+    """(m, w) table of functions (m,)."""
+    return np.stack(functions, axis=1)
+
+
+def ways(points: Array) -> Array:
+    """(m, d, d) columns that move points (m, d) along each axis."""
+    return np.broadcast_to(np.eye(points.shape[1]), (*points.shape, points.shape[1]))
+
+
 def moved(at: At, functions: Array) -> Array:
     """(m, d, w') columns of functions (m, w) that move all points, or turn them in the plane."""
-    position = at.linearized[0]
-    m, d = position.shape
-    moves = np.broadcast_to(np.eye(d), (m, d, d))
-    if d == 2:
-        turn = np.stack([-position[:, 1], position[:, 0]], axis=1) / at.model.reach
-        moves = np.concatenate([moves, turn[:, :, None]], axis=2)
-    return times(moves, functions)
+    x = at.linearized[0]
+    turn = [stacked(-x[:, 1], x[:, 0])[:, :, None] / at.model.reach] if x.shape[1] == 2 else []
+    return times(np.concatenate([ways(x), *turn], axis=2), functions)
 
 
 def of_geometry(at: At, functions: Array) -> Array:
@@ -350,16 +356,9 @@ def of_geometry(at: At, functions: Array) -> Array:
 
 
 def load_torques(at: At) -> Array:
-    """(m, n) of gravity about the joints, their mean square 1."""
+    """(m, n) moments of gravity about the joints, their mean square 1."""
     torques = at.model.on_chain(lambda chain: chain.torques)(at.rows.postures, at.rows.conditions)
     return np.asarray(torques / max(float(np.sqrt(np.mean(np.square(torques)))), 1e-300))
-
-
-def in_time(at: At, count: int) -> Array:
-    """(m, count) waves over the session, the slow ones larger."""
-    assert at.rows.conditions.time is not None
-    orders = np.arange(1, count + 1)
-    return np.cos(np.pi * (at.rows.conditions.time + 0.5)[:, None] * orders) / orders
 
 
 def wobble(at: At, j: int) -> Array:
@@ -369,12 +368,9 @@ def wobble(at: At, j: int) -> Array:
     n, sizes, q = len(chain), widths(chain), at.rows.postures[:, j]
     ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
     plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T
-    turns = np.stack([f(k * q) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)], axis=1)
-    parts = []
-    for kind in chain.bends:
-        first = ends[kind] - 3 * n + 3 * j
-        part = levers[:, :, first : first + 3] @ plane
-        parts.append(part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300))
+    turns = stacked(*(f(k * q) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)))
+    parts = [levers[:, :, ends[kind] - 3 * n + 3 * j :][:, :, :3] @ plane for kind in chain.bends]
+    parts = [part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300) for part in parts]
     return times(np.concatenate(parts, axis=2), turns)
 
 
@@ -389,76 +385,63 @@ def outside_blocks(at: At) -> Iterator[Block]:
     curved = {spec.joint for spec in arm.effects if spec.curve is not None}
     timed, warmed = (v is not None and bool(np.ptp(v) > 0.0) for v in (conditions.time, conditions.temperature))
     unit = float(np.std(conditions.temperature)) if conditions.temperature is not None else 1.0
-    fast, every = np.arange(1, TIMES + 1), np.eye(d)
+    fast = np.arange(1, TIMES + 1)
 
-    def turned(j: int, functions: Callable[[At], Array]) -> Callable[[At], Array]:
-        """Columns of functions (m, w) that are added to the angle of a joint."""
-        return lambda w: w.levers[:, :, j, None] * functions(w)[:, None, :]
+    # functions (m, w) that are added to the angle of a joint
+    def curve(w: At, j: int) -> Array:
+        return curve_waves(w.rows.postures[:, j], low[j], low[j] + span[j])
 
-    def curve(j: int) -> Callable[[At], Array]:
-        return turned(j, lambda w: curve_waves(w.rows.postures[:, j], low[j], low[j] + span[j]))
-
-    def shared(j: int, other: int) -> Callable[[At], Array]:
-        """Of smooth functions of two joints' angles."""
+    def shared(w: At, j: int, other: int) -> Array:
+        """Smooth functions of two joints' angles."""
+        x, y = ((w.rows.postures[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))
         few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
+        return stacked(*(np.cos(a * x) * np.cos(b * y) / (a * a + b * b) for a, b in few))
 
-        def functions(w: At) -> Array:
-            x, y = ((w.rows.postures[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))
-            return np.stack([np.cos(a * x) * np.cos(b * y) / (a * a + b * b) for a, b in few], axis=1)
-
-        return turned(j, functions)
-
-    def history(j: int) -> Callable[[At], Array]:
+    def history(w: At, j: int) -> Array:
         """Of the joint's angle and last move, with another sign by the direction of approach."""
+        x, past, directions = w.rows.postures[:, j], w.rows.conditions.past, w.rows.conditions.directions
+        move = np.zeros(len(x)) if past is None else np.abs(x - np.asarray(past)[:, j, -1])
+        return stacked(np.ones(len(x)), np.cos(x), np.sin(x), np.exp(-move)) * np.asarray(directions)[:, j, None]
 
-        def functions(w: At) -> Array:
-            x, given = w.rows.postures[:, j], w.rows.conditions
-            assert given.directions is not None
-            move = np.zeros(len(x)) if given.past is None else np.abs(x - np.asarray(given.past)[:, j, -1])
-            waves = np.stack([np.ones(len(x)), np.cos(x), np.sin(x), np.exp(-move)], axis=1)
-            return np.asarray(given.directions[:, j, None] * waves)
-
-        return turned(j, functions)
-
-    def load(j: int) -> Callable[[At], Array]:
+    def load(w: At, j: int) -> Array:
         """Of the moment of gravity about the joint."""
+        t = load_torques(w)[:, j]
+        return stacked(t, np.abs(t), t * np.abs(t), np.sign(t))
 
-        def functions(w: At) -> Array:
-            t = load_torques(w)[:, j]
-            return np.stack([t, np.abs(t), t * np.abs(t), np.sign(t)], axis=1)
+    def turned(functions: Callable[..., Array], j: int, *others: int) -> Callable[[At], Array]:
+        return lambda w: w.levers[:, :, j, None] * functions(w, j, *others)[:, None, :]
 
-        return turned(j, functions)
+    # functions of the time in the session, of temperature and of the place, (m, w), or whole columns (m, d, w)
+    def in_time(w: At, count: int) -> Array:
+        """Waves over the session, the slow ones larger."""
+        orders = np.arange(1, count + 1)
+        return np.cos(np.pi * (np.asarray(w.rows.conditions.time) + 0.5)[:, None] * orders) / orders
 
     def warm(w: At) -> Array:
         return np.asarray(w.rows.conditions.temperature)[:, None] / unit
 
     def smooth(w: At) -> Array:
         """Of all coordinates together."""
-        x, few = np.pi * (w.linearized[0] - corner) / size, product(range(SLOW + 1), repeat=d)
-        orders = [np.array(k) for k in few if 1 <= sum(k) <= SLOW]
-        return moved(w, np.stack([np.prod(np.cos(k * x), axis=1) / (1.0 + k @ k) for k in orders], axis=1))
+        x = np.pi * (w.linearized[0] - corner) / size
+        orders = [np.array(k) for k in product(range(SLOW + 1), repeat=d) if 1 <= sum(k) <= SLOW]
+        return stacked(*(np.prod(np.cos(k * x), axis=1) / (1.0 + k @ k) for k in orders))
 
     def squares(w: At) -> Array:
-        """Squares and products of the coordinates, in each direction."""
+        """Of the coordinates, and their products, in each direction."""
         x = w.linearized[0] / w.model.reach
-        bent = np.stack([x[:, a] * x[:, b] for a in range(d) for b in range(a, d)], axis=1)
-        return times(np.broadcast_to(every, (len(x), d, d)), bent)
+        return times(ways(x), stacked(*(x[:, a] * x[:, b] for a in range(d) for b in range(a, d))))
 
     def along_axes(w: At) -> Array:
         """Waves of each coordinate by itself, in each direction."""
         x = np.pi * (w.linearized[0] - corner) / size
-        waves = (np.cos(x[:, :, None] * fast) / np.sqrt(fast)).reshape(len(x), -1)
-        return times(np.broadcast_to(every, (len(x), d, d)), waves)
+        return times(ways(x), (np.cos(x[:, :, None] * fast) / np.sqrt(fast)).reshape(len(x), -1))
 
     def outward(w: At) -> Array:
         """Waves of the distance from the base, along it."""
         x, reach = w.linearized[0], w.model.reach
-        radius = np.linalg.norm(x, axis=1)
-        rings = np.cos(np.pi * radius[:, None] / reach * fast) / np.sqrt(fast)
-        return (x / np.maximum(radius, 1e-9 * reach)[:, None])[:, :, None] * rings[:, None]
-
-    def loads(w: At) -> Array:
-        return times(w.levers * load_torques(w)[:, None, :], in_time(w, SLOW))
+        radius = np.linalg.norm(x, axis=1)[:, None]
+        rings = np.cos(np.pi * radius / reach * fast) / np.sqrt(fast)
+        return (x / np.maximum(radius, 1e-9 * reach))[:, :, None] * rings[:, None]
 
     # whether these rows can show it, label, prior weight beside OUTSIDE, columns
     table: list[tuple[bool, str, float, Callable[[At], Array]]] = []
@@ -466,21 +449,27 @@ def outside_blocks(at: At) -> Iterator[Block]:
         if j + 1 in unseen:
             continue
         weight, revolute = n**-0.5, not arm.chain.planar and arm.chain.joints[j].type == REVOLUTE
-        table.append((j + 1 not in curved, f"curve:{j + 1}", weight, curve(j)))
-        others = [(k != j, f"shared:{j + 1},{k + 1}", 0.3 * weight / max(n - 1, 1), shared(j, k)) for k in turning]
+        share = 0.3 * weight / max(n - 1, 1)
+        table.append((j + 1 not in curved, f"curve:{j + 1}", weight, turned(curve, j)))
+        others = [(k != j, f"shared:{j + 1},{k + 1}", share, turned(shared, j, k)) for k in turning]
         table += [
             *others,
-            (conditions.directions is not None, f"history:{j + 1}", 0.3 * weight, history(j)),
-            (arm.gravity is not None, f"load:{j + 1}", 0.3 * weight, load(j)),
+            (conditions.directions is not None, f"history:{j + 1}", 0.3 * weight, turned(history, j)),
+            (arm.gravity is not None, f"load:{j + 1}", 0.3 * weight, turned(load, j)),
             (revolute, f"wobble:{j + 1}", 0.3 * weight, partial(wobble, j=j)),
         ]
     table += [
         (timed, "time", 1.0, lambda w: moved(w, in_time(w, TIMES))),
         (timed, "time[parameters]", 0.3, lambda w: of_geometry(w, in_time(w, SLOW))),
-        (timed and arm.gravity is not None, "time[load]", 0.3, loads),
+        (
+            timed and arm.gravity is not None,
+            "time[load]",
+            0.3,
+            lambda w: times(w.levers * load_torques(w)[:, None, :], in_time(w, SLOW)),
+        ),
         (warmed, "temperature", 1.0, lambda w: moved(w, warm(w))),
         (warmed, "temperature[parameters]", 0.3, lambda w: of_geometry(w, warm(w))),
-        (seen, "workspace", 0.25, smooth),
+        (seen, "workspace", 0.25, lambda w: moved(w, smooth(w))),
         (seen, "workspace[squares]", 0.25, squares),
         (seen, "workspace[axes]", 0.25, along_axes),
         (seen, "workspace[radius]", 0.25, outward),

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,23 +74,42 @@ class Products:
         """(B,) columns of each block."""
         return np.diff(self.starts)
 
+    @cached_property
+    def _each_place(self) -> list[Index]:
+        """Of each block the indices of its columns."""
+        return [np.arange(*ends) for ends in pairwise(self.starts.tolist())]
+
     def places(self, blocks: Sequence[int]) -> Index:
         """Indices of the columns of these blocks, in their order."""
-        return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(*self.starts[b : b + 2]) for b in blocks)])
+        return np.concatenate([np.zeros(0, dtype=np.int64), *(self._each_place[b] for b in blocks)])
 
     @cached_property
     def alike(self) -> list[Index]:
         """Of the blocks of each width w their columns (b, w)."""
         return [self.starts[:-1][self.widths == w][:, None] + np.arange(w) for w in np.unique(self.widths)]
 
-    def state(self, pairs: Sequence[tuple[int, int]] = ()) -> State:
-        """The set of these blocks with the numbers of their sizes."""
-        return State(self, tuple(sorted(pairs)))
+    @cached_property
+    def owners(self) -> Index:
+        """(P,) number of the block that each column belongs to."""
+        return np.repeat(np.arange(len(self.widths)), self.widths)
+
+    def state(self, pairs: Sequence[tuple[int, int]] = (), given: tuple[Array, ...] | None = None) -> State:
+        """The set of these blocks with the numbers of their sizes;  given : its `within`, where it is known"""
+        key = tuple(sorted(pairs))
+        blocks, sizes = [block for block, _ in key], SIZES[[size for _, size in key]]
+        places = self.places(blocks)
+        inner, diagonal = self.gram[np.ix_(places, places)], np.diag_indices(len(places))
+        inner[diagonal] += np.repeat(sizes, self.widths[blocks]) ** -2.0
+        half = lapack.dpotri(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0], lower=1)[0] if key else inner
+        covariance, right = half + half.T, self.right[places]
+        covariance[diagonal] *= 0.5
+        squares = max(self.squares - float(right @ covariance @ right), LEAST * self.squares, 1e-300)
+        return State(self, key, places, covariance, squares, None, given)
 
     def beside(self, blocks: Sequence[int]) -> Products:
         """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
         large = self.state([(block, len(SIZES) - 1) for block in blocks])
-        gram, freedom = self.gram - large.rows.T @ large.solve(large.rows), self.freedom - len(large.places)
+        gram, freedom = self.gram - large.rows.T @ large.covariance @ large.rows, self.freedom - len(large.places)
         return Products(gram, large.scores, large.squares, freedom, self.starts, self.signs, self.limits)
 
     def f_test(self, blocks: Sequence[int]) -> tuple[float, float]:
@@ -142,12 +162,16 @@ def mixed(states: Sequence[State], shares: Sequence[float]) -> tuple[Array, Arra
 class State:
     """A set of blocks with their sizes, and k columns.
 
-    larger : the set that this one is without one of its blocks, and this block's columns in it;  given : `within`
+    places : (k,) of its columns among all;  covariance : (k, k) of their coefficients, for unit sigma
+    squares : R;  known, given : `scores` and `within`, where they are known
     """
 
     products: Products
     key: Key
-    larger: tuple[State, NDArray[np.bool_]] | None = None
+    places: Index
+    covariance: Array
+    squares: float
+    known: Array | None = None
     given: tuple[Array, ...] | None = None
 
     @cached_property
@@ -156,86 +180,52 @@ class State:
         return tuple(block for block, _ in self.key)
 
     @cached_property
-    def places(self) -> Index:
-        """(k,) of its columns among all, ascending."""
-        return self.products.places(self.blocks)
-
-    @cached_property
-    def sizes(self) -> Array:
-        """(k,) s of the columns."""
-        return np.repeat(SIZES[[size for _, size in self.key]], self.products.widths[[*self.blocks]])
-
-    @cached_property
     def rows(self) -> Array:
         """(k, P) of G."""
         return self.products.gram[self.places]
 
     @cached_property
-    def _factor(self) -> Array:
-        """(k, k) lower triangular root of G_A + D^-2."""
-        inner = self.rows[:, self.places]
-        inner[np.diag_indices(len(inner))] += self.sizes**-2.0
-        return np.asarray(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0]) if self.key else inner
-
-    def solve(self, table: Array) -> Array:
-        """(k, n) the coefficients' covariance, for unit sigma, times a table (k, n)."""
-        return np.asarray(lapack.dpotrs(self._factor, table, lower=1)[0]) if table.size else table
-
-    @cached_property
-    def covariance(self) -> Array:
-        """(k, k) of its coefficients, for unit sigma."""
-        half = lapack.dpotri(self._factor, lower=1)[0] if self.key else self._factor
-        return np.asarray(half + np.tril(half, -1).T)
-
-    @cached_property
     def mean(self) -> Array:
         """(k,) of its coefficients."""
-        return self.solve(self.products.right[self.places][:, None])[:, 0]
+        return np.asarray(self.covariance @ self.products.right[self.places])
 
     @cached_property
-    def squares(self) -> float:
-        """R, not below rounding."""
-        whole = self.products.squares
-        return max(whole - float(self.mean @ self.products.right[self.places]), LEAST * whole, 1e-300)
+    def scores(self) -> Array:
+        """(P,) V's counterpart of c."""
+        return self.products.right - self.mean @ self.rows if self.known is None else self.known
+
+    @property
+    def sizes(self) -> Array:
+        """(k,) s of the columns."""
+        of = dict(self.key)
+        return SIZES[[of[block] for block in self.products.owners[self.places].tolist()]]
 
     @property
     def variance(self) -> float:
         """Of the noise."""
         return self.squares / max(self.products.freedom, 1)
 
-    @cached_property
-    def scores(self) -> Array:
-        """(P,) V's counterpart of c."""
-        return np.asarray(self.products.right - self.mean @ self.rows)
-
     @property
     def ratio(self) -> float:
         """Log likelihood ratio against nothing missing, signs left out."""
-        volume = 2.0 * float(np.sum(np.log(np.diag(self._factor) * self.sizes)))
+        volume = 2.0 * float(np.sum(np.log(self.sizes))) - float(np.linalg.slogdet(self.covariance)[1])
         share = self.squares / max(self.products.squares, 1e-300)
         return -0.5 * volume - 0.5 * self.products.freedom * float(np.log(share))
 
     @property
     def signed(self) -> float:
         """Log of the factor by which the signs that physics allows make the set likelier."""
-        signs = np.repeat(self.products.signs[[*self.blocks]], self.products.widths[[*self.blocks]])
-        if not signs.any():
-            return 0.0
-        variance = np.diag(self.solve(np.eye(len(signs))[:, signs])[signs]) * self.variance
-        return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / np.sqrt(np.maximum(variance, 1e-300)))))
+        signs = self.products.signs[self.products.owners[self.places]]
+        deviations = np.sqrt(np.maximum(np.diag(self.covariance)[signs] * self.variance, 1e-300))
+        return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / deviations)))
 
     @cached_property
     def within(self) -> tuple[Array, ...]:
         """Of each group of `Products.alike` the blocks' own parts of V."""
         if self.given is not None:
             return self.given
-        if self.larger is not None:
-            whole, out = self.larger
-            covariance = whole.solve(np.eye(len(out))[:, out]).T
-            taken = covariance @ whole.rows
-            return self._changed(whole.within, taken, np.asarray(np.linalg.solve(covariance[:, out], taken)))
         own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
-        return self._changed(own, self.rows, -self.solve(self.rows))
+        return self._changed(own, self.rows, -self.covariance @ self.rows)
 
     def _changed(self, within: tuple[Array, ...], one: Array, other: Array) -> tuple[Array, ...]:
         """The blocks' own parts of V + one^T other, with (v, P) each, from those of V."""
@@ -244,13 +234,21 @@ class State:
 
     def without(self, block: int) -> State:
         """The set without one of its blocks."""
-        out = np.repeat(np.array(self.blocks) == block, self.products.widths[[*self.blocks]])
-        return State(self.products, tuple(pair for pair in self.key if pair[0] != block), (self, out))
+        out = self.products.owners[self.places] == block
+        part, mean, kept = self.covariance[out], self.mean[out], np.flatnonzero(~out)
+        inner = np.linalg.inv(part[:, out])  # (w, w) by which V is larger, in the coefficients' parts
+        taken, others = part @ self.rows, part[:, kept]
+        covariance = self.covariance[np.ix_(kept, kept)] - others.T @ (inner @ others)
+        squares, scores = self.squares + float(mean @ inner @ mean), self.scores + (inner @ mean) @ taken
+        given = self._changed(self.within, taken, inner @ taken)
+        key = tuple(pair for pair in self.key if pair[0] != block)
+        return State(self.products, key, self.places[kept], covariance, squares, scores, given)
 
     def beside(self, block: int, size: int) -> State:
         """The set with a further block."""
-        own = slice(*self.products.starts[block : block + 2])
-        rows = self.products.gram[own] - self.solve(self.rows[:, own]).T @ self.rows  # (w, P) of V
-        inner = rows[:, own] + SIZES[size] ** -2.0 * np.eye(len(rows))
-        given = self._changed(self.within, rows, -np.linalg.solve(inner, rows))
-        return State(self.products, tuple(sorted((*self.key, (block, size)))), given=given)
+        products, own = self.products, np.arange(*self.products.starts[block : block + 2])
+        taken = products.gram[np.ix_(own, self.places)] @ self.covariance
+        left = products.gram[own] - taken @ self.rows  # (w, P) of V
+        inner = left[:, own] + SIZES[size] ** -2.0 * np.eye(len(own))
+        given = self._changed(self.within, left, -np.linalg.solve(inner, left))
+        return products.state((*self.key, (block, size)), given)

@@ -156,19 +156,21 @@ class Search:
         state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
         for move in range(MOVES):
             taken = int(generator.integers(len(state.key) + 1))
-            left = state.without(state.blocks[taken]) if taken < len(state.key) else state
-            visits[left.key] += 1
-            if left.key not in steps:
-                each = self._each(left) - np.log(len(left.key) + 2)
-                stay = -np.log(len(left.key) + 1) if np.isfinite(self.log_prior(left.blocks)) else -np.inf
+            rest, left = (*state.key[:taken], *state.key[taken + 1 :]), None
+            visits[rest] += 1
+            if rest not in steps:
+                left = state.without(state.blocks[taken]) if taken < len(state.key) else state
+                each = self._each(left) - np.log(len(rest) + 2)
+                stay = -np.log(len(rest) + 1) if np.isfinite(self.log_prior(left.blocks)) else -np.inf
                 every = np.append(each.ravel(), stay)
                 shares = np.exp(every - np.max(every))
-                steps[left.key] = shares / np.sum(shares)
-            total = np.cumsum(steps[left.key])
+                steps[rest] = shares / np.sum(shares)
+            total = np.cumsum(steps[rest])
             drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
             pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
-            if (key := left.key if pair is None else tuple(sorted((*left.key, pair)))) != state.key:
-                state = left if pair is None else left.beside(*pair)
+            if (key := rest if pair is None else tuple(sorted((*rest, pair)))) != state.key:
+                left = left or (state.without(state.blocks[taken]) if taken < len(state.key) else state)
+                state = self.products.state(rest, left.within) if pair is None else left.beside(*pair)
             if move % thin == 0:
                 draws[key] += 1
         return self._counted_up(visits, steps, draws), draws

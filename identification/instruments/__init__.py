@@ -13,17 +13,17 @@ from identification.instruments.base import (
     kinds,
     register_instrument,
 )
-from identification.instruments.lengths import (
+from identification.instruments.library import (
     TRACKER,
     Distance,
     PlanarDistance,
     Plane,
+    Socket,
     Sphere,
     Tracker,
     distance_to_center,
 )
 from identification.instruments.search import Placement, Unplaced
-from identification.instruments.socket import Socket
 
 __all__ = [
     "IN_PLANE",

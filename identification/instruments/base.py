@@ -28,45 +28,33 @@ OWN = "identification.instruments"
 
 
 class Coordinate(NamedTuple):
-    """A number of a reading and its column in files, `distance_mm` of a length named distance.
-
-    quantity : `length` [mm] or `pixel`;  positive : whether it must be
-    """
+    """A number of a reading and its column in files, `distance_mm` of a length named distance."""
 
     name: str
-    quantity: str = "length"
-    positive: bool = False
+    quantity: str = "length"  # [mm], or `pixel`
+    positive: bool = False  # whether it must be
 
 
 class OwnValue(NamedTuple):
-    """A row of the corrected values that an instrument adds.
+    """A row of the corrected values that an instrument adds."""
 
-    name : in words;  parameter : that it is, None: it is made of several;  value : in `unit`
-    slopes : parameter name -> derivative [unit per API unit];  convention : what it is
-    """
-
-    name: str
-    parameter: str | None
+    name: str  # in words
+    parameter: str | None  # that it is, None: it is made of several
     value: float
-    slopes: Mapping[str, float]
+    slopes: Mapping[str, float]  # parameter name -> derivative [unit per API unit]
     unit: str
-    convention: str
+    convention: str  # what it is
 
 
 class Guide(NamedTuple):
-    """What the first files (`armcal init`) say of an instrument.
+    """What the first files (`armcal init`) say of an instrument."""
 
-    about : in short, behind `[instrument]`;  table : the lines below
-    reads : what it is that has the standard deviation;  stands : what stands or lies somewhere
-    labels, touches : of a contact, what the column `target` names, and how many of these are needed
-    """
-
-    about: str
-    table: str
-    reads: str
-    stands: str
-    labels: str = ""
-    touches: str = ""
+    about: str  # in short, behind `[instrument]`
+    table: str  # the lines below
+    reads: str  # what it is that has the standard deviation
+    stands: str  # what stands or lies somewhere
+    labels: str = ""  # of a contact, what the column `target` names
+    touches: str = ""  # and how many of these are needed
 
 
 @dataclass(frozen=True)
@@ -75,36 +63,25 @@ class Instrument:
 
     Each coordinate of a reading has the same standard deviation, `sigma` of the arm. Subclasses are frozen dataclasses,
     whose fields, numbers or tuples of them, are what is known of the instrument.
-
-    kind : the word in arm files; empty: these need none
-    axes : of the points that it reads: `xyz`, or `xy` of planar arms
-    keys : of `[instrument]` that it has, besides `kind`
-    coordinates : of a reading; none: it reads nothing, a target is touched (`contact`)
-    target : column of files that names what is touched, each with a place of its own; empty: there is none
-    own_targets : word of the `parameters` of what is touched or measured from, `cup` of `cup[A].x`, where these stand
-        in the frame of the base and rows name them as they name measured points (`Measurements.marker`); empty: they
-        count as sessions, each of which has a base
-    unsaid : number of the target where nothing is said of it
-    offers : what effects may need of it (`Effect.needs`)
-    reads_positions : whether a reading is the position of the measured point, or with its orientation the pose
-    hides : names of those parameters of the base that move arm and instrument together, or turn the frame of the
-        instrument about what it reads: no reading depends on them
-    guide : what the first files say of it, where it has a `kind`
-    size_is_open : where an arm twice as large would read the same: what reads so, and what to do about it; else empty
     """
 
-    kind: ClassVar[str] = ""
-    axes: ClassVar[str] = AXES
-    keys: ClassVar[frozenset[str]] = frozenset()
-    coordinates: ClassVar[tuple[Coordinate, ...]] = ()
-    target: ClassVar[str] = ""
+    kind: ClassVar[str] = ""  # the word in arm files; empty: these need none
+    axes: ClassVar[str] = AXES  # of the points that it reads: `xyz`, or `xy` of planar arms
+    keys: ClassVar[frozenset[str]] = frozenset()  # of `[instrument]` that it has, besides `kind`
+    coordinates: ClassVar[tuple[Coordinate, ...]] = ()  # of a reading; none: a target is touched (`contact`)
+    target: ClassVar[str] = ""  # column of files that names what is touched, each with a place of its own
+    # word of the `parameters` of what is touched or measured from, `cup` of `cup[A].x`, where these stand in the frame
+    # of the base and rows name them as they name measured points (`Measurements.marker`); empty: they count as
+    # sessions, each of which has a base
     own_targets: ClassVar[str] = ""
-    unsaid: ClassVar[float] = 0.0
-    offers: ClassVar[frozenset[str]] = frozenset()
-    reads_positions: ClassVar[bool] = False
+    unsaid: ClassVar[float] = 0.0  # number of the target where nothing is said of it
+    offers: ClassVar[frozenset[str]] = frozenset()  # what effects may need of it (`Effect.needs`)
+    reads_positions: ClassVar[bool] = False  # a reading is the measured point's position, or with its orientation pose
+    # names of those parameters of the base that move arm and instrument together, or turn the frame of the instrument
+    # about what it reads: no reading depends on them
     hides: ClassVar[frozenset[str]] = frozenset()
-    guide: ClassVar[Guide]
-    size_is_open: ClassVar[Any] = ("", "")
+    guide: ClassVar[Guide]  # what the first files say of it, where it has a `kind`
+    size_is_open: ClassVar[Any] = ("", "")  # what reads so of an arm twice as large, and what to do about it
 
     # -- what a row reads ------------------------------------------------------------------------------------------
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:

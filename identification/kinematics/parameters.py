@@ -50,28 +50,21 @@ def error_names(frame: str | int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that an identification can estimate.
+    """One number that an identification can estimate."""
 
-    name : as it stands in reports, `length_error:1` or `EFFECT[:joint].PARAMETER` (see `Effect.key`)
-    unit : of the Python API (millimetres, radians); `file_unit` is what people read
-    lower, upper : physical bounds, API unit
-    scale : length [mm] that one unit moves the tip by, in order of magnitude; criteria that are not invariant to units
-        divide by it (lengths 1, angles of joint j the best known length of link j)
-    kind : `length_error`, `joint_offset` or `effect`;  joint : from 1, None: of the whole arm
-    typical : standard deviation over arms as they are built, from catalogues (identification/README.md, "Typical
-        sizes"), API unit; None: not known
-    start : where fits begin and derivatives of an effect that may be missing are taken, None: see `neutral`
-    """
-
-    name: str
-    unit: str
-    lower: float = -inf
+    name: str  # as it stands in reports, `length_error:1` or `EFFECT[:joint].PARAMETER` (see `Effect.key`)
+    unit: str  # of the Python API (millimetres, radians); `file_unit` is what people read
+    lower: float = -inf  # physical bounds, API unit
     upper: float = inf
+    # length [mm] that one unit moves the tip by, in order of magnitude; criteria that are not invariant to units divide
+    # by it (lengths 1, angles of joint j the best known length of link j)
     scale: float = 1.0
-    kind: str = EFFECT
-    joint: int | None = None
+    kind: str = EFFECT  # or `length_error`, `joint_offset`, ..
+    joint: int | None = None  # from 1, None: of the whole arm
+    # standard deviation over arms as they are built, from catalogues (identification/README.md, "Typical sizes"), API
+    # unit; None: not known
     typical: float | None = None
-    start: float | None = None
+    start: float | None = None  # where fits begin and an effect that may be missing is derived, None: see `neutral`
 
     @property
     def neutral(self) -> float:

@@ -19,8 +19,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.corrected import CorrectedGeometry
-from identification.kinematics.frames import AXES
-from identification.kinematics.parameters import JOINT_OFFSET
+from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import Conditions, Measurements
 from identification.model.arm_model import Model
 from identification.model.placed import placed_model
@@ -48,7 +47,14 @@ def minimal(
     first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
     order = [k for kind in first for k in parameters.indices(kind)]
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
-    kept = set(independent(_jacobian(model, postures, conditions)[:, order] * sizes, least))
+    if postures is None:
+        arm = model.arm
+        postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSTURES, arm.links))
+    several, given = len(chain.tools) > 1, [conditions or Conditions()]
+    points = [Conditions(marker=np.full(len(postures), float(k))) for k in range(len(chain.tools))]
+    rows = [model.jacobian(postures, None, at) for at in (points if several and conditions is None else given)]
+    columns = np.concatenate(rows).reshape(-1, len(parameters))[:, order]
+    kept = set(independent(columns * sizes, least))
     fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
     return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=chain.fixed | fixed)))
 
@@ -79,11 +85,10 @@ def _of_drawn_size(model: Model) -> Model:
     """The model with the longest step that is a parameter as drawn: readings that do not show the size of the arm would
     all the same, where they do not fit, fit an arm better that is next to nothing."""
     chain = model.arm.chain
-    steps = {
-        f"translation_{axis}:{j}": abs(float(step))
-        for j, joint in enumerate(chain.joints, start=1)
-        for axis, step in zip(AXES, joint.origin[:3, :3].T @ joint.origin[:3, 3], strict=True)
-    }
+    steps: dict[str, float] = {}
+    for j, joint in enumerate(chain.joints, start=1):
+        along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
+        steps |= dict(zip(error_names(j)[:3], along.tolist(), strict=True))
     longest = max((name for name in model.names if name in steps), key=steps.__getitem__, default="")
     fixed = chain.fixed | ({longest} if longest else set())
     return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=fixed)))
@@ -113,16 +118,3 @@ def independent(columns: Array, least: float = DISTINCT) -> list[int]:
             basis = np.column_stack([basis, left / size])
             kept.append(k)
     return kept
-
-
-def _jacobian(model: Model, postures: Array | None, conditions: Conditions | None) -> Array:
-    """(N, p) at postures, None: random ones inside the limits, of every measured point."""
-    arm, generator = model.arm, np.random.default_rng(0)
-    if postures is None:
-        postures = generator.uniform(arm.lower, arm.upper, (POSTURES, arm.links))
-    if conditions is not None:
-        return model.jacobian(postures, None, conditions).reshape(-1, len(model.parameters))
-    markers = len(arm.chain.tools)
-    points = [None] if markers == 1 else [np.full(len(postures), float(k)) for k in range(markers)]
-    rows = [model.jacobian(postures, None, Conditions(marker=point)) for point in points]
-    return np.concatenate(rows).reshape(-1, len(model.parameters))

@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeVar
@@ -27,7 +27,6 @@ YARDSTICK = 0.04  # [s] of a product of two 1,000 x 1,000 matrices on the machin
 SLOWER = 1.1  # than the other checkout
 ROUNDS = 3  # of both checkouts in turn
 T = TypeVar("T")
-JOBS: dict[str, Job] = {}
 
 
 class Job(NamedTuple):
@@ -35,15 +34,7 @@ class Job(NamedTuple):
 
     run: Callable[[], tuple[float, str]]
     seconds: float
-    megabytes: float
-
-
-def job(seconds: float, megabytes: float = 2000.0) -> Callable[[Callable[[], tuple[float, str]]], Callable]:
-    def register(run: Callable[[], tuple[float, str]]) -> Callable:
-        JOBS[run.__name__] = Job(run, seconds, megabytes)
-        return run
-
-    return register
+    megabytes: float = 2000.0
 
 
 def timed(call: Callable[[], T], rounds: int = 1) -> tuple[T, float]:
@@ -73,24 +64,6 @@ def best_known(links: int, values: dict[int, float]) -> tuple[float, str]:
     return slowest, f"the slowest of {len(values)} numbers of runs, each as good as the best known"
 
 
-@job(3.0)
-def plans_of_four_links() -> tuple[float, str]:
-    bound = dict.fromkeys((4, 8, 12, 20), -0.0612353 - 1e-7)
-    others = {5: -0.28088, 6: -0.29681, 7: -0.19866, 9: -0.13104, 10: -0.14289, 14: -0.10248, 18: -0.08609}
-    return best_known(4, bound | others)
-
-
-@job(10.0)
-def plans_of_five_links() -> tuple[float, str]:
-    return best_known(5, {5: -1.358411, 8: -0.704662, 11: -0.830503, 16: -0.704179})
-
-
-@job(20.0)
-def plans_of_six_links() -> tuple[float, str]:
-    return best_known(6, {8: -1.624468, 12: -1.433951, 20: -1.351505, 32: -1.299458})
-
-
-@job(2.0, 400.0)
 def a_command() -> tuple[float, str]:
     """`armcal design`, imports included."""
     from click.testing import CliRunner
@@ -118,7 +91,6 @@ def six_axes() -> Any:
     return six_axis(), six_axis(replace(SIX_AXIS, constraints=(box, sight)))
 
 
-@job(5.0)
 def plan_of_six_axes() -> tuple[float, str]:
     from doe import solve
 
@@ -127,7 +99,6 @@ def plan_of_six_axes() -> tuple[float, str]:
     return seconds, f"m = 30: {design.efficiency:.4f} of the bound"
 
 
-@job(5.0)
 def plan_in_view_of_a_tracker() -> tuple[float, str]:
     """Against the bound for lists of 20,000 allowed random postures."""
     from doe import solve
@@ -152,7 +123,6 @@ def on_a_grid(levels: int, solver: str = "column_generation", rounds: int = 3) -
     return timed(lambda: relax(problem(FOUR), levels, solver), rounds)
 
 
-@job(0.2)
 def weights_against_cvxpy() -> tuple[float, str]:
     """20 times as fast as Clarabel on the whole grid, at a smaller gap. The program is our own lean one."""
     design, seconds = on_a_grid(22)
@@ -162,21 +132,6 @@ def weights_against_cvxpy() -> tuple[float, str]:
     return seconds, f"{design.candidates:,} candidates: gap {design.gap:.1e}; Clarabel {rival.gap:.1e} in {slow:.2f} s"
 
 
-@job(0.5, 400.0)
-def weights_on_a_hundred_thousand() -> tuple[float, str]:
-    design, seconds = on_a_grid(47, rounds=1)
-    assert design.gap <= 1e-6
-    return seconds, f"{design.candidates:,} candidates: gap {design.gap:.1e}"
-
-
-@job(2.0, 400.0)
-def weights_on_a_million() -> tuple[float, str]:
-    design, seconds = on_a_grid(100, rounds=1)
-    assert design.gap <= 1e-6
-    return seconds, f"{design.candidates:,} candidates: gap {design.gap:.1e}"
-
-
-@job(15.0)
 def weights_on_a_million_in_space() -> tuple[float, str]:
     from doe.bounds.column_generation import column_generation
 
@@ -187,7 +142,6 @@ def weights_on_a_million_in_space() -> tuple[float, str]:
     return seconds, f"1,000,000 postures in space: gap {design.gap:.1e}"
 
 
-@job(20.0)
 def weights_over_all_postures_in_space() -> tuple[float, str]:
     from doe.bounds.column_generation import continuous_design
 
@@ -195,7 +149,6 @@ def weights_over_all_postures_in_space() -> tuple[float, str]:
     return seconds, f"bound {design.bound.value:.4f}, {design.bound.value - design.value:.1e} above the design"
 
 
-@job(5.0)
 def proofs_over_all_postures() -> tuple[float, str]:
     """Random limits, 3 to 8 links: the closed form (doe/README.md, "Planar theorem", written here) to 1e-9, proven."""
     from doe.bounds.column_generation import continuous_design
@@ -212,7 +165,6 @@ def proofs_over_all_postures() -> tuple[float, str]:
     return slowest, "the slowest of 3 to 8 links"
 
 
-@job(3.0)
 def effects_over_all_postures() -> tuple[float, str]:
     """Base offset and two effects, four links: gap at most 1e-6."""
     from doe.bounds.column_generation import continuous_design
@@ -227,6 +179,12 @@ def effects_over_all_postures() -> tuple[float, str]:
         assert design.gap <= 1e-6
         slowest = max(slowest, seconds)
     return slowest, "gap below 1e-6 with base offset and two effects"
+
+
+def many_weights(levels: int) -> tuple[float, str]:
+    design, seconds = on_a_grid(levels, rounds=1)
+    assert design.gap <= 1e-6
+    return seconds, f"{design.candidates:,} candidates: gap {design.gap:.1e}"
 
 
 # -- fits: the rival is SciPy with residuals (and Jacobian) written by hand in plain numpy -----------------------------
@@ -272,7 +230,6 @@ def loop(q: np.ndarray, positions: np.ndarray, p: int, **options: Any) -> Any:
     return np.array(fits), seconds / len(positions)
 
 
-@job(0.05)
 def closed_form_against_scipy() -> tuple[float, str]:
     from identification.estimation import estimate_batch
 
@@ -286,7 +243,6 @@ def closed_form_against_scipy() -> tuple[float, str]:
     return seconds, f"{SETS / seconds:,.0f} fits/s; SciPy {1 / slow:,.0f}, {ratio:,.0f} times slower (bar 500)"
 
 
-@job(0.5)
 def an_effect_against_scipy() -> tuple[float, str]:
     from identification.estimation import estimate_batch
 
@@ -303,7 +259,6 @@ def an_effect_against_scipy() -> tuple[float, str]:
     return seconds, f"{SETS / seconds:,.0f} fits/s; {said}: {ratios[0]:.0f} and {ratios[1]:.0f} times slower (25, 6)"
 
 
-@job(5.0)
 def a_million_fits() -> tuple[float, str]:
     from identification.estimation import estimate_batch
 
@@ -311,7 +266,6 @@ def a_million_fits() -> tuple[float, str]:
     return timed(lambda: estimate_batch(model, q, positions))[1], "1,000,000 closed-form fits"
 
 
-@job(20.0)
 def fits_of_two_effects() -> tuple[float, str]:
     from identification.estimation import estimate_batch
 
@@ -344,23 +298,12 @@ def batch_in_space(minimal_set: bool) -> tuple[float, str]:
     )
 
 
-@job(0.1)
-def fits_in_space() -> tuple[float, str]:
-    return batch_in_space(True)
-
-
-@job(0.5)
-def fits_in_space_with_the_prior() -> tuple[float, str]:
-    return batch_in_space(False)
-
-
-@job(0.05)
 def positions_and_jacobians() -> tuple[float, str]:
     """Against a loop over products of matrices in numpy, positions alone."""
     from identification import Model
     from identification.kinematics.chain import DHRow
     from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
-    from tests.identification.kinematics.test_denavit_hartenberg import printed
+    from tests.identification.kinematics.test_spatial import printed
 
     model, q = Model(SIX_AXIS), np.random.default_rng(0).uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20_000, 6))
     model.linearize(q[:10], model.values)  # compiled
@@ -379,7 +322,6 @@ def positions_and_jacobians() -> tuple[float, str]:
 
 
 # -- the rest ----------------------------------------------------------------------------------------------------------
-@job(3.0)
 def diagnosis_of_two_hundred_rows() -> tuple[float, str]:
     from doe.studies.blind.cells import CELLS, CellSpec, data_set
     from identification.gap.diagnose import diagnose
@@ -389,7 +331,6 @@ def diagnosis_of_two_hundred_rows() -> tuple[float, str]:
     return timed(lambda: diagnose(data.arm, data.measurements), 3)[1], "m = 200, 4 links, the whole library"
 
 
-@job(60.0)
 def diagnosis_of_a_robot() -> tuple[float, str]:
     from identification.gap.diagnose import diagnose
     from tests.identification.gap.test_ur10 import ARM, FILE, SAMPLE, load
@@ -431,16 +372,6 @@ def commands(anywhere: bool, bar: float) -> tuple[float, str]:
     return seconds, f"10,000 targets, {np.count_nonzero(~held.reached):,} barred; without constraints {quick:.2f} s"
 
 
-@job(10.0)
-def commands_where_the_arm_may_stand() -> tuple[float, str]:
-    return commands(False, 5.0)
-
-
-@job(60.0)
-def commands_half_of_them_barred() -> tuple[float, str]:
-    return commands(True, 15.0)
-
-
 PAPER = 'name = "paper"\nlinks_mm = [260.0, 180.0, 120.0, 100.0]\n[measurement]\nsigma_mm = 0.1\n'
 GRID = """arms = ["arm.toml"]
 runs = [20]
@@ -480,23 +411,6 @@ def study(bar: float, replications: int, plan: str = "dft", more: str = "") -> t
     return seconds, f"{replications:,} data sets, {gain:.0f} x one general fit at a time (bar {bar:g})"
 
 
-@job(0.5)
-def study_of_table_3() -> tuple[float, str]:
-    return study(20.0, 10_000)
-
-
-@job(5.0)
-def study_of_a_million() -> tuple[float, str]:
-    return study(60.0, 1_000_000)
-
-
-@job(40.0)
-def study_of_two_effects_on_random_plans() -> tuple[float, str]:
-    """New plans cost a Jacobian of their own, twice: for the fit and for the deviation that eq. 16 expects."""
-    return study(0.5, 100_000, "random", TWO_EFFECTS)
-
-
-@job(60.0)
 def the_slowest_notebook() -> tuple[float, str]:
     """With its kernel and all that it starts."""
     times, code = {}, "import nbformat, sys; from nbclient import NotebookClient; from pathlib import Path\n"
@@ -507,6 +421,43 @@ def the_slowest_notebook() -> tuple[float, str]:
         subprocess.run([sys.executable, "-c", code, str(notebook)], check=True, stderr=subprocess.DEVNULL)
         times[notebook.stem] = sum(os.times()[2:4]) - before
     return max(times.values()), ", ".join(f"{name[:1]}: {seconds:.0f} s" for name, seconds in times.items())
+
+
+FOUR_LINKS = dict.fromkeys((4, 8, 12, 20), -0.0612353 - 1e-7)
+FOUR_LINKS |= {5: -0.28088, 6: -0.29681, 7: -0.19866, 9: -0.13104, 10: -0.14289, 14: -0.10248, 18: -0.08609}
+FIVE_LINKS = {5: -1.358411, 8: -0.704662, 11: -0.830503, 16: -0.704179}
+SIX_LINKS = {8: -1.624468, 12: -1.433951, 20: -1.351505, 32: -1.299458}
+JOBS = {
+    "plans_of_four_links": Job(partial(best_known, 4, FOUR_LINKS), 3.0),
+    "plans_of_five_links": Job(partial(best_known, 5, FIVE_LINKS), 10.0),
+    "plans_of_six_links": Job(partial(best_known, 6, SIX_LINKS), 20.0),
+    "a_command": Job(a_command, 2.0, 400.0),
+    "plan_of_six_axes": Job(plan_of_six_axes, 5.0),
+    "plan_in_view_of_a_tracker": Job(plan_in_view_of_a_tracker, 5.0),
+    "weights_against_cvxpy": Job(weights_against_cvxpy, 0.2),
+    "weights_on_a_hundred_thousand": Job(partial(many_weights, 47), 0.5, 400.0),
+    "weights_on_a_million": Job(partial(many_weights, 100), 2.0, 400.0),
+    "weights_on_a_million_in_space": Job(weights_on_a_million_in_space, 15.0),
+    "weights_over_all_postures_in_space": Job(weights_over_all_postures_in_space, 20.0),
+    "proofs_over_all_postures": Job(proofs_over_all_postures, 5.0),
+    "effects_over_all_postures": Job(effects_over_all_postures, 3.0),
+    "closed_form_against_scipy": Job(closed_form_against_scipy, 0.05),
+    "an_effect_against_scipy": Job(an_effect_against_scipy, 0.5),
+    "a_million_fits": Job(a_million_fits, 5.0),
+    "fits_of_two_effects": Job(fits_of_two_effects, 20.0),
+    "fits_in_space": Job(partial(batch_in_space, True), 0.1),
+    "fits_in_space_with_the_prior": Job(partial(batch_in_space, False), 0.5),
+    "positions_and_jacobians": Job(positions_and_jacobians, 0.05),
+    "diagnosis_of_two_hundred_rows": Job(diagnosis_of_two_hundred_rows, 3.0),
+    "diagnosis_of_a_robot": Job(diagnosis_of_a_robot, 60.0),
+    "commands_where_the_arm_may_stand": Job(partial(commands, False, 5.0), 10.0),
+    "commands_half_of_them_barred": Job(partial(commands, True, 15.0), 60.0),
+    "study_of_table_3": Job(partial(study, 20.0, 10_000), 0.5),
+    "study_of_a_million": Job(partial(study, 60.0, 1_000_000), 5.0),
+    # new plans cost a Jacobian of their own, twice: for the fit and for the deviation that eq. 16 expects
+    "study_of_two_effects_on_random_plans": Job(partial(study, 0.5, 100_000, "random", TWO_EFFECTS), 40.0),
+    "the_slowest_notebook": Job(the_slowest_notebook, 60.0),
+}
 
 
 # -- the harness -------------------------------------------------------------------------------------------------------

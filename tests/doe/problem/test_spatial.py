@@ -78,8 +78,8 @@ def test_every_point_is_measured_at_every_posture() -> None:
     problem = six_axis(arm)
     assert isinstance(problem.model, ArmModel)
     assert problem.model.dimension == 6
-    blocks = problem.model.jacobian(POSTURES[:3])
-    np.testing.assert_allclose(blocks, problem.scaled_jacobians(POSTURES[:3]) * problem.model.parameters.scales)
+    blocks = problem.scaled_jacobians(POSTURES[:3]) * problem.model.parameters.scales
+    np.testing.assert_allclose(problem.model.tip_jacobian(POSTURES[:3]).reshape(blocks.shape), blocks)
     own = [k for k, name in enumerate(problem.model.parameters.names) if not name.startswith("tool")]
     shared = [k for k, name in enumerate(Model(SIX_AXIS).names) if not name.startswith("tool")]
     for rows, tool in ((slice(0, 3), tools["1"]), (slice(3, 6), tools["2"])):
@@ -89,7 +89,7 @@ def test_every_point_is_measured_at_every_posture() -> None:
 
 def test_uncertain_arms_keep_their_prior() -> None:
     problem = six_axis()
-    placed = ArmModel.of(SIX_AXIS).placed()
+    placed = ArmModel(SIX_AXIS).placed()
     draws = prior_draws(placed, 2, np.random.default_rng(0))
     uncertain = ensemble_problem(problem, draws)
     assert uncertain.parameters == 78

@@ -21,7 +21,7 @@ from identification.kinematics.chain import DHRow
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
-from tests.identification.kinematics.test_denavit_hartenberg import printed
+from tests.identification.kinematics.test_spatial import printed
 
 ROWS = [DHRow(a, np.radians(alpha), d) for a, alpha, d in TABLE]
 BOX = WorkspaceBox((-900.0, 1000.0), (-1000.0, 900.0), (50.0, 1200.0))

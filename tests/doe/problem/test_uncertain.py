@@ -284,7 +284,7 @@ def test_the_best_of_all_plans_of_several_points() -> None:
         choices = generator.uniform(-2.0, 2.0, (8, 3))
         problem = DesignProblem.of(Model(Arm(chain, sigma=0.05)), choices=choices)
         case = robust_problem(problem, missing_effects(problem, ["encoder_eccentricity", "gear_ratio"]))
-        model = case.model.model  # type: ignore[attr-defined]
+        model = case.model
         assert case.model.dimension == 2 * each
         sides = [np.repeat(choices, 2, axis=0), Conditions(marker=np.tile([0.0, 1.0], 8))]
         if angle_scale is not None:

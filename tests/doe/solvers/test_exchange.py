@@ -123,7 +123,7 @@ def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
     design = solve(problem, 30, Gradient(count=2), seed=2)
     assert design.solver == "gradient"
     assert 0.999 < design.efficiency <= 1.0
-    expected = difference_information(problem, problem.model.model, design.plan.postures)  # type: ignore[arg-type]
+    expected = difference_information(problem, problem.model, design.plan.postures)  # type: ignore[arg-type]
     assert design.value == pytest.approx(np.linalg.slogdet(expected)[1], abs=1e-3)
     plain = np.random.default_rng(4).uniform(problem.lower, problem.upper, (20, 30, 6))
     assert max(problem.objective(plan) for plan in plain) < design.bound.value - 39 * 0.05

@@ -53,12 +53,14 @@ def test_well_determined_values_are_shown_and_the_others_said() -> None:
     table, _, rest = text.partition("Weakly determined")
     assert "Well determined: 2 of 7 corrected values" in table
     shown = [name for name in ("zero of joint 2", "joint 3 x", "joint 3 y", "zero of joint 5", "base") if name in table]
-    assert shown == ["zero of joint 2", "joint 3 x"]
+    assert shown == ["zero of joint 2", "joint 3 x", "base"]
+    assert ["base", "x", "-", "2574.1400", "0.0500", "2574.0400", "2574.2400", "mm"] in map(
+        str.split, table.splitlines()
+    )
     said = " ".join(rest.split())
     for words in (
         "zero of joint 5, 6; joint 3 y, z.",
         "As drawn to three decimals: 1 more.",
-        "base [mm]: x 2574.140 +- 0.050, rz 159.650 +- 0.300 deg",
         "--parameters minimal gives a complete set",
     ):
         assert words in said

@@ -1,4 +1,4 @@
-"""Loads and torques of the nominal chain against potential energies."""
+"""What every effect has, how effects add up along the chain, loads and torques against potential energies, settings."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification.arm import Arm, Gravity
-from identification.effects import Chain
+from identification.arm import Arm, EffectSpec, Gravity
+from identification.effects import Chain, Scope, Setting, build
+from identification.effects.base import clock, step_times
+from identification.effects.chain import position_and_state
 from identification.errors import InputError
+from identification.measurements import Conditions
 
 LENGTHS, MASSES, CENTERS = np.array([400.0, 300.0]), np.array([5.0, 3.0]), np.array([0.5, 0.4])
 ARM = Arm(LENGTHS, gravity=Gravity([2.0, -9.0], MASSES, CENTERS))
@@ -58,3 +61,79 @@ def test_conditions_stand_where_their_table_has_them() -> None:
 def test_without_gravity_there_are_no_torques() -> None:
     with pytest.raises(InputError, match=r"needs gravity torques, add a \[gravity\] table"):
         _ = chain(Arm(LENGTHS)).torques
+
+
+PAIR = Arm([300.0, 200.0])
+
+
+def test_the_joint_from_zero() -> None:
+    assert build(EffectSpec("backlash", 2), PAIR.chain).joint_index == 1
+    assert build(EffectSpec("backlash", 2), PAIR.chain).link_length == 200.0
+    with pytest.raises(InputError, match="thermal_growth needs a joint, allowed: 1 to 2"):
+        _ = build(EffectSpec("thermal_growth"), PAIR.chain).joint_index
+
+
+def test_parameters_know_their_joint_and_kind() -> None:
+    a, b = build(EffectSpec("encoder_eccentricity", 2), PAIR.chain).parameters
+    assert (a.name, a.kind, a.joint, b.short) == ("encoder_eccentricity:2.a", "effect", 2, "b")
+    assert build(EffectSpec("base_offset"), PAIR.chain).parameters[0].joint is None
+
+
+def test_effects_act_in_the_order_of_the_chain() -> None:
+    """Joint angle, then tool, then rotation and shift of the base, then the instrument, in complex numbers."""
+    q = np.array([0.4, -1.2])
+    specs = [EffectSpec("base_offset"), EffectSpec("base_rotation"), EffectSpec("gear_ratio", 2)]
+    specs += [EffectSpec("tool_offset"), EffectSpec("axes_skew")]
+    effects = [build(spec, PAIR.chain) for spec in specs]
+    base, angle, ratio, tool, skew = 3.0 + 4.0j, 0.2, 0.01, 5.0 - 6.0j, 0.001 + 0.002j
+    values = [1.0, 2.0, 0.01, 0.02, base.real, base.imag, angle, ratio, tool.real, tool.imag, skew.real, skew.imag]
+    first = q[0] + 0.01
+    second = first + q[1] + 0.02 + ratio * q[1]
+    tip = 301.0 * np.exp(1j * first) + (202.0 + tool) * np.exp(1j * second)
+    placed = tip * np.exp(1j * angle) + base
+    expected = placed + skew * np.conj(placed)
+    chain = Chain.of(PAIR, ca.SX(q), ca.SX([0.0, 0.0, 0.0, 1.0, 1.0]))
+    found = np.array(ca.DM(position_and_state(chain, effects, ca.SX(values))[0])).ravel()
+    np.testing.assert_allclose(found, [expected.real, expected.imag], rtol=1e-13)
+
+
+SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array([-0.5, 0.1234567, 0.5])))
+
+
+def test_a_pair_is_every_whole_number() -> None:
+    pair = Setting.of((3, 6))
+    assert pair.scan(SCOPE) == [3.0, 4.0, 5.0, 6.0]
+    assert (pair.allows(4.0), pair.allows(4.5), pair.allows(7.0)) == (True, False, False)
+    assert pair.allowed == "a whole number 3 to 6"
+    assert Setting.of(pair) is pair
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ((0.3, 0.1, 0.3, 9.0), [0.1, 0.3]),  # in order, each once, none that is not allowed
+        (lambda scope: scope.conditions.time, [-0.5, 0.123457, 0.5]),  # as labels and files hold them
+        (lambda scope: scope.arm.lengths / 1000.0 + scope.joint / 10.0, [0.4, 0.5]),
+    ],
+)
+def test_values_are_listed_or_computed(values: object, expected: list[float]) -> None:
+    assert Setting(-0.5, 0.5, values).scan(SCOPE) == expected  # type: ignore[arg-type]
+
+
+def test_steps_are_tried_between_rows_and_between_sessions() -> None:
+    time = np.linspace(-0.5, 0.5, 9)
+    one = step_times(Scope(SCOPE.arm, 1, np.zeros((9, 2)), Conditions(time=time)))
+    np.testing.assert_allclose(one, time[1:-2] + 0.0625)  # between rows, but for the first and the last
+    two = Conditions(time=np.tile(time, 2), session=np.repeat([0.0, 1.0], 9))
+    found = step_times(Scope(SCOPE.arm, 1, np.zeros((18, 2)), two))
+    assert any(at == pytest.approx(0.55) for at in found)
+    assert max(found) == pytest.approx(1.1 + 0.5 - 0.1875)
+    assert clock(0.5, 0) < 0.55 < clock(-0.5, 1)
+
+
+def test_many_rows_have_fewer_steps() -> None:
+    many = Conditions(time=np.linspace(-0.5, 0.5, 1000))
+    found = step_times(Scope(SCOPE.arm, 1, np.zeros((1000, 2)), many))
+    assert len(found) == 40
+    assert step_times(SCOPE) == pytest.approx([-0.18827165, 0.31172835])
+    assert all(-0.5 < at < 0.5 for at in step_times(Scope(SCOPE.arm)))

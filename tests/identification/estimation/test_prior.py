@@ -196,7 +196,7 @@ def test_an_arm_far_from_its_drawing_is_fitted_as_well_as_one_near_it(times: flo
     """The points are as near as the noise lets them be, whatever the sizes of the errors: with the 19 parameters that
     four axes and a point have (4 R + 3) and N = 90 coordinates sqrt(19 / 90) = 0.46 of the noise on average; more at
     the edges of the ranges, so that twice the noise is allowed. A prior ten times too narrow leaves millimeters."""
-    for seed in range(3):
+    for seed in range(2):
         data, fresh, _ = far_off(times, np.random.default_rng([31, seed]))
         found = estimate(SPATIAL, data)
         error = fresh.positions - found.model.position(fresh.postures, found.parameters)
@@ -219,9 +219,9 @@ def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing(
         copied = replace(problem, weights=np.ones(1000 * copies))
         return likeliest(copied, zero, target, columns)[1][0]
 
-    once = [width(times, 1) for times in (0.5, 1.0, 1.2, 1.4, 1.6, 2.0, 4.0)]
+    once = [width(times, 1) for times in (0.5, 1.2, 1.6, 4.0)]
     assert once[0] == 1.0 < once[-1]
-    assert [width(times, 10) for times in (0.5, 1.0, 1.2, 1.4, 1.6, 2.0, 4.0)] == once
+    assert [width(times, 10) for times in (0.5, 1.2, 1.6, 4.0)] == once
 
 
 @pytest.mark.parametrize("factors", [(6.0, 1.0), (1.0, 30.0)])

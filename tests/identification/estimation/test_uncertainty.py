@@ -95,9 +95,9 @@ def test_too_few_rows_for_a_sandwich_leave_the_scatter() -> None:
 
 @pytest.mark.parametrize(("factor", "ripple"), [(1.0, 0.0), (0.3, 0.0), (3.0, 0.0), (1.0, 2e-3)])
 def test_intervals_hold_whatever_sigma_is_and_with_a_ripple_that_is_not_modelled(factor: float, ripple: float) -> None:
-    """Coverage of 8 parameters in 150 sets of 20 postures; 3.5 standard errors, sets counting as independent."""
+    """Coverage of 8 parameters in 80 sets of 20 postures; 3.5 standard errors, sets counting as independent."""
     rng, model, held = np.random.default_rng(8), Model(arm(sigma=factor * SIGMA)), []
-    for _ in range(150):
+    for _ in range(80):
         q = rng.uniform(-np.pi, np.pi, (20, 4))
         real = q + ripple * np.cos(17.0 * q)
         measured = Measurements(q, model.position(real, TRUTH) + SIGMA * rng.standard_normal((20, 2)))
@@ -252,7 +252,7 @@ def reflectors(
 @pytest.mark.parametrize(
     ("kind", "size", "sigma", "sets"),
     [
-        ("tip", 0.1, None, 16),
+        ("tip", 0.1, None, 10),
         pytest.param("settling", 0.1, None, 250, marks=pytest.mark.slow),
         pytest.param("tip", 0.1, None, 250, marks=pytest.mark.slow),
         pytest.param("wave", 0.1, 0.05, 250, marks=pytest.mark.slow),

@@ -21,7 +21,7 @@ from identification.kinematics.frames import pose
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
-from tests.identification.kinematics.test_denavit_hartenberg import printed
+from tests.identification.kinematics.test_spatial import printed
 
 DATA = Path(__file__).parents[2] / "data"
 URDF = DATA / "spatial" / "six_axis.urdf"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import datetime
+import json
 import shutil
 import tomllib
 from collections.abc import Iterator
@@ -143,3 +144,4 @@ def test_editors_accept_what_is_read_and_no_key_of_another_kind_of_arm(tables: d
     for key in other - set(schema["properties"]):
         assert not validator.is_valid({**tables, key: "x"})
     assert not validator.is_valid({**tables, "constraints": [{"kind": "keep_out_cone"}]})
+    assert '"of"' not in json.dumps(schema)

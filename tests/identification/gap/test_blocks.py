@@ -8,14 +8,12 @@ from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
 
 from identification import effects
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.effects import base, build, library
-from identification.effects.chain import widths
+from identification.effects import base, build
 from identification.errors import InputError
 from identification.files.arm import load_arm, with_effects
 from identification.gap.blocks import Library, _slopes, hypotheses
@@ -192,11 +190,9 @@ def test_values_of_settings_and_their_weights() -> None:
 @pytest.mark.parametrize(
     ("name", "joint", "values"),
     [
-        ("breathing", None, {"rate": 3.5, "a": 6e-4, "b": -4e-4}),
         ("link_jump", 2, {"at": 0.1, "d": 0.4}),
         ("settling", None, {"x": 0.8, "tau": 0.15}),
         ("lag", 2, {"c": 4e-4}),
-        ("series", 3, {"terms": 3.0, "a": 1.5e-3}),
     ],
 )
 def test_a_users_own_effect_is_named(name: str, joint: int | None, values: dict[str, float]) -> None:
@@ -221,29 +217,6 @@ def test_settings_in_files(tmp_path: Path) -> None:
             build(EffectSpec("breathing", None, {} if value is None else {"rate": value}), planar_chain(np.ones(2)))
     with pytest.raises(InputError, match=r"series:1: terms = 2.5, allowed: a whole number 2 to 3"):
         build(EffectSpec("series", 1, {"terms": 2.5}), planar_chain(np.ones(2)))
-
-
-def test_effects_of_gravity_act_through_the_load_and_its_direction() -> None:
-    """Levers of payload and turn of gravity of a model with compliance, against the same arm loaded or tilted."""
-    arm = ARM.with_effects(EffectSpec("joint_compliance", None, {"c1": 1e-5, "c2": 2e-5, "c3": 3e-5}))
-    levers, _ = Model(arm).place_levers(POSTURES, None, rows().conditions)
-    assert list(widths(planar_chain(np.ones(3))))[:2] == ["payload", "gravity_turn"]
-    assert arm.gravity is not None
-
-    def tip(payload: float, turn: float) -> np.ndarray:
-        acceleration = [9.81 * np.sin(turn), -9.81 * np.cos(turn)]
-        gravity = replace(arm.gravity, acceleration=acceleration, payload=payload)  # type: ignore[type-var]
-        return Model(replace(arm, gravity=gravity)).position(POSTURES)
-
-    h = 1e-3
-    expected = np.stack([tip(2.0 + h, 0.0) - tip(2.0 - h, 0.0), tip(2.0, h) - tip(2.0, -h)], axis=2) / (2.0 * h)
-    np.testing.assert_allclose(levers[:, :, :2], expected, rtol=1e-5, atol=1e-6)
-    assert not Model(ARM).place_levers(POSTURES)[0][:, :, :2].any()  # nothing sags, nothing depends on the load
-
-
-def test_library_holds_the_users_effects() -> None:
-    assert set(NAMES) < set(library())
-    assert isinstance(library()["breathing"](planar_chain([1.0]), None, {"rate": ca.SX.sym("r")}).chosen["rate"], ca.SX)
 
 
 def test_formulas_are_shared_by_arms_of_one_geometry() -> None:

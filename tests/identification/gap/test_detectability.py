@@ -31,16 +31,12 @@ def test_detectable_size_has_ninety_per_cent_power(size: int, freedom: int, leve
     assert stats.ncf.sf(limit, size, freedom, needed**2) == pytest.approx(0.9, abs=1e-6)
 
 
-def test_levels_below_rounding() -> None:
+def test_one_sided_size_and_levels_below_rounding() -> None:
     """With two parameters the tail of F is (1 + 2 f / dof)^(-dof / 2), in closed form."""
-    needed = detectable_lambda(2, 20_000, 1e-20)
-    limit = 10_000 * (1e-20 ** (-1.0 / 10_000) - 1.0)
-    assert stats.ncf.sf(limit, 2, 20_000, needed**2) == pytest.approx(0.9, abs=1e-6)
-
-
-def test_one_sided_size() -> None:
     needed = detectable_lambda(1, 25, 0.002, one_sided=True)
     assert stats.nct.sf(stats.t.isf(0.002, 25), 25, needed) == pytest.approx(0.9, abs=1e-6)
+    needed, limit = detectable_lambda(2, 20_000, 1e-20), 10_000 * (1e-20 ** (-1.0 / 10_000) - 1.0)
+    assert stats.ncf.sf(limit, 2, 20_000, needed**2) == pytest.approx(0.9, abs=1e-6)
 
 
 def test_share_and_size_of_one_effect_from_its_own_model() -> None:
@@ -69,16 +65,11 @@ def test_likeness_is_one_for_the_effect_itself_and_for_a_part_of_a_family() -> N
 
 def test_needs_decide_what_is_tried() -> None:
     bare = detectability(Arm([260.0, 180.0, 120.0]), POSTURES)
-    assert "link_bending" in bare.skipped
-    assert "thermal_growth" in bare.skipped
-    warm = detectability(ARM, POSTURES, Conditions(temperature=np.linspace(-2, 2, 30)))
+    assert {"link_bending", "thermal_growth"} <= set(bare.skipped)
+    warm = detectability(ARM, POSTURES, Conditions(temperature=np.linspace(-2, 2, 30), directions=np.ones((30, 3))))
     assert {"thermal_growth", "link_bending"} <= set(warm.names)
     assert {"tool_offset", "measurement_scale", "base_rotation"} == set(warm.aliases)
-
-
-def test_constant_direction_shows_no_backlash() -> None:
-    result = detectability(ARM, POSTURES, Conditions(directions=np.ones((30, 3))))
-    assert result.detectable["backlash:2"].value is None
+    assert warm.detectable["backlash:2"].value is None  # a constant direction shows none
 
 
 def test_refuses_fewer_than_four_residual_degrees_of_freedom() -> None:
@@ -94,13 +85,10 @@ def test_no_size_listed_moves_the_tip_out_of_linear_theory() -> None:
     postures[:, 2] = np.radians(80.0) * rng.choice([-1.0, 1.0], 30) + np.radians(1e-3) * rng.normal(size=30)
     sizes = detectability(ARM, postures).detectable
     assert sizes["encoder_eccentricity:3"].value is None
-    assert sizes["gear_ratio:2"].value is not None
-    for name in ("gear_ratio:2", "encoder_eccentricity:2", "gear_ratio:3"):
-        if (size := sizes[name].value) is not None:
-            joint = int(name[-1])
-            model = Model(ARM.with_effects(EffectSpec(name[:-2], joint)))
-            column = model.jacobian(postures)[:, :, 6] * (np.radians(size) if "encoder" in name else size)
-            assert np.sqrt(np.mean(np.sum(column**2, axis=1))) <= 0.1 * 560.0 * 1.01
+    size = sizes["gear_ratio:2"].value
+    assert size is not None
+    column = Model(ARM.with_effects(EffectSpec("gear_ratio", 2))).jacobian(postures)[:, :, 6] * size
+    assert np.sqrt(np.mean(np.sum(column**2, axis=1))) <= 0.1 * 560.0 * 1.01
 
 
 @pytest.mark.parametrize("effects", [("gear_ratio:2",), ("encoder_eccentricity:1",), ("gear_ratio:2", "backlash:3")])
@@ -158,7 +146,7 @@ def likeness(q: np.ndarray, joint: int, one: float, other: float) -> float:
     return float(np.linalg.norm(space(one).T @ space(other)) / np.sqrt(2.0))
 
 
-@pytest.mark.parametrize("degrees", [40.0, 70.0, 110.0, 150.0, 360.0])
+@pytest.mark.parametrize("degrees", [40.0, 110.0, 150.0])
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_wave_is_a_shape_where_its_neighbor_is_alike(degrees: float, joint: int) -> None:
     generator = np.random.default_rng(3)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from identification.measurements import Measurements
 from identification.model import Model
 
 ARM = Arm([300.0, 200.0, 150.0])
-SERIES_A = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "series_A.csv"
 
 
 def test_repeats_tell_ripple_from_noise() -> None:
@@ -104,22 +102,6 @@ def test_three_reflectors_of_one_posture_say_nothing_of_the_noise() -> None:
     assert floor.repeats == pytest.approx(np.sqrt(np.sum((left[:120] - left[120:]) ** 2) / 2.0 / 120.0), rel=1e-9)
 
 
-@pytest.mark.skipif(not SERIES_A.exists(), reason="no ../shared/data")
-def test_repeats_of_the_real_robot_scatter_as_known_from_elsewhere() -> None:
-    """0.173 mm, from fits independent of this code (identification/README.md, "Real data")."""
-    table = np.genfromtxt(SERIES_A, delimiter=",", names=True)
-    q = np.radians(np.column_stack([table[f"q{j}_deg"] for j in (1, 2, 3)]))
-    xy = np.column_stack([table["x_mm"], table["y_mm"]])
-    z = np.exp(1j * np.cumsum(q, axis=1))
-    columns = np.column_stack([z, np.ones(len(z))])
-    p = xy @ [1.0, 1.0j]
-    left = p - columns @ np.linalg.lstsq(columns, p, rcond=None)[0]
-    residual = np.column_stack([left.real, left.imag])
-    found = noise_floor(residual, Measurements(q, xy, table["order"]), np.ones(len(q), dtype=bool), None)
-    assert found.value == pytest.approx(0.173, abs=0.0015)
-    assert found.close_repeats < found.repeats
-
-
 @pytest.mark.parametrize(("sigma", "ripple"), [(None, 0.0), (None, 0.5), (0.05, 0.5), (0.5, 0.5)])
 def test_an_identification_compares_its_residuals_with_repeats(sigma: float | None, ripple: float) -> None:
     """30 postures in two rounds; an error that returns with its posture is no noise. A sigma that chi2 rejects is said
@@ -162,12 +144,8 @@ def test_chi_square_of_what_is_left() -> None:
     assert not misfit(LEFT, 6, DATA, 0.14, KEPT).significant  # type: ignore[union-attr]
 
 
-def test_sigma_of_the_rows_counts_before_that_of_the_arm() -> None:
-    rows = replace(DATA, sigma=np.linspace(0.1, 0.2, 50))
-    found = misfit(LEFT, 6, rows, 5.0, KEPT)
+def test_sigma_of_the_rows_counts_before_that_of_the_arm_and_without_any_nothing_is_said() -> None:
+    found = misfit(LEFT, 6, replace(DATA, sigma=np.linspace(0.1, 0.2, 50)), 5.0, KEPT)
     assert found is not None
     assert found.chi2 == pytest.approx(np.sum((LEFT / np.linspace(0.1, 0.2, 50)[:, None])[4:] ** 2))
-
-
-def test_without_a_sigma_nothing_is_said() -> None:
     assert misfit(LEFT, 6, DATA, None, KEPT) is None

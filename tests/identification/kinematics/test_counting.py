@@ -1,4 +1,4 @@
-"""How a controller counts: the formula written as a recursion, its reverse, and what no controller can have."""
+"""How a controller counts: the formula as a recursion, its reverse, what no controller has; whole turns, ranges."""
 
 from __future__ import annotations
 
@@ -10,7 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.errors import InputError
-from identification.kinematics.counting import Counting, JointKinds, check_kinds, counting_in, in_columns, in_joints
+from identification.kinematics.counting import (
+    Counting,
+    JointKinds,
+    check_kinds,
+    counting_in,
+    in_columns,
+    in_joints,
+    joint_range,
+    range_of,
+    turned_into,
+)
+from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 
 
 @st.composite
@@ -117,3 +128,60 @@ def test_sliding_joints() -> None:
         check_kinds(Counting((1, 1, 1), (0, 0, 0), (0.0, 1.0, 0.0)), kinds)
     with pytest.raises(InputError, match="sign: found 1 values, allowed: 3"):
         check_kinds(Counting((1,), (0,), (0.0,)), kinds)
+
+
+TYPES = ("revolute", "prismatic", "revolute")
+POSTURES = np.array([[np.pi / 6.0, 12.5, -1.0], [-np.pi / 3.0, 200.0, -0.5]])
+DEGREES = [[-60.0, 30.0], [-57.2957795, -28.6478898]]
+
+
+def test_slides_are_in_millimetres_under_their_own_key() -> None:
+    assert joint_range(POSTURES, TYPES) == {"joint_range_deg": DEGREES, "joint_range_mm": [[12.5, 200.0]]}
+    assert joint_range(POSTURES[:, :1], TYPES[:1]) == {"joint_range_deg": DEGREES[:1]}
+    assert joint_range(POSTURES[:, 1:2], TYPES[1:2]) == {"joint_range_mm": [[12.5, 200.0]]}
+
+
+def test_what_was_written_is_read() -> None:
+    for joints in ([0, 1, 2], [0], [1], [2, 1]):
+        types = [TYPES[j] for j in joints]
+        found = range_of(joint_range(POSTURES[:, joints], types), types)
+        assert found is not None
+        np.testing.assert_allclose(found, [POSTURES[:, joints].min(axis=0), POSTURES[:, joints].max(axis=0)], rtol=1e-8)
+
+
+def test_older_files_have_all_joints_under_one_key() -> None:
+    older = {"joint_range_deg": [DEGREES[0], list(np.degrees([12.5, 200.0])), DEGREES[1]]}
+    found = range_of(older, TYPES)
+    assert found is not None
+    np.testing.assert_allclose(found, [[-np.pi / 3.0, 12.5, -1.0], [np.pi / 6.0, 200.0, -0.5]], rtol=1e-8)
+
+
+def test_what_is_not_there_is_not_known() -> None:
+    assert range_of({}, TYPES) is None
+    assert range_of({"joint_range_deg": DEGREES}, TYPES) is None
+    assert range_of({"joint_range_deg": DEGREES}, ("revolute",)) is None
+
+
+@pytest.mark.parametrize(
+    ("degrees", "expected"),
+    [
+        (137.0, 137.0),
+        (-223.0, 137.0),
+        (497.0, 137.0),
+        (-580.0, 140.0),  # one turn further
+        (175.0, 175.0),  # no turn brings it inside
+        (170.0, 170.0),
+        (-170.0, -170.0),
+    ],
+)
+def test_into_limits_of_170_degrees(degrees: float, expected: float) -> None:
+    lower, upper = np.radians([-170.0]), np.radians([170.0])
+    found = turned_into(np.radians([[degrees]]), lower, upper, [REVOLUTE])
+    assert np.degrees(found[0, 0]) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_sliding_joint_does_not_turn_and_slack_is_inside() -> None:
+    lower, upper = np.array([0.0, 0.0]), np.array([3.0, 3.0])
+    postures = np.array([[7.0, 7.0], [3.0 + 1e-9, 3.0 + 1e-9]])
+    found = turned_into(postures, lower, upper, [PRISMATIC, REVOLUTE], slack=1e-6)
+    assert found.tolist() == [[7.0, pytest.approx(7.0 - 2.0 * np.pi)], [3.0 + 1e-9, 3.0 + 1e-9]]

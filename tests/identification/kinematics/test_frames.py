@@ -1,4 +1,4 @@
-"""Rotations against SciPy's, symbolic frames against products of matrices."""
+"""Rotations and orientations against SciPy's, symbolic frames against products of matrices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from identification.kinematics.frames import Frame, from_roll_pitch_yaw, pose, roll_pitch_yaw, rotation_about
+from identification.arrays import Array
+from identification.kinematics.frames import (
+    Frame,
+    from_angles,
+    from_own_axes,
+    from_quaternions,
+    from_roll_pitch_yaw,
+    mean_rotation,
+    pose,
+    roll_pitch_yaw,
+    rotation_about,
+    rotation_vector,
+    to_angles,
+    turned,
+)
 
 angles = st.floats(-np.pi, np.pi)
 
@@ -19,15 +33,6 @@ def test_roll_pitch_yaw_are_about_fixed_axes(roll: float, pitch: float, yaw: flo
     expected = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()  # lower case: extrinsic
     np.testing.assert_allclose(from_roll_pitch_yaw(roll, pitch, yaw), expected, atol=1e-12)
     np.testing.assert_allclose(from_roll_pitch_yaw(*roll_pitch_yaw(expected)), expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("pitch", [np.pi / 2.0, -np.pi / 2.0])
-@pytest.mark.parametrize("roll", [0.3, -2.0])
-def test_where_only_a_sum_of_angles_counts(pitch: float, roll: float) -> None:
-    rotation = from_roll_pitch_yaw(roll, pitch, 0.8)
-    found = roll_pitch_yaw(rotation)
-    assert found[2] == 0.0
-    np.testing.assert_allclose(from_roll_pitch_yaw(*found), rotation, atol=1e-9)
 
 
 near_lock = st.sampled_from([np.pi / 2.0, -np.pi / 2.0]) | st.floats(1e-16, 1e-3).map(lambda gap: np.pi / 2.0 - gap)
@@ -67,3 +72,54 @@ def test_symbolic_frames_are_products_of_matrices() -> None:
     found = ca.Function("point", [x], [point])([4.0, 0.5]).full().ravel()
     expected = inner @ pose((0.0, 4.0, 0.0)) @ pose(rotation=rotation_about((0.0, 0.0, 1.0), 0.5))
     np.testing.assert_allclose(found, (expected @ [5.0, 6.0, 7.0, 1.0])[:3], atol=1e-12)
+
+
+SYMBOL = ca.SX.sym("r", 3, 3)
+VECTOR = rotation_vector(SYMBOL)
+FUNCTION = ca.Function("vector", [SYMBOL], [VECTOR, ca.jacobian(VECTOR, ca.vec(SYMBOL))])
+
+
+def vector(matrix: Array) -> Array:
+    return FUNCTION(matrix)[0].full()[:, 0]
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.06, 0.0633, 1.0, 3.1])
+def test_rotation_vector(angle: float) -> None:
+    """Below and above the limit of the series, 2 atan(sqrt(1e-3)) = 0.0632."""
+    axis = np.array([0.36, -0.48, 0.8])
+    np.testing.assert_allclose(vector(rotation_about(axis, angle)), angle * axis, atol=1e-12)
+
+
+def test_its_derivative() -> None:
+    """By a small rotation from the left, against differences of scipy's logarithm."""
+    for angle in (0.0, 0.01, 0.5):
+        start = Rotation.from_rotvec(angle * np.array([0.36, -0.48, 0.8]))
+        jacobian = FUNCTION(start.as_matrix())[1].full()
+        for k, axis in enumerate(np.eye(3)):
+            step = Rotation.from_rotvec(1e-6 * axis)
+            ends = [(turn * start).as_rotvec() for turn in (step, step.inv())]
+            across = np.cross(np.eye(3)[k], start.as_matrix(), axisb=0, axisc=0)  # derivative of the matrix
+            found = jacobian @ across.ravel(order="F")
+            np.testing.assert_allclose(found, (ends[0] - ends[1]) / 2e-6, atol=1e-8)
+
+
+def test_of_zeros_it_is_zero() -> None:
+    np.testing.assert_array_equal(vector(np.zeros((3, 3))), np.zeros(3))
+
+
+def test_angles_and_quaternions() -> None:
+    angles = np.random.default_rng(1).uniform(-1.5, 1.5, (20, 3))
+    matrices = from_angles(angles)
+    for row, matrix in zip(angles, matrices, strict=True):
+        np.testing.assert_allclose(matrix, from_own_axes(*row), atol=1e-14)
+    np.testing.assert_allclose(to_angles(matrices), angles, atol=1e-13)
+    half = np.cos(0.35), np.sin(0.35) * np.array([0.36, -0.48, 0.8])
+    found = from_quaternions(1.003 * np.r_[half[0], half[1]][None])
+    np.testing.assert_allclose(found[0], rotation_about([0.36, -0.48, 0.8], 0.7), atol=1e-14)
+
+
+def test_mean_and_difference() -> None:
+    middle = rotation_about([0.0, 0.6, 0.8], 2.0)
+    steps = 0.1 * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    around = middle @ turned(steps)
+    np.testing.assert_allclose(mean_rotation(around), middle, atol=1e-14)

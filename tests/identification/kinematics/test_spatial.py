@@ -1,4 +1,4 @@
-"""Chains in space against products of exponentials in plain numpy, finite differences, and (if installed) pinocchio."""
+"""Chains against products of exponentials, complex numbers, printed tables and pinocchio; sets of their parameters."""
 
 from __future__ import annotations
 
@@ -8,14 +8,26 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.urdf import read_urdf
-from identification.kinematics.chain import Joint, KinematicChain
+from identification.kinematics.chain import MODIFIED, STANDARD, DHRow, Joint, KinematicChain, chain_of, planar_chain
 from identification.kinematics.frames import pose
-from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.parameters import (
+    JOINT_OFFSET,
+    LENGTH_ERROR,
+    PRISMATIC,
+    Parameter,
+    ParameterSet,
+    by_joint,
+    chain_parameters,
+    of_effects,
+    orientation_transform,
+)
 from identification.vectorize import vectorize
 
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
@@ -116,21 +128,6 @@ def test_every_error_against_exponentials(chain: KinematicChain) -> None:
         np.testing.assert_allclose(position_and_jacobian(chain, q, values)[0], expected, atol=1e-9)
 
 
-def test_jacobian_against_differences(chain: KinematicChain) -> None:
-    names = chain.every_parameter.names
-    values = np.random.default_rng(7).uniform(-0.1, 0.1, len(names))
-    q = postures(chain, 1)[0]
-    found = position_and_jacobian(chain, q, values)[1]
-    for k, _ in enumerate(names):
-        ends = [
-            tip_by_exponentials(
-                chain, q, dict(zip(names, values + s * STEP * np.eye(len(names))[k], strict=True)), chain.tools["1"]
-            )
-            for s in (1.0, -1.0)
-        ]
-        np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / (2.0 * STEP), atol=2e-5)
-
-
 def test_frames_points_and_orientation_against_exponentials(chain: KinematicChain) -> None:
     """Of one chain with errors: `points` begins at the base, whose own pose it leaves out."""
     generator = np.random.default_rng(8)
@@ -182,17 +179,6 @@ def test_links_grow_along_themselves(chain: KinematicChain) -> None:
             np.testing.assert_allclose(other - one, shift if k > j else np.zeros(3), atol=1e-9)
 
 
-def test_a_million_poses_need_no_axis_to_be_x_y_or_z(chain: KinematicChain) -> None:
-    """A tilted axis turns as Rodrigues' formula says: covered by `tilted` above; here its inverse turns back."""
-    tilted = next(joint for joint in chain.joints if joint.name == "tilted")
-    q = ca.SX.sym("q")
-    from identification.kinematics.frames import Frame
-
-    there = tilted.moved(tilted.moved(Frame.world(), q), -q)
-    axes = ca.Function("axes", [q], [there.axes])(0.7).full()
-    np.testing.assert_allclose(axes, np.eye(3), atol=1e-12)
-
-
 def test_pinocchio_agrees() -> None:
     """Positions, and derivatives by the six errors of each joint's frame: its kinematic regressor."""
     pinocchio = pytest.importorskip("pinocchio", reason="pinocchio is not installed: pip install 'armcal[oracle]'")
@@ -234,3 +220,154 @@ def test_a_shift_along_the_axes_of_the_base_turns_by_them() -> None:
     chain = KinematicChain((Joint("a", np.eye(4), np.eye(3)[2]),), np.eye(4), base=pose(rotation=turned))
     shift = chain.along_base({"base.x": 1.0, "base.z": 3.0, "base.rx": 0.5}, {})
     assert {name: float(x) for name, x in shift.items()} == {"base.x": 0.0, "base.y": 1.0, "base.z": 3.0}
+
+
+GENERATOR = np.random.default_rng(4)
+LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
+POSTURES = GENERATOR.uniform(-np.pi, np.pi, (7, 4))
+NO_ERRORS = np.zeros(8)
+
+
+def by_complex_numbers(lengths: np.ndarray, posture: np.ndarray) -> list[complex]:
+    """Base to tip, one joint at a time: every link turned by the joints up to it."""
+    points = [0j]
+    for j, length in enumerate(lengths):
+        points.append(points[-1] + length * np.exp(1j * sum(posture[: j + 1])))
+    return points
+
+
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+def test_errors_lengthen_links_and_turn_joints_in_symbols_too(n: int, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    lengths, posture = generator.uniform(10.0, 500.0, n), generator.uniform(-4.0, 4.0, n)
+    errors, offsets = generator.normal(0.0, 1.0, n), generator.normal(0.0, 0.1, n)
+    chain, q = planar_chain(lengths), ca.SX.sym("q", n)
+    symbolic = ca.Function("points", [q], [ca.horzcat(*chain.symbolic_points(q, np.r_[errors, offsets]))])
+    points = np.array(symbolic(posture)).T @ [1.0, 1.0j]
+    np.testing.assert_allclose(points, by_complex_numbers(lengths + errors, posture + offsets), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(chain.points(posture[None], np.r_[errors, offsets])[0] @ [1.0, 1.0j], points, atol=1e-10)
+
+
+def test_bent_links_displace_and_turn_what_follows() -> None:
+    """A link (l, d) with slope s is the complex number l + i d, and turns all links after it by s."""
+    posture, deflection, slope = np.array([0.3, -1.1]), np.array([2.0, -1.0]), np.array([0.01, 0.02])
+    bent = {"deflections": ca.SX(deflection), "slopes": ca.SX(slope)}
+    frames = planar_chain(LENGTHS[:2]).frames(ca.SX(posture), {}, bent)
+    elbow = (LENGTHS[0] + 1j * deflection[0]) * np.exp(1j * posture[0])
+    tip = elbow + (LENGTHS[1] + 1j * deflection[1]) * np.exp(1j * (posture.sum() + slope[0]))
+    turn = np.exp(1j * (posture.sum() + slope.sum()))
+    np.testing.assert_allclose(np.array(ca.DM(frames[2].origin)).ravel(), [elbow.real, elbow.imag, 0.0], rtol=1e-14)
+    np.testing.assert_allclose(np.array(ca.DM(frames[3].origin)).ravel(), [tip.real, tip.imag, 0.0], rtol=1e-14)
+    np.testing.assert_allclose(np.array(ca.DM(frames[3].axes))[:, 0], [turn.real, turn.imag, 0.0], rtol=1e-14)
+
+
+def test_orientations_sum_the_offsets() -> None:
+    """dtheta_j = dq_1 + ... + dq_j; where an offset is known, the others only."""
+    parameters = chain_parameters([300.0, 200.0])
+    np.testing.assert_array_equal(orientation_transform(parameters), [[0, 0, 1, 0], [0, 0, 1, 1]])
+    without = ParameterSet(p for p in parameters if p.name not in ("length_error:2", "joint_offset:1"))
+    np.testing.assert_array_equal(orientation_transform(without), [[0, 1]])
+
+
+def test_offsets_are_scaled_by_the_best_known_lengths() -> None:
+    """Also where an error turns a link around; the drawing's length where nothing of the link is left."""
+    best = {"length_error:1": 5.0, "length_error:2": -200.0, "length_error:3": -120.0}
+    scales = planar_chain(LENGTHS).parameters(best).scales
+    np.testing.assert_array_equal(scales, [1.0, 1.0, 1.0, 1.0, 265.0, 20.0, 120.0, 100.0])
+
+
+def test_a_shift_along_the_axes_of_the_base_turns_with_it() -> None:
+    """The offset of joint 1 turns the base of a planar arm."""
+    chain, shift = planar_chain(LENGTHS), {"base_offset.x0": 2.0, "joint_offset:1": 0.1}
+    turned, back = 2.0 * np.exp(0.3j), 2.0 * np.exp(-0.3j)
+    by_instrument = chain.along_base(shift, {"joint_offset:1": 0.3})
+    along_own_axes = chain.along_base(shift, {"joint_offset:1": 0.3}, back=True)
+    for components, expected in ((by_instrument, turned), (along_own_axes, back)):
+        assert {name: float(x) for name, x in components.items()} == {
+            "base_offset.x0": pytest.approx(expected.real),
+            "base_offset.y0": pytest.approx(expected.imag),
+        }
+    assert chain.along_base({"joint_offset:1": 0.1}, {"joint_offset:1": 0.3}) == {}
+
+
+ROWS = (
+    DHRow(10.0, 1.2, 127.3, 0.4),
+    DHRow(-612.0, 0.0, 5.0, -0.7),
+    DHRow(30.0, -0.9, 100.0, 0.2, "prismatic", (-50.0, 250.0)),
+    DHRow(0.0, 0.3, 115.7),
+)
+Q = np.array([0.3, -1.1, 120.0, 2.2])
+
+
+def printed(row: DHRow, q: float, convention: str = STANDARD) -> Array:
+    """(4, 4) A_j written out, as in textbooks."""
+    slides = row.type == "prismatic"
+    theta, d, a = row.offset + (0.0 if slides else q), row.d + (q if slides else 0.0), row.a
+    ct, st, ca_, sa = np.cos(theta), np.sin(theta), np.cos(row.alpha), np.sin(row.alpha)
+    if convention == STANDARD:
+        rows = [[ct, -st * ca_, st * sa, a * ct], [st, ct * ca_, -ct * sa, a * st], [0, sa, ca_, d], [0, 0, 0, 1]]
+    else:
+        rows = [[ct, -st, 0, a], [st * ca_, ct * ca_, -sa, -sa * d], [st * sa, ct * sa, ca_, ca_ * d], [0, 0, 0, 1]]
+    return np.array(rows, dtype=float)
+
+
+@pytest.mark.parametrize("convention", [STANDARD, MODIFIED])
+def test_chain_is_the_product(convention: str) -> None:
+    chain = chain_of(ROWS, convention)
+    q = ca.SX.sym("q", 4)
+    frame = chain.frames(q, {})[-1]
+    origin, axes = (part.full() for part in ca.Function("tip", [q], [frame.origin, frame.axes])(Q))
+    expected = np.linalg.multi_dot([printed(row, angle, convention) for row, angle in zip(ROWS, Q, strict=True)])
+    np.testing.assert_allclose(origin.ravel(), expected[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(axes, expected[:3, :3], atol=1e-12)
+    assert (chain.joints[2].lower, chain.joints[2].upper) == (-50.0, 250.0)
+
+
+def test_bad_tables_are_one_line() -> None:
+    with pytest.raises(InputError, match=r"dh: convention 'craig', allowed: standard or modified"):
+        chain_of(ROWS, "craig")
+    with pytest.raises(InputError, match=r"dh: no rows, allowed: one for each joint"):
+        chain_of(())
+    with pytest.raises(InputError, match=r"dh\[1\]: a prismatic joint without limits"):
+        chain_of((DHRow(0.0, 0.0, 0.0, type="prismatic"),))
+
+
+ERRORS = chain_parameters([300.0, 200.0])
+SET = ParameterSet(
+    [
+        ERRORS[0],
+        chain_parameters([300.0])[1],
+        Parameter("backlash:2.b", "rad", lower=-0.1, upper=0.2, scale=200.0, joint=2),
+        ERRORS[1],
+    ]
+)
+
+
+def test_vector_and_mapping_are_inverse() -> None:
+    values = {"length_error:2": 2.0, "joint_offset:1": 0.1, "of another model": 9.0}
+    vector = SET.vector(values)
+    np.testing.assert_array_equal(vector, [0.0, 0.1, 0.0, 2.0])
+    np.testing.assert_array_equal(SET.vector({}, default=np.nan), np.full(4, np.nan))
+    assert SET.mapping(vector) == {
+        "length_error:1": 0.0,
+        "joint_offset:1": 0.1,
+        "backlash:2.b": 0.0,
+        "length_error:2": 2.0,
+    }
+    with pytest.raises(ValueError, match="shorter"):
+        SET.mapping(vector[:3])
+
+
+def test_parameters_of_a_chain() -> None:
+    parameters = chain_parameters([260.0, 180.0])
+    assert parameters.names == ("length_error:1", "length_error:2", "joint_offset:1", "joint_offset:2")
+    assert parameters.kinds == (LENGTH_ERROR, LENGTH_ERROR, JOINT_OFFSET, JOINT_OFFSET)
+    assert parameters.units == ("mm", "mm", "rad", "rad")
+    np.testing.assert_array_equal(parameters.scales, [1.0, 1.0, 260.0, 180.0])
+
+
+def test_values_by_joint_and_of_effects() -> None:
+    values = {"joint_offset:2": 0.2, "length_error:1": 1.5, "backlash:2.b": 0.01, "joint_offset:1": 0.1}
+    np.testing.assert_array_equal(by_joint(values, JOINT_OFFSET), [0.1, 0.2])
+    np.testing.assert_array_equal(by_joint(values, LENGTH_ERROR), [1.5])
+    assert of_effects(values) == {"backlash:2.b": 0.01}
