@@ -264,25 +264,33 @@ def run_tasks(
         done, failed = done + 1, failed + (rows[0]["status"] != "done")
         progress(done, len(asked), f"{failed} failed" if failed else "")
 
-    def stored(future: Future[Any], text: str) -> None:
-        error = None if future.cancelled() else future.exception()
-        if future.cancelled() or isinstance(error, BrokenExecutor):
-            raise BrokenExecutor
-        store(text, future.result() if error is None else [_failure(asked[text], seed, error)])  # cannot travel
+    def lost(future: Future[Any]) -> bool:
+        """Whether a task that has ended went down with its executor."""
+        return future.cancelled() or isinstance(future.exception(), BrokenExecutor)
+
+    def take(future: Future[Any]) -> None:
+        text, error = running.pop(future), future.exception()  # the executor's own: rows that cannot travel
+        store(text, future.result() if error is None else [_failure(asked[text], seed, error)])
 
     progress(done, len(asked), "")
     try:
         while waiting:
             try:
                 with workers.open() as executor:
-                    while waiting or running:
-                        while waiting and len(running) < ahead:
-                            future = executor.submit(perform, *task(waiting[0]))
-                            running[future] = waiting.popleft()
-                        for future in wait(running, 0.2, FIRST_COMPLETED).done:
-                            stored(future, running[future])
-                            del running[future]
-                        workers.check(executor)
+                    try:
+                        while waiting or running:
+                            while waiting and len(running) < ahead:
+                                future = executor.submit(perform, *task(waiting[0]))
+                                running[future] = waiting.popleft()
+                            for future in wait(running, 0.2, FIRST_COMPLETED).done:
+                                if lost(future):
+                                    raise BrokenExecutor
+                                take(future)
+                            workers.check(executor)
+                    finally:  # after Ctrl-C what is finished is kept, before the executor ends
+                        for future in list(running):
+                            if future.done() and not lost(future):
+                                take(future)
             except BrokenExecutor:  # one task of these killed its worker, and took the others with it
                 if not running:
                     raise JobError(LOST) from None
@@ -291,11 +299,7 @@ def run_tasks(
                     died = JobError(f"the worker process died each time it ran this task ({outcome.error})")
                     store(text, outcome.value or [_failure(asked[text], seed, died)])
                 running.clear()
-    finally:  # after Ctrl-C what is finished is kept; in the order of the keys, whichever finished first
-        with suppress(BrokenExecutor):
-            for future, text in running.items():
-                if not future.cancel() and future.done():
-                    stored(future, text)
+    finally:  # in the order of the keys, whichever finished first
         table.rows = {text: table.rows[text] for text in (asked | table.rows) if text in table.rows}
     return table.frame(asked)
 

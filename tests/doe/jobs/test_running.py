@@ -90,6 +90,20 @@ def test_resume_does_only_what_is_missing(tmp_path: Path) -> None:
     assert frame["value"].to_list() == pl.read_parquet(path)["value"].to_list() == work.drawn(KEYS)
 
 
+def test_ctrl_c_among_processes_leaves_what_is_finished_and_no_failures(tmp_path: Path) -> None:
+    def stop(done: float, total: float | None, message: str) -> None:
+        if done == 5:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "rows.parquet"
+    with pytest.raises(KeyboardInterrupt), RowTable(path) as table:
+        run_tasks(work.slow_draw, MANY, table, processes(2), progress=stop)
+    kept = pl.read_parquet(path)
+    assert 5 <= len(kept) / 2 < 20
+    assert set(kept["status"]) == {"done"}
+    assert kept["value"].to_list() == work.drawn([{"task": task} for task in kept["task"][::2]])
+
+
 def test_killed_processes_lose_nothing(tmp_path: Path) -> None:
     keys = [{"task": task, "mark": str(tmp_path / "mark") if task == 5 else ""} for task in range(12)]
     frame = rows(work.die_once, processes(2), keys)
