@@ -97,11 +97,8 @@ class ArmModel(Model):
 
     # -- before a plan is made -------------------------------------------------------------------------------------
     def placed(self) -> ArmModel:
-        """The same with its measured points in place, and without a sigma for a minimal set of parameters.
-
-        Raises `InputError` for contacts with a surface whose place is not known. Warns (`UserWarning`) of points that
-        are assumed.
-        """
+        """The same with its measured points in place, and without a sigma for a minimal set of parameters. Raises
+        `InputError` for contacts with a surface whose place is not known; warns of points that are assumed."""
         if self.arm.chain.positions_in_plane:
             return self
         model = replace(self, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
@@ -115,12 +112,10 @@ class ArmModel(Model):
     def tied_postures(
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
     ) -> Array:
-        """(N, n) random postures at which the measured point is on the surface and all else of the arm outside.
+        """(N, n) random postures at which the measured point is on the surface and all else of the arm outside. Raises
+        `InputError` where there are hardly any, and for a sphere whose radius nobody knows; warns of what plans are of.
 
         lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
-
-        Raises `InputError` where there are hardly any, and for a sphere whose radius nobody knows. Warns
-        (`UserWarning`) of what plans and bounds are of.
         """
         chain = self.arm.chain
         if key := chain.instrument.unknown(self.best_known):

@@ -250,11 +250,11 @@ def declared(name: str, hint: Any, default: Any, help_text: str | None) -> click
 
 def made_page(document: Document, read: Iterable[Path]) -> str:
     """A page that the running command makes, with the command line as it was typed and the files that were read."""
-    from doe.report.page import Origin, page
+    from doe.report.page import origin, page
 
     context = click.get_current_context()
     typed = shlex.join(("armcal", *(context.find_root().obj or ())))
-    return page(document, Origin(typed, context.params["seed"], [*read]))
+    return page(document, origin(typed, context.params["seed"], [*read]))
 
 
 def made_constraints(model: Any) -> Any:

@@ -13,7 +13,6 @@ import platform
 import re
 import tomllib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
 from itertools import pairwise
@@ -30,27 +29,20 @@ NARROW = 430.0  # [pt] width of a figure that a phone shows as it is; columns of
 COLORS = {"#000000": "var(--ink)", "#ffffff": "none", "#c44e52": "var(--before)", "#2a6f97": "var(--after)"}
 
 
-@dataclass(frozen=True)
-class Origin:
-    """command : as it was typed;  seed : of all that is random;  files : that were read"""
-
-    command: str
-    seed: int
-    files: Sequence[Path]
-
-    def section(self) -> Section:
-        """The last part of a page: files with their hashes, URDF files that arm files name too, versions, command."""
-        paths = dict.fromkeys(self.files)
-        for path in self.files:
-            urdf = tomllib.loads(path.read_text("utf-8-sig")).get("urdf") if path.suffix == ".toml" else None
-            if isinstance(urdf, str) and not urdf.lstrip().startswith("<"):
-                paths[path.parent / urdf] = None
-        versions = [f"{name} {version(name)}" for name in ("armcal", "numpy", "scipy", "casadi")]
-        facts = [["command", self.command], ["seed", str(self.seed)]]
-        facts.append(["versions", ", ".join([*versions, f"Python {platform.python_version()}"])])
-        rows = [[name, str(size), digest] for name, size, digest in hashes(paths)]
-        tables = [Sheet(("file", "bytes", "SHA-256"), rows), Sheet(("", ""), facts)]
-        return Section("Where this page comes from", tables)
+def origin(command: str, seed: int, read: Sequence[Path]) -> Section:
+    """Where a page comes from, its last part: files that were read with their hashes, URDF files that arm files name
+    too, versions, the command as it was typed."""
+    paths = dict.fromkeys(read)
+    for path in read:
+        urdf = tomllib.loads(path.read_text("utf-8-sig")).get("urdf") if path.suffix == ".toml" else None
+        if isinstance(urdf, str) and not urdf.lstrip().startswith("<"):
+            paths[path.parent / urdf] = None
+    versions = [f"{name} {version(name)}" for name in ("armcal", "numpy", "scipy", "casadi")]
+    facts = [["command", command], ["seed", str(seed)]]
+    facts.append(["versions", ", ".join([*versions, f"Python {platform.python_version()}"])])
+    rows = [[name, str(size), digest] for name, size, digest in hashes(paths)]
+    tables = [Sheet(("file", "bytes", "SHA-256"), rows), Sheet(("", ""), facts)]
+    return Section("Where this page comes from", tables)
 
 
 def hashes(paths: Iterable[Path]) -> list[tuple[str, int, str]]:
@@ -59,15 +51,14 @@ def hashes(paths: Iterable[Path]) -> list[tuple[str, int, str]]:
     return [(str(path), len(content), hashlib.sha256(content).hexdigest()) for path, content in contents]
 
 
-def page(document: Document, origin: Origin | None = None) -> str:
-    """The page as text; it needs no other file and no network."""
+def page(document: Document, *more: Section) -> str:
+    """The page as text, with more sections at its end; it needs no other file and no network."""
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader("doe.report", "."), autoescape=True, trim_blocks=True)
     loose = [part for part in document.parts if not isinstance(part, Section)]
     sections = [Section("In short", loose)] if loose else []
-    sections += [part for part in document.parts if isinstance(part, Section)]
-    sections += [] if origin is None else [origin.section()]
+    sections += [*(part for part in document.parts if isinstance(part, Section)), *more]
     style, script = (files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     return environment.get_template("page.html.j2").render(
         document=document,

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from identification.arm import EffectSpec
 from identification.effects import formulas  # noqa: F401  (it fills the library)
 from identification.effects.base import _LIBRARY, Effect, Scope, Setting, register
-from identification.effects.chain import Chain, measured_position
+from identification.effects.chain import Chain
 from identification.errors import InputError, close_names, nearest, suggestion
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
@@ -29,7 +29,6 @@ __all__ = [
     "build",
     "build_all",
     "library",
-    "measured_position",
     "of_dimension",
     "register",
     "unknown_effect",

@@ -176,20 +176,13 @@ def state_slices(chain: KinematicChain) -> dict[str, slice]:
     return _slices({place: sizes[place] for place in OF_LOAD} | {"lengths": len(chain), "tip": chain.dimension})
 
 
-def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) -> ca.SX:
-    """(d,) measured position [mm] (identification/README.md, "Effects"), with three further elements where orientations
-    are measured, see `Model.symbols`.
-
-    values : those of the geometry, then the parameters of the effects in order
-    """
-    return position_and_state(chain, effects, values)[0]
-
-
 def position_and_state(
     chain: Chain, effects: Sequence[Effect], values: ca.SX, added: ca.SX | None = None
 ) -> tuple[ca.SX, ca.SX]:
-    """(d,) measured position [mm], and the state (`state_slices`).
+    """(d,) measured position [mm] (identification/README.md, "Effects"), with three further elements where orientations
+    are measured, see `Model.symbols`; and the state (`state_slices`).
 
+    values : those of the geometry, then the parameters of the effects in order
     added : further contributions at all places, in the order of `widths`
     """
     start = values.numel() - sum(len(effect.parameters) for effect in effects)

@@ -161,7 +161,7 @@ class Sphere(Distance):
         turns, shifts, tools = (np.concatenate([part] * len(RADII)) for part in one[:3])
         starts = Starts(turns, shifts, tools, np.repeat(RADII * rows.reach, len(one.tools))[:, None])
         # effort: the radius is not right
-        starts, squares = followed(self, rows, starts, slice(0, 3), PATIENCE, rounds=10, hold=1)
+        starts, squares = followed(self, rows, starts, slice(0, 3), PATIENCE, rounds=10, hold=True)
         best = np.argmin(squares.reshape(len(RADII), -1), axis=1) + len(one.tools) * np.arange(len(RADII))
         return searched(self, rows, Starts(*(part[best] for part in starts)), slice(0, 3), PATIENCE)
 

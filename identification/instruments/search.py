@@ -12,14 +12,16 @@ instrument makes of each t: those of t lie around the tip.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.kinematics.frames import pose
-from identification.kinematics.parameters import Parameter
+
+if TYPE_CHECKING:
+    from identification.instruments.base import Instrument
 
 ENOUGH = 1e-6  # relative fall of the sum of squares in a round, below which a least-squares fit goes on from here
 ROUNDING = 1e-12  # of lengths, in reaches
@@ -60,14 +62,6 @@ class Unplaced(NamedTuple):
         return self.frames[:, :3, 3] + np.tensordot(tools, self.frames[:, :3, :3], (1, 2))
 
 
-class Reads(Protocol):
-    """What is asked of an instrument here, see `Instrument`."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]: ...
-    def linearized(self, points: Array, values: Array, target: Array) -> tuple[Array, Array, Array]: ...
-
-
 class Starts(NamedTuple):
     """s starts: rotations (s, 3, 3), shifts (s, 3) of the base, tools (s, 3), own values (s, k) of the instrument."""
 
@@ -99,7 +93,7 @@ class Starts(NamedTuple):
         return Starts(*(np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), b, a) for a, b in pairs))
 
 
-def random_starts(instrument: Reads, rows: Unplaced) -> Starts:
+def random_starts(instrument: Instrument, rows: Unplaced) -> Starts:
     """Random bases, those of the tools in turns; of a base that is known one for each tool."""
     neutral = np.array([parameter.neutral for parameter in instrument.parameters])
     if rows.base is not None:
@@ -114,7 +108,7 @@ def random_starts(instrument: Reads, rows: Unplaced) -> Starts:
 
 
 def searched(
-    instrument: Reads, rows: Unplaced, starts: Starts, of_base: slice = slice(0, 6), patience: int = 15
+    instrument: Instrument, rows: Unplaced, starts: Starts, of_base: slice = slice(0, 6), patience: int = 15
 ) -> Placement:
     """Base and measured point that explain readings best; arguments as of `followed`."""
     # effort: of many starts 100 are followed with rows that tell good ones, three times the nine unknowns and more; the
@@ -131,18 +125,24 @@ def searched(
 
 
 def followed(
-    instrument: Reads, rows: Unplaced, starts: Starts, of_base: slice, patience: int, rounds: int = 60, hold: int = 0
+    instrument: Instrument,
+    rows: Unplaced,
+    starts: Starts,
+    of_base: slice,
+    patience: int,
+    rounds: int = 60,
+    hold: bool = False,
 ) -> tuple[Starts, Array]:
     """Where damped Gauss-Newton steps of starts end, and their sums of squares (s,).
 
     of_base : which of shift and rotation of the base are looked for, where it is not known
     patience : steps after which what is `Unplaced.hopeless` is given up;  rounds : steps of each start at most
-    hold : own values of the instrument that stay as they are
+    hold : whether own values of the instrument stay as they are
     """
     frames, readings, reach, base, tool, hopeless = rows
     k, wanted = starts.values.shape[1], len(frames) * hopeless**2
     scales = np.r_[np.full(3, reach), np.ones(3), np.full(3, 0.1 * reach), np.ones(k)]
-    free = np.r_[np.zeros(6, dtype=bool), np.full(3, tool is None), np.arange(k) >= hold]
+    free = np.r_[np.zeros(6, dtype=bool), np.full(3, tool is None), np.full(k, not hold)]
     free[of_base] = base is None
     squares, gradient, matrix = _linear(instrument, starts, frames, readings, scales, free)
     damping = np.full(len(squares), 1e-3)  # what is added to a normal matrix, of its diagonal
@@ -172,7 +172,7 @@ def followed(
 
 
 def _linear(
-    instrument: Reads,
+    instrument: Instrument,
     starts: Starts,
     frames: Array,
     readings: Array,

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import Conditions
-from identification.effects import Chain, Effect, build_all, measured_position
+from identification.effects import Chain, Effect, build_all
 from identification.effects.chain import by_place, condition_slices, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
@@ -36,6 +36,8 @@ from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.vectorize import Evaluate, vectorize
 
 T = TypeVar("T")
+Given = ArrayLike | None
+When = Conditions | None
 
 
 class _Shared(cached_property[T]):
@@ -232,7 +234,7 @@ class Model:
         `angle_scale` [mm]."""
         width = max(place.stop for place in self._columns.values())
         q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.parameters))
-        return q, c, p, measured_position(self.chain_at(q, c), self.effects, self.values_at(c, p))
+        return q, c, p, position_and_state(self.chain_at(q, c), self.effects, self.values_at(c, p))[0]
 
     def chain_at(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
@@ -261,18 +263,13 @@ class Model:
         return self._function("position", [self.symbols[3]])
 
     @_Shared
-    def jacobian_function(self) -> ca.Function:
-        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
-        _, _, p, position = self.symbols
-        return self._function("jacobian", [position, ca.jacobian(position, p)])
-
-    @_Shared
     def _position(self) -> Evaluate:
         return vectorize(self.position_function)
 
     @_Shared
     def _jacobian(self) -> Evaluate:
-        return vectorize(self.jacobian_function)
+        _, _, p, position = self.symbols
+        return vectorize(self._function("jacobian", [position, ca.jacobian(position, p)]))
 
     @_Shared
     def residual_gradient(self) -> Evaluate:
@@ -328,9 +325,7 @@ class Model:
         return self.geometry_parameters.vector(self.best_known)
 
     # -- batches ---------------------------------------------------------------------------------------------------
-    def position(
-        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
-    ) -> Array:
+    def position(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> Array:
         """(m, d) tip positions [mm] at (m, n) postures [rad]; (K, m, d) for (K, p) parameter sets.
 
         Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
@@ -338,19 +333,17 @@ class Model:
         return self._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
     def linearize(
-        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
+        self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
         """Positions (..., m, d) and Jacobians (..., m, d, p) in one pass."""
         position, jacobian = self._jacobian(*self._arguments(postures, parameters, conditions))
         return position[..., 0], jacobian
 
-    def jacobian(
-        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
-    ) -> Array:
+    def jacobian(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> Array:
         """(m, d, p) exact derivative of position with respect to parameters; (K, m, d, p) for (K, p) parameter sets."""
         return self.linearize(postures, parameters, conditions)[1]
 
-    def orientations(self, postures: ArrayLike, conditions: Conditions | None = None) -> Array:
+    def orientations(self, postures: ArrayLike, conditions: When = None) -> Array:
         """(m, 3, 3) orientations of the measured frame for the instrument, as best known, whatever orientations the
         conditions have; raises `InputError` where none is measured."""
         if (scale := self.arm.chain.angle_scale) is None:
@@ -361,7 +354,7 @@ class Model:
         return turned(self._position(*arguments)[0][..., 3:, 0] / scale) @ nominal
 
     def joint_levers(
-        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
+        self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
     ) -> Array:
         """(m, d, n) derivative of the positions with respect to each joint's own offset [mm/rad], be that offset
         estimated or not; (K, m, d, n) for (K, p) parameter sets."""
@@ -371,7 +364,7 @@ class Model:
         return self._joint_levers(*self._arguments(postures, parameters, conditions))[0]
 
     def place_levers(
-        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
+        self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
         """What effects act through: (m, d, P) derivative of the positions by what is added at each place of the chain,
         and (m, S) the state that it may depend on (effects/chain.py)."""
@@ -409,7 +402,7 @@ class Model:
         return q
 
     def _arguments(
-        self, postures: ArrayLike, parameters: ArrayLike | None, conditions: Conditions | None
+        self, postures: ArrayLike, parameters: Given, conditions: Conditions | None
     ) -> tuple[Array, Array, Array]:
         q = self._postures(postures)
         p = self.values if parameters is None else np.asarray(parameters, dtype=float)

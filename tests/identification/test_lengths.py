@@ -19,7 +19,7 @@ from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.gap.diagnose import diagnose
 from identification.information import spectrum
-from identification.instruments import KINDS, Distance, Instrument, Plane, Sphere
+from identification.instruments import Distance, Instrument, Plane, Sphere
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.frames import pose
@@ -35,7 +35,8 @@ from tests.identification.exponentials import Exponentials, drawing
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 from tests.identification.touching import plane, sphere, touching
 
-BAR = Distance()
+BAR, BALL = Distance(), Sphere()  # the ball of unknown radius
+RADIUS = "sphere.radius"
 CENTER = np.array([700.0, -200.0, 300.0])
 BASE = pose(-CENTER)
 STEP = 1e-5  # [mm, rad] of central differences of some 1e3 mm: rounding 1e3 * 1e-16 / 1e-5 = 1e-8, error of order 1e-10
@@ -45,25 +46,33 @@ def bar(**changes: object) -> Arm:
     return Arm(replace(CHAIN, instrument=BAR, base=BASE), sigma=0.01, **changes)
 
 
-def length(instrument: Instrument, point: Array) -> float:
-    return float(point[2] if instrument.kind == "plane" else np.linalg.norm(point))
-
-
-@pytest.mark.parametrize("kind", ["distance", "plane"])
+@pytest.mark.parametrize("instrument", [BAR, Plane(), BALL], ids=["distance", "plane", "ball of unknown radius"])
 @pytest.mark.parametrize("effect", [False, True], ids=["one function", "composed of parts"])
-def test_jacobian(kind: str, effect: bool) -> None:
+def test_jacobian(instrument: Instrument, effect: bool) -> None:
     """Against differences of products of exponentials; with an effect the model is put together in another way."""
-    instrument, chain = KINDS[kind](), replace(CHAIN, base=BASE)
+    chain, known = replace(CHAIN, base=BASE), {RADIUS: 30.0} if instrument is BALL else {}
     arm = Arm(replace(chain, instrument=instrument))
     model = Model(arm.with_effects(EffectSpec("encoder_eccentricity", 2)) if effect else arm)
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 6))
-    read, jacobian = model.linearize(q)
+    values = model.parameters.vector(known)
+    read, jacobian = model.linearize(q, values)
+
+    def by_hand(posture: Array, name: str = "", step: float = 0.0) -> float:
+        point = tip_by_exponentials(chain, posture, {name: step}, REFLECTOR)
+        above = point[2] if instrument.kind == "plane" else np.linalg.norm(point)
+        return float(above - known.get(RADIUS, 0.0) - (step if name == RADIUS else 0.0))
+
     for row, posture in enumerate(q):
-        assert read[row, 0] == pytest.approx(length(instrument, tip_by_exponentials(chain, posture, {}, REFLECTOR)))
-        for k, name in enumerate(Model(arm).names):
-            ends = [tip_by_exponentials(chain, posture, {name: sign * STEP}, REFLECTOR) for sign in (1.0, -1.0)]
-            up, down = (length(instrument, end) for end in ends)
-            assert jacobian[row, 0, k] == pytest.approx((up - down) / (2.0 * STEP), abs=1e-6 * model.scales[k])
+        assert read[row, 0] == pytest.approx(by_hand(posture))
+        for k, name in enumerate(model.names):
+            if name in Model(arm).names:
+                slope = (by_hand(posture, name, STEP) - by_hand(posture, name, -STEP)) / (2.0 * STEP)
+                assert jacobian[row, 0, k] == pytest.approx(slope, abs=1e-6 * model.scales[k])
+    np.testing.assert_array_equal(model.position(q, values), read)
+    if known:
+        held = Model(model.arm, known)
+        np.testing.assert_array_equal(held.position(q), read)
+        assert RADIUS not in held.names
 
 
 def rank(model: Model, q: Array) -> int:
@@ -163,33 +172,6 @@ def test_contacts_with_a_sphere() -> None:
     assert found.status is Status.converged
     assert found.rms_after < 0.012 < 0.5 < found.rms_before
     assert rank(found.model, q) == 24
-
-
-BALL = Sphere()  # of unknown radius
-RADIUS = "sphere.radius"
-
-
-@pytest.mark.parametrize("effect", [False, True], ids=["one function", "composed of parts"])
-def test_heights_above_a_sphere_of_unknown_radius(effect: bool) -> None:
-    """And their derivatives, against differences of |p| - r with p by products of exponentials."""
-    chain = replace(CHAIN, base=BASE)
-    arm = Arm(replace(chain, instrument=BALL))
-    model = Model(arm.with_effects(EffectSpec("encoder_eccentricity", 2)) if effect else arm)
-    q = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 6))
-    values = model.parameters.vector({RADIUS: 30.0})
-    read, jacobian = model.linearize(q, values)
-    for row, posture in enumerate(q):
-        away = np.linalg.norm(tip_by_exponentials(chain, posture, {}, REFLECTOR))
-        assert read[row, 0] == pytest.approx(away - 30.0)
-        assert jacobian[row, 0, model.names.index(RADIUS)] == -1.0
-        for k, name in enumerate(name for name in Model(arm).names if name != RADIUS):
-            ends = [tip_by_exponentials(chain, posture, {name: sign * STEP}, REFLECTOR) for sign in (1.0, -1.0)]
-            slope = (np.linalg.norm(ends[0]) - np.linalg.norm(ends[1])) / (2.0 * STEP)
-            assert jacobian[row, 0, k] == pytest.approx(slope, abs=1e-6 * model.scales[k])
-    np.testing.assert_array_equal(model.position(q, values), read)
-    held = Model(model.arm, {RADIUS: 30.0})
-    np.testing.assert_array_equal(held.position(q), read)
-    assert RADIUS not in held.names
 
 
 def test_what_contacts_with_a_sphere_of_unknown_radius_show() -> None:

@@ -15,7 +15,7 @@ from doe.bounds.column_generation import relax
 from doe.design import score
 from doe.problem.problem import DesignProblem
 from doe.report.design import advice_document, design_document, relax_document
-from doe.report.page import Origin, page
+from doe.report.page import origin, page
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.compensate import compensate
 from identification.document import Document, Part, Section, Sheet, as_text
@@ -111,8 +111,7 @@ def test_a_result_is_whole_in_every_rendering(every: dict[str, Document], name: 
     terminal, notebook = as_text(document, 80), document._repr_html_()
     assert max(map(len, terminal.splitlines())) <= 80
     (tmp_path / "data.csv").write_text("q1_deg\n")
-    origin = Origin("armcal test", 3, [tmp_path / "data.csv"])
-    text = page(document, origin)
+    text = page(document, origin("armcal test", 3, [tmp_path / "data.csv"]))
     assert len(document.verdict) > 0 or name in ("weights", "library", "gravity")
     for rendered, folded in ((terminal, False), (Words(notebook).words, True), (Words(text).words, True)):
         shown = flat(rendered)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.effects import Chain, Scope, Setting, build, measured_position
+from identification.effects import Chain, Scope, Setting, build
 from identification.effects.base import clock, step_times
+from identification.effects.chain import position_and_state
 from identification.errors import InputError
 from identification.measurements import Conditions
 
@@ -92,7 +93,7 @@ def test_effects_act_in_the_order_of_the_chain() -> None:
     placed = tip * np.exp(1j * angle) + base
     expected = placed + skew * np.conj(placed)
     chain = Chain.of(PAIR, ca.SX(q), ca.SX([0.0, 0.0, 0.0, 1.0, 1.0]))
-    found = np.array(ca.DM(measured_position(chain, effects, ca.SX(values)))).ravel()
+    found = np.array(ca.DM(position_and_state(chain, effects, ca.SX(values))[0])).ravel()
     np.testing.assert_allclose(found, [expected.real, expected.imag], rtol=1e-13)
 
 
