@@ -84,8 +84,8 @@ def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
     where that fits the arm clearly better, in sentences; and an arm that reaches farther than any does.
 
     Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
-    are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %. Raises `InputError` if
-    the numbers of joints differ.
+    are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %. Raises `InputError`
+    if the numbers of joints differ.
     """
     return list(_units(measurements, arm)[0])
 
