@@ -78,19 +78,24 @@ def compensate(
         raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
     as_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     turned = None if orientations is None else np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
-    arm = in_own_frame(arm)
+    arm, posed = in_own_frame(arm), turned is not None or as_nominal
     if not arm.chain.planar:  # what an angle of a pose counts times
-        arm = replace(
-            arm, chain=replace(arm.chain, angle_scale=arm.reach if turned is not None or as_nominal else None)
-        )
-    drawing, model, familiar = Model(drawn_arm(arm)), Model(arm), familiar_range(arm)
+        arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if posed else None))
+    model, familiar, provenance = Model(arm), familiar_range(arm), identified(arm)
+    # the nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
+    # one turned by the offset of joint 1, and a spatial one with its points
+    chain, stands, place = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset"), None
+    if not chain.planar and arm.calibration is not None:
+        chain = standing_in(chain, arm.calibration.values)
+    if chain.planar and stands:
+        place = Calibration({name: model.best_known.get(name, 0.0) for name in BASE})
+    drawing = Model(replace(arm, effects=stands if place else (), calibration=place, chain=chain))
     # where no posture gets to a target, as of an arm with fewer joints than coordinates, it counts as reached within
     # what one in a thousand of the calibration's own measurements may be off, by what the fit left and is unsure of
-    figures = [
-        x if isinstance(x := identified(arm).get(key), float | int) else None
-        for key in ("rms_after_mm", "expected_tip_mm")
-    ]
-    likely = float(np.linalg.norm([x for x in figures if x is not None]))
+    rms, tip = (
+        x if isinstance(x, float | int) else None for x in map(provenance.get, ("rms_after_mm", "expected_tip_mm"))
+    )
+    likely = float(np.hypot(rms or 0.0, tip or 0.0))
     enough = max(TOLERANCE, likely * float(np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
     if targets is not None:
         points = _checked("targets", targets, arm.dimension)
@@ -137,23 +142,11 @@ def compensate(
         tuple(each.kind for each in constraints),
         missed,
         beyond,
-        figures[0],
+        rms,
         sided,
         enough,
         model.reach,
     )
-
-
-def drawn_arm(arm: Arm) -> Arm:
-    """The nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
-    one turned by the offset of joint 1, and a spatial one with its points."""
-    chain, stands = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset")
-    if not chain.planar and arm.calibration is not None:
-        chain = standing_in(chain, arm.calibration.values)
-    if not chain.planar or not stands:
-        return replace(arm, effects=(), calibration=None, chain=chain)
-    values = Model(arm).best_known
-    return replace(arm, effects=stands, calibration=Calibration({name: values.get(name, 0.0) for name in BASE}))
 
 
 def _checked(name: str, values: ArrayLike, columns: int) -> Array:

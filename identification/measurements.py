@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arrays import Array, ByValue, frame_of_columns, readonly
+from identification.arrays import Array, ByValue, frame_of_columns
 from identification.conditions import REMEMBERED, Conditions, Past, directions_from_order, past_from_order, session_time
 from identification.errors import InputError
 from identification.kinematics.parameters import MAX_LINKS
@@ -39,7 +39,6 @@ __all__ = [
     "session_time",
 ]
 
-OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations", "commanded", "gaps")
 # [rad] repeats of one posture agree to some thousandths or hundredths of a degree, as the encoders were read. Within
 # this, 0.1 / 202, a wave of 202 periods per turn (two per turn of a gear of 1:101) changes by a tenth of its amplitude.
 SAME_POSTURE = 5e-4
@@ -55,7 +54,7 @@ def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
 
 
 # for every field of `Measurements` its shapes behind the rows (n: joints), what is allowed in words, and a test
-VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Array], NDArray[np.bool_]]]] = {
+VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Any], NDArray[np.bool_]]]] = {
     "postures": ((("n",),), "finite angles [rad]", np.isfinite),
     # 1: a length
     "positions": (((2,), (3,), (6,), (1,)), "finite coordinates [mm]", np.isfinite),
@@ -68,7 +67,10 @@ VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Array]
     "repeats": (((),), "whole numbers", lambda v: np.isfinite(v) & (v == np.round(v))),
     "commanded": ((("n",),), "finite angles [rad]", np.isfinite),
     "orientations": (((3, 3),), "rotation matrices", _is_rotation),
+    "session": (((),), "a name", lambda v: v != ""),
+    "marker": (((),), "a name", lambda v: v != ""),
 }
+OPTIONAL = frozenset(VALUES.keys() - {"postures", "positions"})
 
 
 def rms_distance(residuals: Array) -> float:
@@ -134,51 +136,35 @@ class Measurements(ByValue):
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        m, n = self._checked("postures", None).shape
-        for name in VALUES:
-            if getattr(self, name) is not None or name not in OPTIONAL:
-                array = self._checked(name, (m, n))
-                object.__setattr__(self, name, readonly(array) if name != "repeats" else array.astype(np.int64))
-        for name in ("repeats", "session", "marker"):
-            if (labels := getattr(self, name)) is None:
+        m = n = 0
+        for name, (shapes, allowed, test) in VALUES.items():
+            if (value := getattr(self, name)) is None and name in OPTIONAL:
                 continue
-            if name != "repeats":
-                labels = np.array(labels, dtype=np.str_)
-                if labels.shape != (m,):
-                    raise InputError(f"measurements.{name}: shape {labels.shape} for {m} postures, allowed: ({m},)")
-                self._require_good(name, labels, labels != "", "a name")
-                object.__setattr__(self, name, labels)
-                every = dict.fromkeys((*getattr(self, f"{name}_names"), *labels.tolist()))
+            place, labels = f"measurements.{name}", name in ("session", "marker")
+            try:
+                array: NDArray[Any] = np.array(value, dtype=np.str_ if labels else float)
+            except (TypeError, ValueError):
+                raise InputError(f"{place}: not an array of numbers, allowed: real numbers") from None
+            if name == "postures":
+                if array.ndim != 2 or not (len(array) and 1 <= array.shape[1] <= MAX_LINKS):
+                    needed = f"(m, n) with m >= 1 rows and n = 1 to {MAX_LINKS} joints"
+                    raise InputError(f"{place}: shape {array.shape}, allowed: {needed}")
+                m, n = array.shape
+            if name == "positions" and self.orientations is not None and array.shape[1:] == (3,):
+                array = np.pad(array, ((0, 0), (0, 3)))  # the orientations are as measured
+            full = [(m, *(n if size == "n" else size for size in shape)) for shape in shapes]
+            if array.shape not in full:
+                actual = f"shape {array.shape} for {m} postures of {n} joints"
+                raise InputError(f"{place}: {actual}, allowed: {' or '.join(map(str, full))}")
+            if not (good := test(array)).all():
+                row = int(np.argmin(np.all(good.reshape(m, -1), axis=1)))
+                raise InputError(f"{place}: row {row + 1} has {array[row].tolist()!r}, allowed: {allowed}")
+            if labels:
+                every = dict.fromkeys((*getattr(self, f"{name}_names"), *array.tolist()))
                 object.__setattr__(self, f"{name}_names", tuple(every))
-            labels.setflags(write=False)
-
-    def _checked(self, name: str, rows: tuple[int, int] | None) -> Array:
-        """A field as floats;  rows : m and n, None: of the postures, which say them. Raises `InputError`."""
-        try:
-            array: Array = np.array(getattr(self, name), dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"measurements.{name}: not an array of numbers, allowed: real numbers") from None
-        if rows is None:
-            if array.ndim != 2 or not (len(array) and 1 <= array.shape[1] <= MAX_LINKS):
-                allowed = f"(m, n) with m >= 1 rows and n = 1 to {MAX_LINKS} joints"
-                raise InputError(f"measurements.{name}: shape {array.shape}, allowed: {allowed}")
-            return array
-        if name == "positions" and self.orientations is not None and array.shape[1:] == (3,):
-            array = np.pad(array, ((0, 0), (0, 3)))  # the orientations are as measured
-        shapes, allowed, test = VALUES[name]
-        m, n = rows
-        full = [(m, *(n if size == "n" else size for size in shape)) for shape in shapes]
-        if array.shape not in full:
-            actual = f"shape {array.shape} for {m} postures of {n} joints"
-            raise InputError(f"measurements.{name}: {actual}, allowed: {' or '.join(map(str, full))}")
-        self._require_good(name, array, test(array), allowed)
-        return array
-
-    def _require_good(self, name: str, array: NDArray[Any], good: NDArray[np.bool_], allowed: str) -> None:
-        """Raises `InputError` naming the first row that is not good."""
-        if not good.all():
-            row = int(np.argmin(np.all(good.reshape(len(good), -1), axis=1)))
-            raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()!r}, allowed: {allowed}")
+            array = array.astype(np.int64) if name == "repeats" else array
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
 
     @classmethod
     def from_frame(cls, frame: Any, links: int | Arm | None = None) -> Self:
@@ -219,8 +205,7 @@ class Measurements(ByValue):
     @property
     def optional_columns(self) -> frozenset[str]:
         """Names of the optional columns the data has: those of order, sigma and so on, session and marker."""
-        columns = {*OPTIONAL, "session", "marker"} - {"gaps"}
-        return frozenset(name for name in columns if getattr(self, name) is not None)
+        return frozenset(name for name in OPTIONAL - {"gaps"} if getattr(self, name) is not None)
 
     @property
     def sessions(self) -> tuple[str, ...]:
@@ -363,7 +348,7 @@ class Measurements(ByValue):
         return replace(once, session_names=once.sessions)
 
     def _picked(self, index: Any) -> Self:
-        columns = [name for name in (*VALUES, "session", "marker", "past") if getattr(self, name) is not None]
+        columns = [name for name in (*VALUES, "past") if getattr(self, name) is not None]
         return replace(self, **{name: getattr(self, name)[index] for name in columns})
 
 

@@ -35,6 +35,7 @@ def newton_ascent(
     enough : (m,) gain of a step that ends an ascent;  stop : asked before every step
     """
     lower, upper = limits
+    edge = 1e-12 * (upper - lower)
     q, values = starts.copy(), height(starts, np.arange(len(starts)))
     reach, enough = np.full(len(q), LONGEST), np.broadcast_to(enough, len(q))
     moving = np.flatnonzero(np.isfinite(values))
@@ -42,7 +43,15 @@ def newton_ascent(
         if not len(moving) or (stop is not None and stop()):
             break
         slope, hessian = slopes(q[moving], moving)
-        step = newton_step(q[moving], slope * units, hessian * units[:, None] * units, lower, upper)
+        # of the absolute eigenvalues; joints at a limit that would leave the box are held
+        at, slope, hessian = q[moving], slope * units, hessian * units[:, None] * units
+        held = ((at >= upper - edge) & (slope > 0)) | ((at <= lower + edge) & (slope < 0))
+        free = (~held).astype(float)
+        hessian = hessian * free[:, :, None] * free[:, None, :] + np.eye(len(units)) * held[:, :, None]
+        eigenvalues, vectors = np.linalg.eigh(hessian)
+        floor = 1e-6 * np.abs(eigenvalues).max(axis=1, keepdims=True) + 1e-12
+        along = np.einsum("mij,mi->mj", vectors, slope * free) / np.maximum(np.abs(eigenvalues), floor)
+        step = np.einsum("mij,mj->mi", vectors, along) * free
         length = np.abs(step).max(axis=1)
         step *= np.minimum(1.0, reach[moving] / np.maximum(length, 1e-300))[:, None]
         trial = np.clip(q[moving] + step * units, lower, upper)
@@ -56,16 +65,3 @@ def newton_ascent(
         arrived = better & (gain <= 1e-14 * np.abs(heights) + enough[moving])
         moving = moving[(reach[moving] > 1e-9) & (length > 1e-10) & ~arrived]
     return q
-
-
-def newton_step(q: Array, slope: Array, hessian: Array, lower: Array, upper: Array) -> Array:
-    """(m, n) ascent directions: |eigenvalues| of the Hessian, joints held at a limit left out; in joint units."""
-    span = upper - lower
-    held = ((q >= upper - 1e-12 * span) & (slope > 0)) | ((q <= lower + 1e-12 * span) & (slope < 0))
-    free = (~held).astype(float)
-    n = q.shape[1]
-    masked = hessian * free[:, :, None] * free[:, None, :] + np.eye(n) * held[:, :, None]
-    values, vectors = np.linalg.eigh(masked)
-    floor = 1e-6 * np.abs(values).max(axis=1, keepdims=True) + 1e-12
-    along = np.einsum("mij,mi->mj", vectors, slope * free) / np.maximum(np.abs(values), floor)
-    return np.asarray(np.einsum("mij,mj->mi", vectors, along) * free)

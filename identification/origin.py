@@ -46,7 +46,7 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
     """(m, n) True where a joint of postures (m, n) is outside the angles of the identification, whole turns aside; None
     where they are not known."""
-    if (limits := identified_range(arm)) is None:
+    if (limits := range_of(identified(arm), arm.joint_types)) is None:  # (2, n) [rad, mm]
         return None
     (lower, upper), types = limits, Model(arm).joint_types
     q = turned_into(postures, lower, upper, types, READ)
@@ -84,15 +84,10 @@ def comes_from(provenance: Mapping[str, Any], measurements: Measurements) -> boo
     return not hashes.isdisjoint(data_hashes(measurements.provenance))
 
 
-def identified_range(arm: Arm) -> Array | None:
-    """(2, n) least and largest angles of the identification [rad, mm], None where they are not known."""
-    return range_of(identified(arm), arm.joint_types)
-
-
 def familiar_range(arm: Arm) -> tuple[Array, Array]:
     """(n,) least and largest angles of the identification but for some room, moved by whole turns into the limits; the
     limits themselves where these are not known."""
-    if (ends := identified_range(arm)) is None:
+    if (ends := range_of(identified(arm), arm.joint_types)) is None:
         return arm.lower, arm.upper
     middle = ends.mean(axis=0)
     # 2 % of a joint's range at either end are left for the corrections of a posture

@@ -1,13 +1,8 @@
 """The best upper bound that is known for a problem, for one number of runs or many; and a bound that a plan beats.
 
-What is known beforehand counts the less the more runs follow, so the bound depends on their number m. But the bounds of
-`doe.bounds.certificate` ask of a matrix M and its gradient G nothing but g >= tr(G N) for all designs N, and
-
-    max tr(G N) = (max_q tr(G B^T B) + tr(G K) / m) / (1 + k / m)
-
-has the same maximum over postures for every m. So the certificate of one number of runs bounds all others too. It is
-tight where it was made and loose by about the square of the change of log m elsewhere: certificates are added where the
-lowest is far above the designs that are known.
+The certificate of one number of runs bounds all others too (doe/README.md, "Exact plans"). It is tight where it was
+made and loose by about the square of the change of log m elsewhere: certificates are added where the lowest is far
+above the designs that are known.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from itertools import product
 from time import perf_counter
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from doe.bounds.branch_and_bound import maximum, sensitivity_polynomial, trigonometric_jacobian
@@ -35,7 +36,14 @@ from doe.bounds.weights import (
 from doe.criteria import Criterion
 from doe.plan.ascent import PlanAscent
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
-from doe.problem.problem import Derivatives, DesignProblem, PriorInformation, Stop, never
+from doe.problem.problem import (
+    Derivatives,
+    DesignProblem,
+    PriorInformation,
+    Stop,
+    information_of_each,
+    never,
+)
 from identification import Array, InputError, JobError, Status, nearest
 from identification.newton_ascent import newton_ascent
 
@@ -159,7 +167,7 @@ class ContinuousSet:
         return np.concatenate([landmarks[problem.feasible(landmarks)], *also, anywhere])
 
     def best(
-        self, gradient: Array, near: Array, generator: np.random.Generator | None = None, stop: Stop = never
+        self, gradient: Array, near: Array, generator: Generator | None = None, stop: Stop = never
     ) -> tuple[Array, Array]:
         """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
 
@@ -298,7 +306,7 @@ def continuous_design(
     tolerance, many = _attainable(problem, tolerance), problem.many_parameters
     everything = ContinuousSet(problem, prior, also)
 
-    def price(generator: np.random.Generator | None) -> Price:
+    def price(generator: Generator | None) -> Price:
         """A cheap multistart, or with a generator a thorough one."""
 
         def best(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
@@ -418,7 +426,7 @@ def optimal_weights(
         return multiplicative_weights(jacobians, criterion, prior, accuracy, stop)
     if criterion.name != "E":
         return interior_point_weights(jacobians, criterion, prior, accuracy)
-    weights, status, gradient = solve_program(prior.posture_information(jacobians), criterion)
+    weights, status, gradient = solve_program(prior.information(information_of_each(jacobians)), criterion)
     if weights is None or gradient is None:
         raise JobError(f"clarabel: status {status} on the restricted master of {len(jacobians)} postures")
     return proper_weights(weights), gradient  # of the dual: E has no gradient of its own
@@ -464,7 +472,7 @@ def relax(
             allowed = f"up to {LARGEST[solver]}, where one big program still works"
             raise InputError(f"candidates: {len(chosen)} for solver {solver}, allowed: {allowed}; {larger}")
         began, prior = perf_counter(), problem.prior.per_new_run(runs)
-        each = prior.posture_information(problem.scaled_jacobians(chosen))
+        each = prior.information(information_of_each(problem.scaled_jacobians(chosen)))
         weights, solver_status, dual = solve_program(each, problem.criterion, solver)
         if weights is None:
             raise JobError(f"{solver}: status {solver_status} on {len(chosen)} candidates, no weights; {larger}")

@@ -75,7 +75,7 @@ def changed(values: np.ndarray, row: int, value: float) -> np.ndarray:
         ({"directions": np.ones(20)}, "measurements.directions: shape (20,) for 20 postures of 4 joints, allowed: (20"),
         ({"directions": changed(np.ones((20, 4)), 4, 0.0)}, "measurements.directions: row 5 has [0.0, 0.0, 0.0, 0.0]"),
         ({"sigma": np.zeros(20)}, "measurements.sigma: row 1 has 0.0, allowed: numbers > 0 [mm]"),
-        ({"session": ["a"] * 19}, "measurements.session: shape (19,) for 20 postures, allowed: (20,)"),
+        ({"session": ["a"] * 19}, "measurements.session: shape (19,) for 20 postures of 4 joints, allowed: (20,)"),
         ({"session": ["a", ""] * 10}, "measurements.session: row 2 has '', allowed: a name"),
         ({"repeats": np.full(20, 0.5)}, "measurements.repeats: row 1 has 0.5, allowed: whole numbers"),
     ],
