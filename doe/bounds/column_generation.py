@@ -89,7 +89,8 @@ class CandidateSet:
         values = []
         for start in range(0, len(self.postures), size):
             jacobians = self.problem.scaled_jacobians(self.postures[start : start + size])
-            values.append(self.prior.sensitivities(jacobians, gradient))
+            across = jacobians.transpose(1, 2, 0)  # (d, p, k) as `vectorize` has it
+            values.append(self.prior.mixed(np.sum((gradient @ across) * across, axis=(0, 1)), gradient))
             if give_up():
                 return np.full(len(self.postures), np.inf)
         return np.concatenate(values)
@@ -254,11 +255,12 @@ def column_generation(
     if rough:
         count = max(2000, WEIGHTED // (problem.model.dimension * problem.parameters))
     goal, solved = (2.0 * tolerance,) * 2 if rough else (tolerance, 10.0 * tolerance)
-    everything = CandidateSet(problem, candidates, prior)
+    everything, start = CandidateSet(problem, candidates, prior), candidates
     stages: list[Stage] = [(everything.price, goal, 0)]
     if len(candidates) > 4 * SAMPLE:
         goal = max(goal, 1e-6) if problem.many_parameters else goal  # a pass takes seconds
-        few = [CandidateSet(problem, well_spread(candidates, SAMPLE), prior)]
+        start = well_spread(candidates, SAMPLE)
+        few = [CandidateSet(problem, start, prior)]
 
         def whole(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
             g = everything.sensitivities(gradient)
@@ -266,7 +268,7 @@ def column_generation(
             return few[0].price(gradient, level, near)
 
         stages = [(lambda *request: few[0].price(*request), goal, 0), (whole, goal, 1)]
-    design, _ = generate_columns(problem, prior, well_spread(candidates, count), stages, stop)
+    design, _ = generate_columns(problem, prior, well_spread(start, count), stages, stop)
     now = perf_counter()
     end = now + max(LAST, now - began)
     g = everything.sensitivities(design.gradient, lambda: perf_counter() > end and stop())
