@@ -259,11 +259,6 @@ class Explanation:
         rest = tuple(b for b in self.blocks if b.effect is None and b.row is None)
         return () if self.effects and all(b.parts for b in rest) else rest
 
-    @property
-    def wrong(self) -> list[int]:
-        """Rows (from 0) that it takes for outlying."""
-        return [b.row for b in self.blocks if b.row is not None]
-
 
 @dataclass(frozen=True)
 class Posterior:

@@ -153,7 +153,7 @@ def test_what_a_narrow_joint_1_cannot_show_is_not_taken_for_frames() -> None:
             for q, angles in zip(postures, bent, strict=True)
         )
         library = library_prior(arm, names=["encoder_eccentricity"])
-        fits = estimate(Model(arm), here), estimate_with_prior(library.model, here, library.prior)
+        fits = estimate(Model(arm), here), estimate_with_prior(Model(library.arm), here, library.prior)
         squares.append([validate(fit.calibrated_arm(), there).model.rms ** 2 for fit in fits])
     plain, held = np.mean(squares, axis=0)
     assert held < 0.5 * plain
