@@ -259,9 +259,14 @@ class Model:
         return vectorize(self.position_function)
 
     @cached_property
-    def _jacobian(self) -> Evaluate:
+    def jacobian_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
         _, _, p, position = self.symbols
-        return vectorize(self._function("jacobian", [position, ca.jacobian(position, p)]))
+        return self._function("jacobian", [position, ca.jacobian(position, p)])
+
+    @cached_property
+    def _jacobian(self) -> Evaluate:
+        return vectorize(self.jacobian_function)
 
     @cached_property
     def residual_gradient(self) -> Evaluate:
