@@ -88,23 +88,9 @@ class Products:
         """Of the blocks of each width w their columns (b, w)."""
         return [self.starts[:-1][self.widths == w][:, None] + np.arange(w) for w in np.unique(self.widths)]
 
-    @cached_property
-    def owners(self) -> Index:
-        """(P,) number of the block that each column belongs to."""
-        return np.repeat(np.arange(len(self.widths)), self.widths)
-
-    def state(self, pairs: Sequence[tuple[int, int]] = (), given: tuple[Array, ...] | None = None) -> State:
-        """The set of these blocks with the numbers of their sizes;  given : its `within`, where it is known"""
-        key = tuple(sorted(pairs))
-        blocks, sizes = [block for block, _ in key], SIZES[[size for _, size in key]]
-        places = self.places(blocks)
-        inner, diagonal = self.gram[np.ix_(places, places)], np.diag_indices(len(places))
-        inner[diagonal] += np.repeat(sizes, self.widths[blocks]) ** -2.0
-        half = lapack.dpotri(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0], lower=1)[0] if key else inner
-        covariance, right = half + half.T, self.right[places]
-        covariance[diagonal] *= 0.5
-        squares = max(self.squares - float(right @ covariance @ right), LEAST * self.squares, 1e-300)
-        return State(self, key, places, covariance, squares, None, given)
+    def state(self, pairs: Sequence[tuple[int, int]] = ()) -> State:
+        """The set of these blocks with the numbers of their sizes."""
+        return State(self, tuple(sorted(pairs)))
 
     def beside(self, blocks: Sequence[int]) -> Products:
         """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
@@ -162,16 +148,12 @@ def mixed(states: Sequence[State], shares: Sequence[float]) -> tuple[Array, Arra
 class State:
     """A set of blocks with their sizes, and k columns.
 
-    places : (k,) of its columns among all;  covariance : (k, k) of their coefficients, for unit sigma
-    squares : R;  known, given : `scores` and `within`, where they are known
+    larger : the set that this one is without one of its blocks;  given : `within`, where it is known
     """
 
     products: Products
     key: Key
-    places: Index
-    covariance: Array
-    squares: float
-    known: Array | None = None
+    larger: State | None = None
     given: tuple[Array, ...] | None = None
 
     @cached_property
@@ -180,9 +162,30 @@ class State:
         return tuple(block for block, _ in self.key)
 
     @cached_property
+    def places(self) -> Index:
+        """(k,) of its columns among all, ascending."""
+        return self.products.places(self.blocks)
+
+    @cached_property
+    def sizes(self) -> Array:
+        """(k,) s of the columns."""
+        return np.repeat(SIZES[[size for _, size in self.key]], self.products.widths[[*self.blocks]])
+
+    @cached_property
     def rows(self) -> Array:
         """(k, P) of G."""
         return self.products.gram[self.places]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(k, k) of its coefficients, for unit sigma."""
+        inner, diagonal = self.products.gram[np.ix_(self.places, self.places)], np.diag_indices(len(self.places))
+        inner[diagonal] += self.sizes**-2.0
+        if not self.key:
+            return inner
+        half = lapack.dpotri(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0], lower=1)[0]
+        half[diagonal] *= 0.5
+        return np.asarray(half + half.T)
 
     @cached_property
     def mean(self) -> Array:
@@ -190,15 +193,46 @@ class State:
         return np.asarray(self.covariance @ self.products.right[self.places])
 
     @cached_property
+    def _more(self) -> tuple[Array, Array, Array]:
+        """Of the larger set's block with w columns its mean (w,), by what V is larger in its coefficients (w, w), and
+        (w, P) how they take up a unit of each column."""
+        assert self.larger is not None
+        out = ~np.isin(self.larger.places, self.places)
+        part = self.larger.covariance[out]
+        return self.larger.mean[out], np.asarray(np.linalg.inv(part[:, out])), part @ self.larger.rows
+
+    @cached_property
+    def squares(self) -> float:
+        """R, not below rounding."""
+        if self.larger is not None:
+            mean, inner, _ = self._more
+            return self.larger.squares + float(mean @ inner @ mean)
+        whole = self.products.squares
+        return max(whole - float(self.mean @ self.products.right[self.places]), LEAST * whole, 1e-300)
+
+    @cached_property
     def scores(self) -> Array:
         """(P,) V's counterpart of c."""
-        return self.products.right - self.mean @ self.rows if self.known is None else self.known
+        if self.larger is not None:
+            mean, inner, taken = self._more
+            return np.asarray(self.larger.scores + (inner @ mean) @ taken)
+        return np.asarray(self.products.right - self.mean @ self.rows)
 
-    @property
-    def sizes(self) -> Array:
-        """(k,) s of the columns."""
-        of = dict(self.key)
-        return SIZES[[of[block] for block in self.products.owners[self.places].tolist()]]
+    @cached_property
+    def within(self) -> tuple[Array, ...]:
+        """Of each group of `Products.alike` the blocks' own parts of V."""
+        if self.given is not None:
+            return self.given
+        if self.larger is not None:
+            _, inner, taken = self._more
+            return self._changed(self.larger.within, taken, inner @ taken)
+        own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
+        return self._changed(own, self.rows, -self.covariance @ self.rows)
+
+    def _changed(self, within: tuple[Array, ...], one: Array, other: Array) -> tuple[Array, ...]:
+        """The blocks' own parts of V + one^T other, with (v, P) each, from those of V."""
+        pairs = zip(self.products.alike, within, strict=True)
+        return tuple(own + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, own in pairs)
 
     @property
     def variance(self) -> float:
@@ -215,40 +249,23 @@ class State:
     @property
     def signed(self) -> float:
         """Log of the factor by which the signs that physics allows make the set likelier."""
-        signs = self.products.signs[self.products.owners[self.places]]
+        signs = np.repeat(self.products.signs[[*self.blocks]], self.products.widths[[*self.blocks]])
         deviations = np.sqrt(np.maximum(np.diag(self.covariance)[signs] * self.variance, 1e-300))
         return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / deviations)))
 
-    @cached_property
-    def within(self) -> tuple[Array, ...]:
-        """Of each group of `Products.alike` the blocks' own parts of V."""
-        if self.given is not None:
-            return self.given
-        own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
-        return self._changed(own, self.rows, -self.covariance @ self.rows)
+    def without(self, block: int | None) -> State:
+        """The set without one of its blocks; None: itself."""
+        if block is None:
+            return self
+        return State(self.products, tuple(pair for pair in self.key if pair[0] != block), self)
 
-    def _changed(self, within: tuple[Array, ...], one: Array, other: Array) -> tuple[Array, ...]:
-        """The blocks' own parts of V + one^T other, with (v, P) each, from those of V."""
-        pairs = zip(self.products.alike, within, strict=True)
-        return tuple(own + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, own in pairs)
-
-    def without(self, block: int) -> State:
-        """The set without one of its blocks."""
-        out = self.products.owners[self.places] == block
-        part, mean, kept = self.covariance[out], self.mean[out], np.flatnonzero(~out)
-        inner = np.linalg.inv(part[:, out])  # (w, w) by which V is larger, in the coefficients' parts
-        taken, others = part @ self.rows, part[:, kept]
-        covariance = self.covariance[np.ix_(kept, kept)] - others.T @ (inner @ others)
-        squares, scores = self.squares + float(mean @ inner @ mean), self.scores + (inner @ mean) @ taken
-        given = self._changed(self.within, taken, inner @ taken)
-        key = tuple(pair for pair in self.key if pair[0] != block)
-        return State(self.products, key, self.places[kept], covariance, squares, scores, given)
-
-    def beside(self, block: int, size: int) -> State:
-        """The set with a further block."""
-        products, own = self.products, np.arange(*self.products.starts[block : block + 2])
-        taken = products.gram[np.ix_(own, self.places)] @ self.covariance
-        left = products.gram[own] - taken @ self.rows  # (w, P) of V
+    def beside(self, pair: tuple[int, int] | None) -> State:
+        """The set with a further block of the size with this number, None: without; computed anew but for `within`."""
+        if pair is None:
+            return State(self.products, self.key, given=self.within)
+        products, (block, size) = self.products, pair
+        own = products.places([block])
+        left = products.gram[own] - products.gram[np.ix_(own, self.places)] @ self.covariance @ self.rows  # (w, P) of V
         inner = left[:, own] + SIZES[size] ** -2.0 * np.eye(len(own))
         given = self._changed(self.within, left, -np.linalg.solve(inner, left))
-        return products.state((*self.key, (block, size)), given)
+        return State(products, tuple(sorted((*self.key, pair))), given=given)

@@ -105,9 +105,9 @@ class Search:
         table = self._each(nothing)
         for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
-                single = nothing.beside(block, int(np.argmax(table[block])))
+                single = nothing.beside((block, int(np.argmax(table[block]))))
                 best = self._likeliest(self._each(single), others | True)
-                pair = single if best is None else single.beside(*best)
+                pair = single if best is None else single.beside(best)
                 tops += [single, self._up(pair, others & False)]  # its sizes alone
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
         return self._up(self._up(self._up(top, others), others), others | True)
@@ -123,9 +123,9 @@ class Search:
                 own[block] = True
                 best = self._likeliest(self._each(left), own, block, np.isfinite(self.log_prior(left.blocks)))
                 if best != (block, dict(state.key)[block]):
-                    state = left if best is None else left.beside(*best)
+                    state = left.beside(best)
             while (best := self._likeliest(self._each(state), allowed)) is not None:
-                state = state.beside(*best)
+                state = state.beside(best)
         return state
 
     def _likeliest(
@@ -156,21 +156,19 @@ class Search:
         state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
         for move in range(MOVES):
             taken = int(generator.integers(len(state.key) + 1))
-            rest, left = (*state.key[:taken], *state.key[taken + 1 :]), None
-            visits[rest] += 1
-            if rest not in steps:
-                left = state.without(state.blocks[taken]) if taken < len(state.key) else state
-                each = self._each(left) - np.log(len(rest) + 2)
-                stay = -np.log(len(rest) + 1) if np.isfinite(self.log_prior(left.blocks)) else -np.inf
+            left = state.without(state.blocks[taken] if taken < len(state.key) else None)
+            visits[left.key] += 1
+            if left.key not in steps:
+                each = self._each(left) - np.log(len(left.key) + 2)
+                stay = -np.log(len(left.key) + 1) if np.isfinite(self.log_prior(left.blocks)) else -np.inf
                 every = np.append(each.ravel(), stay)
                 shares = np.exp(every - np.max(every))
-                steps[rest] = shares / np.sum(shares)
-            total = np.cumsum(steps[rest])
+                steps[left.key] = shares / np.sum(shares)
+            total = np.cumsum(steps[left.key])
             drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
             pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
-            if (key := rest if pair is None else tuple(sorted((*rest, pair)))) != state.key:
-                left = left or (state.without(state.blocks[taken]) if taken < len(state.key) else state)
-                state = self.products.state(rest, left.within) if pair is None else left.beside(*pair)
+            if (key := left.key if pair is None else tuple(sorted((*left.key, pair)))) != state.key:
+                state = left.beside(pair)
             if move % thin == 0:
                 draws[key] += 1
         return self._counted_up(visits, steps, draws), draws

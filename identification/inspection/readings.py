@@ -84,7 +84,8 @@ def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
     where that fits the arm clearly better, in sentences; and an arm that reaches farther than any does.
 
     Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
-    are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %.
+    are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %. Raises `InputError`
+    if the numbers of joints differ.
     """
     return list(_units(measurements, arm)[0])
 
@@ -105,6 +106,8 @@ def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
 def _units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], float, float]:
     """What to do about other units, in sentences; what the drawing leaves in them, in reaches, and how many times less
     that is than as read, for how far apart the drawn positions are."""
+    if measurements.links != arm.links:
+        raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
     rows, arm = some_of_one_point(measurements), anywhere(arm)
     huge, none = arm.reach > 20000.0, 0.0  # [mm] farther than any arm reaches
     how = "lengths that were written in millimetres there come out 1000 times too large"
@@ -172,8 +175,6 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
 
     Raises `InputError` if the numbers of joints differ.
     """
-    if measurements.links != arm.links:
-        raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
     units = wrong_units(measurements, arm)
     if units or arm.chain.planar or _few(anywhere(arm), some_of_one_point(measurements)):
         return units

@@ -87,7 +87,7 @@ def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None
         block = int(rng.integers(len(WIDTHS)))
         state = state.without(block) if block in state.blocks else state
         if rng.random() < 0.7:
-            state = state.beside(block, int(rng.integers(products.limits[block])))
+            state = state.beside((block, int(rng.integers(products.limits[block]))))
         once = products.state(state.key)
         assert state.key == once.key
         for own, made in zip(state.within, once.within, strict=True):

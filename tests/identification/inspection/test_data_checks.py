@@ -183,8 +183,9 @@ def test_a_few_rows_of_a_planar_arm_tell_no_unit() -> None:
 
 
 def test_another_number_of_links() -> None:
-    with pytest.raises(InputError, match="found 2 joints, allowed: 3"):
-        data_warnings(simulated(1.0), Arm([1.0, 1.0, 1.0]))
+    for look in (lambda rows, arm: inspect(arm, rows), data_warnings):
+        with pytest.raises(InputError, match="found 2 joints, allowed: 3"):
+            look(simulated(1.0), Arm([1.0, 1.0, 1.0]))
 
 
 @pytest.mark.parametrize("instrument", [Sphere(15.0), Plane()])
