@@ -146,8 +146,10 @@ def well_spread(candidates: Array, count: int) -> Array:
     if len(candidates) <= count:
         return candidates
     generator = np.random.default_rng(0)
-    low, high = candidates.min(axis=0), candidates.max(axis=0)
-    places = 2.0 * (candidates - low) / np.where(high > low, high - low, 1.0)
-    marks = np.flatnonzero(np.all(np.abs(places - np.round(places)) < 1e-9, axis=1))
+    marks = np.arange(len(candidates))
+    for column in candidates.T:  # one by one, as few are left after the first
+        low, high = column.min(), column.max()
+        places = 2.0 * (column[marks] - low) / (high - low if high > low else 1.0)
+        marks = marks[np.abs(places - np.round(places)) < 1e-9]
     few = marks if len(marks) <= count // 2 else generator.choice(marks, count // 2, replace=False)
     return candidates[np.unique(np.concatenate([few, generator.integers(0, len(candidates), count)[len(few) :]]))]
