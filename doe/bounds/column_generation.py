@@ -58,12 +58,12 @@ CHUNK = 8192  # candidates; their Jacobians stay in the processor's cache
 REMEMBERED = 4_000_000  # entries of candidates' Jacobians that are remembered between passes: 32 MB
 SAMPLE = 20_000  # of very many candidates, which are priced first
 SHORT = 30_000  # of the best candidates, which are priced then
-ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
-EXACT = 1e-14  # the same at the end: rounding
-COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
+EXACT = 1e-14  # gap of the weights on a working set: rounding
+ROUGH = 1e-4  # the same relative to the gap of the postures, where that is not below `FINE`
+COARSE = 1e-4  # relative gap at which pricing goes on from the landmarks to all postures
 ROUGHEST = 1e-2  # gap to which weights are multiplicative, for hundreds of parameters
 WEIGHTED = 2000  # candidates that are weighted so at once at least
-FINE = 1e-6  # the same, before the first thorough search; and from which the weights at the end are exact
+FINE = 1e-6
 CLIMBERS = 64
 # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
 # the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
@@ -375,8 +375,7 @@ def generate_columns(
             "be identified; drop an effect or allow more postures"
         )
     last = stages[-1][1] if stages else EXACT
-    finest = EXACT if last <= FINE else (0.5 if last >= 2.0 * ROUGHEST else ROUGH) * last
-    accuracy = finest  # of the weights; later, far from the end, exact ones would be wasted
+    accuracy = EXACT if last <= FINE else (0.5 if last >= 2.0 * ROUGHEST else ROUGH) * last  # of the weights
     if stop():  # before the first weights, which take seconds where parameters are many: equal ones prove a bound too
         gradient = criterion.gradient(equal)
     else:
@@ -388,10 +387,8 @@ def generate_columns(
         gap = largest - level
         if stop():
             break
-        inside = [np.abs(comparable(postures) - offer).max(axis=1).min() <= SAME for offer in comparable(offers)]
-        stuck = accuracy == finest and all(inside)  # a gap that rounding leaves
-        if len(offers) and gap > goal * abs(level) and not stuck:
-            accuracy = max(ROUGH * gap / abs(level), finest)
+        new = [np.abs(comparable(postures) - offer).max(axis=1).min() > SAME for offer in comparable(offers)]
+        if gap > goal * abs(level) and any(new):  # else rounding leaves the gap
             # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
             if len(postures) > 30 * problem.parameters or gap < 0.9 * smallest:
                 carrying = _sparse(jacobians, weights) > 0.0
@@ -401,8 +398,6 @@ def generate_columns(
             once = np.sort(distinct(comparable(postures)))
             postures, jacobians = postures[once], jacobians[once]
             smallest, current = min(smallest, gap), current - back
-        elif accuracy > finest:
-            accuracy = finest
         elif current == len(stages) - 1:
             break
         else:

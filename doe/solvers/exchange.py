@@ -80,6 +80,7 @@ class Exchange:
                 chosen = elite[generator.integers(len(best), size=len(started))]
                 kept = generator.random(started.shape[:2]) > self.redrawn
                 started = np.where(kept[..., None], chosen, started)
+                started[:1] = best[0][1] if self.rounded else started[:1]
             plans, values = self.improve(problem, started, generator, budget)
             if climb is None:
                 yield from (Offer(plan, 1, independent=not vary) for plan in plans)
