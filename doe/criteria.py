@@ -1,13 +1,7 @@
-"""Criteria of optimality. Every one is MAXIMISED and is a concave function of the information matrix.
-
-*Log-determinants of principal submatrices* (D, D_s, D*, and D of several arms): Phi(M) = sum_t s_t log det M[t, t],
-with Phi(c M) = Phi(M) + s log c, s = sum_t s_t |t|; with Phi concave that gives for every other design N the bound
-Phi(N) <= Phi(M) + s log( tr(G N) / s )  (tangent at c M, c chosen best).
-
-*Weighted sums of variances* (A, I): Phi(M) = -tr(W M^-1). t(c M) = t(M) / c for t = tr(W M^-1) > 0; the tangent at c M,
-c chosen best, gives t(N) >= t(M)^2 / tr(G N), G = M^-1 W M^-1.
-
-*Eigenvalues* (Kiefer's means, E): Phi(c M) = c Phi(M), so that tangents pass through the origin: Phi(N) <= tr(G N).
+"""Criteria of optimality. Every one is MAXIMISED and is a concave function of the information matrix: sums of
+log-determinants of principal submatrices (D, D_s, D*, and D of several arms), weighted sums of variances (A, I), and
+means of eigenvalues (Kiefer's, E). The bounds follow from the tangent at c M, c chosen best (doe/README.md,
+"Equivalence theorem").
 """
 
 from __future__ import annotations

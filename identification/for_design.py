@@ -73,7 +73,7 @@ class ArmModel(Model):
         for point in range(self.points_read):
             conditions = np.array(self.neutral_conditions)
             conditions[place : place + (self.points_read > 1)] = point
-            each.append(self.position_function(q, ca.DM(conditions), p))
+            each.append(self.expressions.position_function(q, ca.DM(conditions), p))
         return ca.vertcat(*each)
 
     # -- what constraints need -------------------------------------------------------------------------------------

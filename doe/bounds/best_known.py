@@ -1,13 +1,8 @@
 """The best upper bound that is known for a problem, for one number of runs or many; and a bound that a plan beats.
 
-What is known beforehand counts the less the more runs follow, so the bound depends on their number m. But the bounds of
-`doe.bounds.certificate` ask of a matrix M and its gradient G nothing but g >= tr(G N) for all designs N, and
-
-    max tr(G N) = (max_q tr(G B^T B) + tr(G K) / m) / (1 + k / m)
-
-has the same maximum over postures for every m. So the certificate of one number of runs bounds all others too. It is
-tight where it was made and loose by about the square of the change of log m elsewhere: certificates are added where the
-lowest is far above the designs that are known.
+The certificate of one number of runs bounds all others too (doe/README.md, "Exact plans"). It is tight where it was
+made and loose by about the square of the change of log m elsewhere: certificates are added where the lowest is far
+above the designs that are known.
 """
 
 from __future__ import annotations
@@ -26,7 +21,6 @@ from identification import Array, JobError, information_matrix, single_thread
 
 ROUGH = 1e-3  # relative gap for models of many parameters: some seconds instead of half a minute
 COARSE = 1e-2  # the same with a prior over many effects, where weights are spread over as many postures
-LOOSE = 1e-3  # of efficiency: a bound this near to a design needs no certificate of its own
 
 
 def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> Bound | None:
@@ -98,38 +92,24 @@ def bound_that_holds(
 def bounds_of_runs(problem: DesignProblem, runs: Sequence[int], stop: Stop = never) -> dict[int, Bound | None]:
     """Number of runs -> bound, None where none was found; looser ones where `stop` ended the search early.
 
-    Designs are made for the most runs, the fewest, and numbers in between, until bounds are near to them all the way.
+    Designs are made for numbers of runs whose ratios are below the root of two; each bounds all others too.
     """
     if problem.prior.empty and problem.searched_joints:
         return dict.fromkeys(runs, best_known_bound(problem, runs[0], stop))
     if problem.criterion.name == "E" or not problem.searched_joints:  # gradients of its own dual program
         return {m: best_known_bound(problem, m, stop) for m in runs}
-    waiting = [(min(runs), max(runs))]
+    made: list[ApproximateDesign] = []
+    steps = 1 + int(np.ceil(2.0 * np.log2(max(runs) / min(runs))))
     try:
-        made = [_solved(problem, max(runs), (), stop)]
-        if min(runs) < max(runs) and not stop():
-            made.append(_solved(problem, min(runs), made, stop))
-        while waiting and not stop():
-            low, high = waiting.pop(0)
-            middle = round(float(np.sqrt(low * high)))
-            best, upper = _at(made, problem, middle)[:2]
-            if low < middle < high and problem.criterion.efficiency(best, upper, problem.parameters) < 1.0 - LOOSE:
-                made.append(_solved(problem, middle, made, stop))
-                waiting += [(low, middle), (middle, high)]
+        for m in np.unique(np.round(np.geomspace(min(runs), max(runs), steps))).astype(int)[::-1].tolist():
+            if made and stop():
+                break
+            also = made[-1].plan.postures if made else None
+            made.append(best_design(problem, m, also=also, stop=stop))
     except (JobError, np.linalg.LinAlgError):
         return dict.fromkeys(runs)
     lowest = {m: _at(made, problem, m) for m in runs}
     return {m: None if of.bound is None else replace(of.bound, value=upper) for m, (_, upper, of) in lowest.items()}
-
-
-def _solved(problem: DesignProblem, runs: int, made: Sequence[ApproximateDesign], stop: Stop) -> ApproximateDesign:
-    """The optimal design for some number of runs, from the postures of the last. Raises `JobError` where there is no
-    bound."""
-    also = made[-1].plan.postures if made else None
-    optimum = best_design(problem, runs, also=also, stop=stop)
-    if optimum.bound is None:
-        raise JobError(f"bound: {optimum.status.name}, gap {optimum.gap:.2g}; {optimum.status.value}")
-    return optimum
 
 
 def _at(made: Sequence[ApproximateDesign], problem: DesignProblem, runs: int) -> tuple[float, float, ApproximateDesign]:

@@ -1,20 +1,13 @@
-"""The largest value of a trigonometric polynomial over a box of joint angles, as a theorem: branch and bound.
-
-Two upper bounds hold on every box with centre c and half widths r, and the lower of them is used:
+"""The largest value of a trigonometric polynomial over a box of joint angles, as a theorem (doe/README.md, "Branch and
+bound"): on every box with centre c and half widths r the lower of two upper bounds is used,
 
     termwise   c_0 + sum_t |c_t| max cos(phase_t)
-               exact for a sum of waves of separate joints, which is what the sensitivity of the base model is at its
-               optimum (H^-1 is tridiagonal there)
     Taylor     v(x) + max_(q in box) v'(x)(q - x) + lambda/2 max |q - x|^2
                for x near the box's maximum; lambda >= 0 bounds the largest eigenvalue of the Hessian over the box
 
 Rounding is covered by a margin: the standard bound on the error of sums of products (number of operations times 2.2e-16
-times the sum of magnitudes), where the magnitudes are those before anything cancels.
-
-*Is a sensitivity such a polynomial?* The scaled Jacobians B(q) of a chain of revolute joints, planar or spatial, are
-sums of products of sines and cosines of whole combinations of joint angles; most effects keep that. Then
-d(q) = c_0 + sum_t Re(c_t exp(i f_t . q)), whole f_t, read off the model's CasADi instructions. The walk over them is
-the proof: anything that leaves the ring of trigonometric polynomials gives None.
+times the sum of magnitudes), where the magnitudes are those before anything cancels. Whether a sensitivity is such a
+polynomial is read off the model's CasADi instructions: the walk over them is the proof.
 """
 
 from __future__ import annotations

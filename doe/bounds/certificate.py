@@ -1,11 +1,7 @@
-"""Is a design optimal? The equivalence theorem and the bounds that follow from it, independent of every solver.
+"""Is a design optimal? Bounds, and what weights on postures prove of all others, independent of every solver.
 
-A design w is optimal over a set Q of postures if and only if max_(q in Q) tr(G F(q)) = tr(G M(w)), with G the gradient
-of the criterion at M(w), B the scaled Jacobian (d, p) of a posture, whose d coordinates are indivisible, and F = B^T B,
-or the matrix F of `PriorInformation` where something is known already (doe/README.md, "Equivalence theorem"). For D,
-G = M^-1 and the right side is p. From any design, optimal or not, the maximum gives an upper bound for every other
-one, exact plans of any number of runs included.
-
+Of a design w with M(w) and the gradient G of the criterion there, max_(q in Q) tr(G F(q)) bounds every other one over
+Q, exact or approximate (doe/README.md, "Equivalence theorem"); F = B^T B, or the matrix F of `PriorInformation`.
 Everything here is recomputed from the stored problem; no number of a solver is passed on.
 """
 

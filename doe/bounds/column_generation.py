@@ -20,6 +20,7 @@ from itertools import product
 from time import perf_counter
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from doe.bounds.branch_and_bound import maximum, sensitivity_polynomial, trigonometric_jacobian
@@ -35,7 +36,14 @@ from doe.bounds.weights import (
 from doe.criteria import Criterion
 from doe.plan.ascent import PlanAscent
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
-from doe.problem.problem import Derivatives, DesignProblem, PriorInformation, Stop, never
+from doe.problem.problem import (
+    Derivatives,
+    DesignProblem,
+    PriorInformation,
+    Stop,
+    information_of_each,
+    never,
+)
 from identification import Array, InputError, JobError, Status, nearest
 from identification.newton_ascent import newton_ascent
 
@@ -50,12 +58,12 @@ CHUNK = 8192  # candidates; their Jacobians stay in the processor's cache
 REMEMBERED = 4_000_000  # entries of candidates' Jacobians that are remembered between passes: 32 MB
 SAMPLE = 20_000  # of very many candidates, which are priced first
 SHORT = 30_000  # of the best candidates, which are priced then
-ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
-EXACT = 1e-14  # the same at the end: rounding
-COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
+EXACT = 1e-14  # gap of the weights on a working set: rounding
+ROUGH = 1e-4  # the same relative to the gap of the postures, where that is not below `FINE`
+COARSE = 1e-4  # relative gap at which pricing goes on from the landmarks to all postures
 ROUGHEST = 1e-2  # gap to which weights are multiplicative, for hundreds of parameters
 WEIGHTED = 2000  # candidates that are weighted so at once at least
-FINE = 1e-6  # the same, before the first thorough search; and from which the weights at the end are exact
+FINE = 1e-6
 CLIMBERS = 64
 # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
 # the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
@@ -159,7 +167,7 @@ class ContinuousSet:
         return np.concatenate([landmarks[problem.feasible(landmarks)], *also, anywhere])
 
     def best(
-        self, gradient: Array, near: Array, generator: np.random.Generator | None = None, stop: Stop = never
+        self, gradient: Array, near: Array, generator: Generator | None = None, stop: Stop = never
     ) -> tuple[Array, Array]:
         """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
 
@@ -298,7 +306,7 @@ def continuous_design(
     tolerance, many = _attainable(problem, tolerance), problem.many_parameters
     everything = ContinuousSet(problem, prior, also)
 
-    def price(generator: np.random.Generator | None) -> Price:
+    def price(generator: Generator | None) -> Price:
         """A cheap multistart, or with a generator a thorough one."""
 
         def best(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
@@ -367,8 +375,7 @@ def generate_columns(
             "be identified; drop an effect or allow more postures"
         )
     last = stages[-1][1] if stages else EXACT
-    finest = EXACT if last <= FINE else (0.5 if last >= 2.0 * ROUGHEST else ROUGH) * last
-    accuracy = finest  # of the weights; later, far from the end, exact ones would be wasted
+    accuracy = EXACT if last <= FINE else (0.5 if last >= 2.0 * ROUGHEST else ROUGH) * last  # of the weights
     if stop():  # before the first weights, which take seconds where parameters are many: equal ones prove a bound too
         gradient = criterion.gradient(equal)
     else:
@@ -380,10 +387,8 @@ def generate_columns(
         gap = largest - level
         if stop():
             break
-        inside = [np.abs(comparable(postures) - offer).max(axis=1).min() <= SAME for offer in comparable(offers)]
-        stuck = accuracy == finest and all(inside)  # a gap that rounding leaves
-        if len(offers) and gap > goal * abs(level) and not stuck:
-            accuracy = max(ROUGH * gap / abs(level), finest)
+        new = [np.abs(comparable(postures) - offer).max(axis=1).min() > SAME for offer in comparable(offers)]
+        if gap > goal * abs(level) and any(new):  # else rounding leaves the gap
             # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
             if len(postures) > 30 * problem.parameters or gap < 0.9 * smallest:
                 carrying = _sparse(jacobians, weights) > 0.0
@@ -393,8 +398,6 @@ def generate_columns(
             once = np.sort(distinct(comparable(postures)))
             postures, jacobians = postures[once], jacobians[once]
             smallest, current = min(smallest, gap), current - back
-        elif accuracy > finest:
-            accuracy = finest
         elif current == len(stages) - 1:
             break
         else:
@@ -418,7 +421,7 @@ def optimal_weights(
         return multiplicative_weights(jacobians, criterion, prior, accuracy, stop)
     if criterion.name != "E":
         return interior_point_weights(jacobians, criterion, prior, accuracy)
-    weights, status, gradient = solve_program(prior.posture_information(jacobians), criterion)
+    weights, status, gradient = solve_program(prior.information(information_of_each(jacobians)), criterion)
     if weights is None or gradient is None:
         raise JobError(f"clarabel: status {status} on the restricted master of {len(jacobians)} postures")
     return proper_weights(weights), gradient  # of the dual: E has no gradient of its own
@@ -464,7 +467,7 @@ def relax(
             allowed = f"up to {LARGEST[solver]}, where one big program still works"
             raise InputError(f"candidates: {len(chosen)} for solver {solver}, allowed: {allowed}; {larger}")
         began, prior = perf_counter(), problem.prior.per_new_run(runs)
-        each = prior.posture_information(problem.scaled_jacobians(chosen))
+        each = prior.information(information_of_each(problem.scaled_jacobians(chosen)))
         weights, solver_status, dual = solve_program(each, problem.criterion, solver)
         if weights is None:
             raise JobError(f"{solver}: status {solver_status} on {len(chosen)} candidates, no weights; {larger}")

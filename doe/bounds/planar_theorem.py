@@ -5,11 +5,6 @@ Theorem (doe/README.md, "Planar theorem"). Over all designs, exact or approximat
     max log det M' = 4 sum_j log sin( min(Delta_j, pi) / 2 )
 
 The sum is over j = 2..n; a base offset adds j = 1. M' is scaled by the best known lengths: any arm has the same value.
-
-With z_j = exp(i theta_j) per link, det M' = (det H)^2 of the Hermitian H = E conj(z) z^T, and |H_(j-1,j)| cannot be
-smaller than cos(min(Delta_j, pi) / 2); the proof is in doe/README.md. At a calibrated arm l_j is the calibrated length,
-in the columns and in the scaling alike. A base offset is a link 0 with z_0 = 1: H has n + 1 rows, q_1 no longer
-cancels, and at least n + 1 runs are needed.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ def minus_hessian(jacobians: Array, weights: Array, criterion: Criterion, prior:
     information = prior.mixture(jacobians, weights)
     factors = criterion.curvature_factors(information)
     if factors is None:
-        return -criterion.smooth.curvature(information, prior.posture_information(jacobians))
+        return -criterion.smooth.curvature(information, prior.information(information_of_each(jacobians)))
     k, d, _ = jacobians.shape
     total = np.zeros((k, k))
     for factor, left, right in factors:

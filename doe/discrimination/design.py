@@ -1,21 +1,12 @@
-"""Plans that are (nearly) D-optimal AND can distinguish missing effects.
+"""Plans that are (nearly) D-optimal AND can distinguish missing effects (doe/README.md, "Misidentification").
 
-A D-optimal plan knows nothing of effects that are not in its model: under joint limits its angles sit on two levels,
-where cos q_j, cos 2 q_j and q_j are one and the same column, and on any plan the sag of a link looks much like that of
-a joint. Starting from the best plan (or one from theory that is as good), moved off the limits, runs are swapped for
-postures that lower the probability of a wrong name, at the cost of as much D-efficiency as is allowed. The order of
-measurement matters to backlash and drift only: the best of many shuffles is kept.
-
-*Wrong names.* Two effects are distinguished by what the base model and one of them leave of the other. With d the
-length of that in standard deviations of the measurement, the likelihood ratio of the two, sizes known, names the wrong
-one with probability Phi(-d / 2), and the sum over all rivals (one of them: nothing at all) bounds the probability of
-any wrong name. The squared length is a Schur complement, so everything follows from the information matrix M:
+Starting from the best plan (or one from theory that is as good), moved off the limits, runs are swapped for postures
+that lower the probability of a wrong name, at the cost of as much D-efficiency as is allowed. The order of measurement
+matters to backlash and drift only: the best of many shuffles is kept. The bound on that probability follows from the
+information matrix M alone: with b the base parameters, e those of all effects, v a combination of one effect's
+parameters, `LAMBDA` long on a random plan of as many runs, and B a basis of the rival's,
 
     d^2 = (v - w)^T S (v - w),   S = M_ee - M_eb M_bb^-1 M_be,   w = B (B^T S B)^-1 B^T S v
-
-with b the base parameters, e those of all effects, v a combination of one effect's parameters and B a basis of the
-rival's. v is scaled such that a random plan of as many runs shows it with a length of `LAMBDA`: effects much larger are
-distinguished by any plan, much smaller ones by none.
 
 *Swaps.* Runs are exchanged for postures of a pool: random ones of the design space and neighbors of the plan's own. The
 first derivative of the criterion says which swaps to try, the criterion itself which is best; near the least
@@ -33,6 +24,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
@@ -317,7 +309,7 @@ def discrimination_design(
     return DiscriminationDesign(design, best, seen(plan.postures), best_sees, *(min(1.0, bound) for bound in bounds))
 
 
-def _best_order(library: EffectLibrary, postures: Array, generator: np.random.Generator, budget: Budget) -> Array:
+def _best_order(library: EffectLibrary, postures: Array, generator: Generator, budget: Budget) -> Array:
     """The postures in the order, of many shuffles, that shows backlash and drift best beside the model's parameters: by
     log det of what the data tell of the order's effects, beyond what the others explain."""
     shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort: orders to choose from
@@ -335,7 +327,7 @@ def _best_order(library: EffectLibrary, postures: Array, generator: np.random.Ge
 
 # -- where swaps start -------------------------------------------------------------------------------------------------
 def initial_plans(
-    state: Swaps, best: Design, allowed: float, generator: np.random.Generator, budget: Budget
+    state: Swaps, best: Design, allowed: float, generator: Generator, budget: Budget
 ) -> Iterator[tuple[Array, Budget]]:
     """Plans from which swaps start, each with its part of the time.
 
@@ -355,7 +347,7 @@ def initial_plans(
     yield plan, budget
 
 
-def _start(state: Swaps, best: Design, least: float, generator: np.random.Generator, budget: Budget) -> Array:
+def _start(state: Swaps, best: Design, least: float, generator: Generator, budget: Budget) -> Array:
     """(m, n) the best plan or one from theory, whichever distinguishes effects best, off the limits down to `least`;
     as many from theory as there is time for, off the grid, with joints that play no part at random angles.
 
@@ -387,7 +379,7 @@ def turning(problem: DesignProblem) -> NDArray[np.bool_]:
     return revolute & (problem.upper - problem.lower >= TURN * (1.0 - 1e-9))
 
 
-def off_the_limits(problem: DesignProblem, postures: Array, least: float, generator: np.random.Generator) -> Array:
+def off_the_limits(problem: DesignProblem, postures: Array, least: float, generator: Generator) -> Array:
     """The postures with the other joints moved by as much as the value `least` allows, turned back at the limits.
 
     On the few angles that D-optimality chooses under limits, ripples of many orders are one and the same column, and
@@ -406,7 +398,7 @@ def off_the_limits(problem: DesignProblem, postures: Array, least: float, genera
     return postures
 
 
-def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
+def pool_of(problem: DesignProblem, count: int, generator: Generator) -> Array:
     """(count, n) random postures of the design space; all of a list that is shorter."""
     if problem.choices is None:
         return random_postures(problem, count, generator)
@@ -462,7 +454,7 @@ class Swaps:
         self,
         postures: Array,
         least: float,
-        generator: np.random.Generator,
+        generator: Generator,
         budget: Budget,
         progress: Progress = silent,
     ) -> Iterator[Array]:
@@ -489,7 +481,7 @@ class Swaps:
         self.information = self.extended.information(postures)
         self.value = float(-np.log(self.bound.wrong(self.information)))
 
-    def draw(self, generator: np.random.Generator) -> None:
+    def draw(self, generator: Generator) -> None:
         """Draw a new pool of postures."""
         self.pool = pool_of(self.problem, POOL, generator)
         if self.problem.choices is None:

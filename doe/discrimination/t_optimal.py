@@ -1,16 +1,8 @@
-"""The next postures that distinguish the remaining explanations of a diagnosis.
+"""The next postures that distinguish the remaining explanations of a diagnosis (doe/README.md, "T-optimality").
 
-A criterion related to T-optimality (Atkinson & Fedorov 1975) for several rivals. Let delta be the difference between
-the new measurements predicted by i and by j, both fitted to the data at hand. If i is true and j is refitted to old and
-new data together, its residual sum of squares, in units of the noise variance, grows by (noise apart)
-
-    lambda_ij^2 = delta^T (sigma^2 I + J_j C_j J_j^T)^-1 delta
-
-with C_j the covariance of rival j's parameters from the data at hand, J_j its Jacobian at the new postures. Postures
-are added one at a time and then exchanged; C_j and what j has already given way to i are updated like a Kalman filter.
--2 log odds of j to i grow by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives an upper
-bound on the probability that the right candidate is the only one left within the window of the ambiguity set. All
-candidates may be wrong: the bound is multiplied by their probability together.
+Postures are added one at a time and then exchanged; the covariance of a rival's parameters and what it has already
+given way to the truth are updated like a Kalman filter. All candidates may be wrong: the bound on the probability that
+the right one is the only one left is multiplied by their probability together.
 """
 
 from __future__ import annotations
@@ -20,7 +12,9 @@ from dataclasses import dataclass
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
+from numpy.random import Generator
 from scipy.special import ndtr
 
 from doe.plan.plan import Plan
@@ -122,7 +116,13 @@ class RivalPredictions:
         data at hand, and its -2 log odds, as the BIC is; sigma is that of the first."""
         if (sigma := rivals[0][0].model.sigma) is None:
             raise InputError(f"a comparison of models {NEEDS_SIGMA}")
-        fitted = [(*one.predictions(postures), known, one.model.parameters.scales) for one, known, _ in rivals]
+        fitted = []
+        for one, covariance, _ in rivals:
+            q, p = ca.SX.sym("q", one.joints), ca.SX.sym("p", one.parameters)
+            position = ca.substitute(one.model.symbolic_position(q, p), p, ca.DM(one.model.values))
+            places = np.asarray(ca.Function("position", [q], [position])(postures.T)).T
+            scales = one.model.parameters.scales
+            fitted.append((places, one.scaled_jacobians(postures) * scales, covariance, scales))
         return cls._scaled(fitted, sigma, np.array([odds for _, _, odds in rivals]), np.zeros(len(rivals)))
 
     @classmethod
@@ -232,9 +232,7 @@ def t_optimal(rivals: RivalPredictions, runs: int, stop: Stop = never) -> list[i
     return chosen
 
 
-def possible_conditions(
-    arm: Arm, count: int, generator: np.random.Generator, payloads: tuple[float, ...] | None
-) -> Conditions:
+def possible_conditions(arm: Arm, count: int, generator: Generator, payloads: tuple[float, ...] | None) -> Conditions:
     """A payload and directions of approach for each of `count` postures, at random."""
     usual = 0.0 if arm.gravity is None else arm.gravity.payload
     payload = generator.choice(np.array(payloads or (usual,)), count)

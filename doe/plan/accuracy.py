@@ -1,14 +1,13 @@
 """What accuracy a plan promises before anything is measured.
 
-*Standard deviations* from the covariance; *every criterion* of a plan, and the *observability indices* O1 to O5 of the
-robot calibration literature (Y. Sun, J. M. Hollerbach, "Observability index selection for robot calibration", ICRA
-2008): from the singular values s_1 >= ... >= s_p of the identification Jacobian of all m runs, here scaled (lengths in
-mm, angles times link length). O1 is D-, O3 is E-, O5 is close to A-optimality (of deviations, not variances). Only
-O1's order of plans is invariant to units. Larger is better for each; 0 where the plan does not identify all parameters.
+*Standard deviations* from the covariance; *every criterion* of a plan, and the *observability indices* O1 to O5 (Y.
+Sun, J. M. Hollerbach, "Observability index selection for robot calibration", ICRA 2008): from the singular values s_1
+>= ... >= s_p of the identification Jacobian of all m runs, here scaled (lengths in mm, angles times link length). O1 is
+D-, O3 is E-, O5 is close to A-optimality (of deviations, not variances). Only O1's order of plans is invariant to
+units. Larger is better for each; 0 where the plan does not identify all parameters.
 
-*Error of the tip*, with a correct model, and with effects of typical size missing from it. The plan is measured with
-noise sigma; the tip is then computed at test poses, where nothing was measured; its error is counted against the arm's
-true position, as root mean square over poses and over arms that the prior may give.
+*Error of the tip* at test poses, where nothing was measured, with a correct model, and with effects of typical size
+missing from it: root mean square over poses and over arms that the prior may give.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Minimum distance between postures, spreading of joints that play no part, and the posture that adds most to a plan.
 
-Distances are the largest difference of a joint, in `DesignProblem.joint_units`. The information of m + 1 runs is that
-of m runs plus B^T B of the one added, which is positive semidefinite. So no criterion of the whole information, no
-standard deviation and no error of the tip can become worse by an addition (doe/README.md, "Exact plans").
+Distances are the largest difference of a joint, in `DesignProblem.joint_units`.
 """
 
 from __future__ import annotations
@@ -11,6 +9,7 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from doe.problem.postures import half_at_limits, listed_candidates, random_postures
@@ -127,7 +126,7 @@ def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
     return places[problem.feasible(places)] if len(places) else places
 
 
-def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
+def spread_free_joints(problem: DesignProblem, postures: Array, generator: Generator) -> Array:
     """The same plan with joints that play no part spread evenly over their limits in shuffled order.
 
     They cost nothing and help to see missing effects (identification/README.md, "Lessons"), instead of staying at a
@@ -165,7 +164,7 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.ra
 
 
 # -- additions ---------------------------------------------------------------------------------------------------------
-def with_additions(problem: DesignProblem, plan: Array, count: int, generator: np.random.Generator) -> Array | None:
+def with_additions(problem: DesignProblem, plan: Array, count: int, generator: Generator) -> Array | None:
     """(m + count, n) the plan (m, n) and, one by one, the postures that add most; None where none more is allowed."""
     total = len(plan) + problem.prior.runs
 

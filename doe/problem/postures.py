@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from doe.problem.problem import DesignProblem
@@ -15,7 +16,7 @@ OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, 
 
 
 # -- random postures ---------------------------------------------------------------------------------------------------
-def random_postures(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
+def random_postures(problem: DesignProblem, count: int, generator: Generator) -> Array:
     """(count, n) uniform over the feasible set within the joint limits; near its known points where it is tiny.
 
     Raises `InputError` naming the constraints that exclude everything.
@@ -27,7 +28,7 @@ def random_postures(problem: DesignProblem, count: int, generator: np.random.Gen
     return fill(problem, count, anywhere, generator)
 
 
-def half_at_limits(problem: DesignProblem, anywhere: Array, others: Array, generator: np.random.Generator) -> Array:
+def half_at_limits(problem: DesignProblem, anywhere: Array, others: Array, generator: Generator) -> Array:
     """(k, n) postures as they are, and others of which each joint is at its nearer limit with probability one half,
     where constraints allow that."""
     nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
@@ -35,7 +36,7 @@ def half_at_limits(problem: DesignProblem, anywhere: Array, others: Array, gener
     return np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
 
 
-def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], generator: np.random.Generator) -> Array:
+def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], generator: Generator) -> Array:
     """(count, n) feasible postures of those that `draw(size)` makes, or near them where they are too rare."""
     if not problem.constraints:
         return draw(count)
@@ -59,7 +60,7 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
     return np.concatenate([feasible, near])[:count]
 
 
-def _led_inside(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
+def _led_inside(problem: DesignProblem, postures: Array, generator: Generator) -> Array:
     """Feasible postures near the least infeasible of many, by random steps that reduce by how much they are so.
 
     Raises `InputError` with the constraints that exclude everything where there are none.
@@ -145,8 +146,10 @@ def well_spread(candidates: Array, count: int) -> Array:
     if len(candidates) <= count:
         return candidates
     generator = np.random.default_rng(0)
-    low, high = candidates.min(axis=0), candidates.max(axis=0)
-    places = 2.0 * (candidates - low) / np.where(high > low, high - low, 1.0)
-    marks = np.flatnonzero(np.all(np.abs(places - np.round(places)) < 1e-9, axis=1))
+    marks = np.arange(len(candidates))
+    for column in candidates.T:  # one by one, as few are left after the first
+        low, high = column.min(), column.max()
+        places = 2.0 * (column[marks] - low) / (high - low if high > low else 1.0)
+        marks = marks[np.abs(places - np.round(places)) < 1e-9]
     few = marks if len(marks) <= count // 2 else generator.choice(marks, count // 2, replace=False)
     return candidates[np.unique(np.concatenate([few, generator.integers(0, len(candidates), count)[len(few) :]]))]

@@ -68,10 +68,6 @@ class PriorInformation:
         """(p, p) M of (j, d, p) scaled Jacobians with weights (j,) that sum to one, with the prior per new run."""
         return self.information(information_matrix(jacobians, weights))
 
-    def posture_information(self, jacobians: Array) -> Array:
-        """(j, p, p) F_i, what a design with all its weight on one posture would have."""
-        return self.information(information_of_each(jacobians))
-
     def sensitivities(self, jacobians: Array, gradient: Array) -> Array:
         """(j,) tr(G F_i) of (j, d, p) scaled Jacobians; the literature calls it d for G = M^-1."""
         return self.mixed(np.einsum("kda,kda->k", jacobians @ gradient, jacobians), gradient)
@@ -207,7 +203,11 @@ class DesignProblem:
         angles = np.atleast_2d(np.asarray(postures, dtype=float))
         if angles.shape[-1] != self.joints:
             raise InputError(f"postures: shape {angles.shape}, allowed: (..., {self.joints})")
-        return self._scaled_jacobians(angles)[0]
+        return self._evaluate(angles)[0]
+
+    @cached_property
+    def _evaluate(self) -> Callable[..., tuple[Array, ...]]:
+        return vectorize(self.scaled_jacobian_function)
 
     def information(self, postures: ArrayLike, weights: Array | None = None) -> Array:
         """(p, p) information per run M' = S (sum_i w_i J_i^T J_i) S; the mean over runs without weights.
@@ -270,18 +270,6 @@ class DesignProblem:
         jacobian = ca.substitute(ca.jacobian(position, p), p, ca.DM(self.model.values))
         scaled = ca.cse(jacobian @ ca.diag(ca.DM(1.0 / self.model.parameters.scales)))
         return ca.Function("scaled_jacobian", [q], [scaled], ["q"], ["jacobian"])
-
-    @cached_property
-    def _scaled_jacobians(self) -> Callable[..., tuple[Array, ...]]:
-        return vectorize(self.scaled_jacobian_function)
-
-    def predictions(self, postures: Array) -> tuple[Array, Array]:
-        """Positions (m, d) and Jacobians (m, d, p), not scaled, at postures (m, n) and the best known values."""
-        q, p = ca.SX.sym("q", self.joints), ca.SX.sym("p", self.parameters)
-        position = self.model.symbolic_position(q, p)
-        at = ca.substitute([position, ca.jacobian(position, p)], [p], [ca.DM(self.model.values)])
-        positions, jacobians = vectorize(ca.Function("predictions", [q], ca.cse(at)))(postures)
-        return positions[..., 0], jacobians
 
     @cached_property
     def without_effect(self) -> tuple[str, ...]:

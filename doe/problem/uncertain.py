@@ -1,15 +1,11 @@
 """Designs for an arm whose parameters are not known yet, and for one whose model may lack something.
 
-*Several arms.* Effects make the Jacobian depend on the parameters, so one guess may give a plan that is poor for the
-real arm. Draw K parameter vectors from the prior and imagine K arms that are measured together: the Jacobian of a
-posture is block-diagonal of the K Jacobians, and so is the information matrix. Then log det M = sum_k log det M_k: D of
-this model is the average over the prior, and `Worst` takes the smallest of the M_k. It is a model like any other, with
-d K coordinates and p K parameters.
+*Several arms* (doe/README.md, "Prior information"): K parameter vectors are drawn and K arms imagined that are measured
+together, a model like any other whose Jacobians and information are block-diagonal.
 
-*Missing effects.* The parameters are those of the model and of all effects of the library, error curves among them; the
-latter have a normal prior of zero mean, and each posture has an error of its own, which is noise to all others. With K
-the information of the prior the posterior of a plan is (sum B^T B + K)^-1 sigma^2, and every criterion of it is concave
-as before (doe/README.md, "Prior information").
+*Missing effects* ("Robust designs"): the parameters are those of the model and of all effects of the library, error
+curves among them; the latter have a normal prior of zero mean, and each posture has an error of its own, which is noise
+to all others.
 """
 
 from __future__ import annotations
@@ -20,6 +16,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from doe.criteria import Average, I, Worst
@@ -63,7 +60,7 @@ class EnsembleModel:
         return ca.vertcat(*(self.model.symbolic_position(q, part) for part in each))
 
 
-def prior_draws(model: Any, count: int, generator: np.random.Generator) -> Array:
+def prior_draws(model: Any, count: int, generator: Generator) -> Array:
     """(count, p) parameter vectors around the best known values of an arm.
 
     With a calibration that has a covariance of the same parameters, from it; else independent normal deviations of the

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from doe.plan.ascent import PlanAscent
@@ -58,9 +59,7 @@ class Exchange:
         wanted = max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
         return 20 if self.rounded else max(10, round(wanted * min(1.0, (MANY / problem.parameters) ** 2)))
 
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """The plans of each batch, best first; the polished ones of each where there is a climb."""
         climb, best, left, vary = None, list[tuple[float, Array]](), budget.starts, False
         seen = list[float]()
@@ -81,6 +80,7 @@ class Exchange:
                 chosen = elite[generator.integers(len(best), size=len(started))]
                 kept = generator.random(started.shape[:2]) > self.redrawn
                 started = np.where(kept[..., None], chosen, started)
+                started[:1] = best[0][1] if self.rounded else started[:1]
             plans, values = self.improve(problem, started, generator, budget)
             if climb is None:
                 yield from (Offer(plan, 1, independent=not vary) for plan in plans)
@@ -101,7 +101,7 @@ class Exchange:
                 vary = self.rounded or (not vary and bool(best))
             left -= len(started)
 
-    def begin(self, problem: DesignProblem, left: int, runs: int, generator: np.random.Generator) -> Array:
+    def begin(self, problem: DesignProblem, left: int, runs: int, generator: Generator) -> Array:
         """(s, m, n) random plans on the grid: a batch, or as many starts as are left; joints that play no part stay in
         the middle."""
         # runs of all starts, at most: keeps memory and time of a batch small
@@ -116,7 +116,7 @@ class Exchange:
         return fill(problem, count * runs, on_grid, generator).reshape(count, runs, problem.joints)
 
     def improve(
-        self, problem: DesignProblem, plans: Array, generator: np.random.Generator, budget: Budget
+        self, problem: DesignProblem, plans: Array, generator: Generator, budget: Budget
     ) -> tuple[Array, Array]:
         """Plans (s, m, n) that no single exchange improves, and their values (s,), best first."""
         return Batch(problem, plans, grid=self.grid(problem)).improved(generator, budget)
@@ -148,9 +148,7 @@ class Fedorov:
             return self.count
         return max(2, round(self.batch * min(1.0, (100 / problem.parameters) ** 2)))
 
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
         if problem.choices is None:
             raise InputError("solver: fedorov needs a list of postures, found none, allowed: with --candidates")
@@ -168,7 +166,7 @@ class Fedorov:
 
 
 def exchanged(
-    problem: DesignProblem, postures: Array, shape: tuple[int, int], generator: np.random.Generator, budget: Budget
+    problem: DesignProblem, postures: Array, shape: tuple[int, int], generator: Generator, budget: Budget
 ) -> Array:
     """(s, m, n) plans of listed postures (N, n), all different, that no exchange with the list improves, best first;
     from random ones."""
@@ -210,7 +208,7 @@ class Batch:
         if listed is None and not problem.searched_joints:
             self.running = self.running[:0]
 
-    def improved(self, generator: np.random.Generator, budget: Budget) -> tuple[Array, Array]:
+    def improved(self, generator: Generator, budget: Budget) -> tuple[Array, Array]:
         """The plans after sweeps until none changes anything, or time is up, and values (s,) of them, best first."""
         for _ in range(60):
             if not self.running.size or budget.out_of_time:
@@ -298,9 +296,7 @@ class Gradient:
         """Fewer under constraints."""
         return min(self.count, 2 * max(1, self.batch // 2)) if problem.constraints else self.count
 
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One offer per start."""
         climb, left, best = PlanAscent(problem), budget.starts, list[Array]()
         together = max(1, self.batch // 2) if problem.constraints else self.batch

@@ -24,6 +24,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.random import Generator
 
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -50,9 +51,7 @@ class Ipopt:
         """Ten per joint."""
         return 10 * max(1, len(problem.searched_joints))
 
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One offer per start. Raises `InputError` for a plan of too many variables."""
         if (many := variables(problem, runs)) > MOST:
             raise InputError(
@@ -62,24 +61,6 @@ class Ipopt:
         while True:
             yield Offer(climb(random_postures(problem, runs, generator)), 1, independent=True)
             climb.pass_on_interrupt()
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """Options of `casadi.nlpsol`."""
-        warm = {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6} if self.warm else {}
-        return {
-            "print_time": False,
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "show_eval_warnings": False,
-            **warm,
-            "ipopt.tol": self.tolerance,
-            "ipopt.max_iter": self.iterations,
-            "ipopt.acceptable_tol": 1e-3,  # optimal plans are often a continuum, along which IPOPT would crawl:
-            "ipopt.acceptable_obj_change_tol": 1e-11,  # it stops when the value stands still for some iterations
-            "ipopt.acceptable_iter": 4,
-            "ipopt.bound_relax_factor": 0.0,  # otherwise bounds are exceeded by 1e-8 and the optimum is "beaten"
-        }
 
 
 def variables(problem: DesignProblem, runs: int) -> int:
@@ -103,12 +84,26 @@ class Climber:
         # an interior point method ends this near to a limit that is active; it is put on it
         self.near_limit = np.tile(1e-5 * problem.joint_units[self.joints], runs)
         self.interrupted = False
-        self.expanded = lru_cache(1)(lambda x: self.expand(self._of_bytes(x)))  # IPOPT asks one by one
+        self.expanded = lru_cache(1)(lambda x: self.expand(self.postures(np.frombuffer(x))))  # IPOPT asks one by one
         self.values = lru_cache(1)(self._values)
-        self._callbacks = self._build()
-        nlp = self._callbacks.pop("nlp")
-        self.ipopt = ca.nlpsol("ipopt", "ipopt", nlp, settings.options | self._callbacks | {"no_nlp_grad": True})
-        self._callbacks["nlp"] = nlp  # CasADi does not keep them alive
+        options: dict[str, Any] = {
+            "print_time": False,
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "show_eval_warnings": False,
+            "no_nlp_grad": True,
+            "ipopt.tol": settings.tolerance,
+            "ipopt.max_iter": settings.iterations,
+            "ipopt.acceptable_tol": 1e-3,  # optimal plans are often a continuum, along which IPOPT would crawl:
+            "ipopt.acceptable_obj_change_tol": 1e-11,  # it stops when the value stands still for some iterations
+            "ipopt.acceptable_iter": 4,
+            "ipopt.bound_relax_factor": 0.0,  # otherwise bounds are exceeded by 1e-8 and the optimum is "beaten"
+        }
+        if settings.warm:
+            options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
+        self._callbacks = self._build()  # CasADi does not keep them alive
+        given = {name: function for name, function in self._callbacks.items() if name != "nlp"}
+        self.ipopt = ca.nlpsol("ipopt", "ipopt", self._callbacks["nlp"], options | given)
 
     def expand(self, postures: Array) -> tuple[float, Array, Array]:
         """f, its gradient (m a,) and its Hessian (m a, m a), in one pass.
@@ -201,12 +196,9 @@ class Climber:
         made["iteration_callback"] = NumpyFunction("stop", state, {"ret": scalar}, self._stop)
         return made
 
-    def _of_bytes(self, point: bytes) -> Array:
-        return self.postures(np.frombuffer(point))
-
     def _values(self, point: bytes) -> list[Array]:
         """-f and g."""
-        plan = self._of_bytes(point)
+        plan = self.postures(np.frombuffer(point))
         walls = self.walls.values(plan).ravel() if self.problem.constraints else np.empty(0)
         return [np.array([-float(self.criterion.value(self.problem.information(plan)))]), walls]
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
+from numpy.random import Generator
 
 from doe.bounds.planar_theorem import applies, chain_joints
 from doe.plan.spacing import neighbor_counts, replicates_allowed, too_near
@@ -50,9 +51,7 @@ class Analytic:
         """One: any such plan is optimal."""
         return 1
 
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One plan per start. Raises `JobError` where there is none."""
         number = 0
         for plan in optimal_plans(problem, runs, generator, self.tries, budget.ended):
@@ -66,7 +65,7 @@ class Analytic:
 
 
 def optimal_plans(
-    problem: DesignProblem, runs: int, generator: np.random.Generator, tries: int = 60, stop: Stop = never
+    problem: DesignProblem, runs: int, generator: Generator, tries: int = 60, stop: Stop = never
 ) -> Iterator[Array]:
     """Random plans (m, n) that attain the closed-form bound, without repeats as far as a few attempts find one.
 
@@ -109,7 +108,7 @@ def optimal_plans(
         yield generator.permutation(plan)
 
 
-def _small_groups(widths: Array, runs: int, tries: int, generator: np.random.Generator, stop: Stop) -> list[Pattern]:
+def _small_groups(widths: Array, runs: int, tries: int, generator: Generator, stop: Stop) -> list[Pattern]:
     """Plans of one group, of the smallest size that divides the number of runs; empty where there is none of up to 48
     elements, or as many as the factorial of all joints has."""
     for size in range(len(widths) + 1, min(runs // 2, max(48, 2 ** len(widths))) + 1):
@@ -121,7 +120,7 @@ def _small_groups(widths: Array, runs: int, tries: int, generator: np.random.Gen
 
 
 # -- plans of one group ------------------------------------------------------------------------------------------------
-def _character_plans(widths: Array, size: int, tries: int, generator: np.random.Generator) -> Iterator[Pattern]:
+def _character_plans(widths: Array, size: int, tries: int, generator: Generator) -> Iterator[Pattern]:
     """Those of a number of random constructions that come to their end; widths (J,) of the joints' ranges [rad]."""
     twos = (size & -size).bit_length() - 1
     groups = [(2,) * t + (size // 2**t,) for t in range(twos + 1)]  # Z_2^t x Z_(b / 2^t), as lists of moduli
@@ -132,7 +131,7 @@ def _character_plans(widths: Array, size: int, tries: int, generator: np.random.
             yield pattern
 
 
-def _constructed(widths: Array, group: tuple[int, ...], generator: np.random.Generator) -> Pattern | None:
+def _constructed(widths: Array, group: tuple[int, ...], generator: Generator) -> Pattern | None:
     """One random choice of directions and characters; None in a dead end."""
     moduli, elements = np.array(group), np.indices(group).reshape(len(group), -1).T
     angles, free_phase = np.empty((len(elements), len(widths))), np.zeros(len(widths))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import NamedTuple, Protocol
 
-import numpy as np
+from numpy.random import Generator
 
 from doe.problem.problem import DesignProblem
 from identification import Array
@@ -82,6 +82,4 @@ class Solver(Protocol):
         """Default number of starts."""
         ...
 
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]: ...
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]: ...

@@ -14,6 +14,7 @@ from itertools import islice
 from time import perf_counter
 
 import numpy as np
+from numpy.random import Generator
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.certificate import REACHED, Bound
@@ -59,9 +60,7 @@ class Random:
         """Number of random plans."""
         return self.count
 
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One random plan per start."""
         while True:
             yield Offer(random_postures(problem, runs, generator), 1)

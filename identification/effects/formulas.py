@@ -476,33 +476,18 @@ of_noise = partial(add_effect, scatter=True)
 
 
 class Scene(NamedTuple):
-    """Quantities on which noise may depend, for m measured postures.
+    """Quantities on which noise may depend, for m measured postures."""
 
-    positions : (m, 2 or 3) exact [mm];  levers : (m, d, n) derivative of the tip by each joint angle [mm/rad]
-    time : (m,) -0.5..0.5 over the session;  sigma : of the instrument [mm]
-    """
-
-    positions: Array
-    levers: Array
-    time: Array
-    sigma: float
+    positions: Array  # (m, 2 or 3) exact [mm]
+    levers: Array  # (m, d, n) derivative of the tip by each joint angle [mm/rad]
+    time: Array  # (m,) -0.5..0.5 over the session
+    sigma: float  # of the instrument [mm]
 
 
 def _turned(self: Effect, errors: Array, scene: Scene, values: Values, generator: np.random.Generator) -> Array:
     """A joint's angles, drawn with `std`, times its lever."""
     angles = values.get("std", 0.0) * generator.standard_normal(len(errors))
     return errors + scene.levers[:, :, self.joint_index] * angles[:, None]
-
-
-def _farther(self: Effect, errors: Array, scene: Scene, values: Values, generator: np.random.Generator) -> Array:
-    """By the distance from the base."""
-    share = np.linalg.norm(scene.positions, axis=1) / self.reach
-    return np.asarray(errors * np.sqrt(1.0 + (values.get("g", 0.0) * share) ** 2)[:, None])
-
-
-def _later(self: Effect, errors: Array, scene: Scene, values: Values, generator: np.random.Generator) -> Array:
-    """By the time."""
-    return np.asarray(errors * np.exp(values.get("g", 0.0) * scene.time)[:, None])
 
 
 def _far_off(self: Effect, errors: Array, scene: Scene, values: Values, generator: np.random.Generator) -> Array:
@@ -543,14 +528,17 @@ of_noise(
     "The scatter grows with the distance from the base: errors times sqrt(1 + (g |p| / reach)^2).",
     # typical: error half constant, half proportional to the distance: sqrt(2) at full reach
     [Number("g", "1", 1.0, lower=0.0)],
-    disturb=_farther,
+    disturb=lambda self, errors, scene, values, generator: (
+        errors
+        * np.hypot(1.0, values.get("g", 0.0) * np.linalg.norm(scene.positions, axis=1, keepdims=True) / self.reach)
+    ),
 )
 of_noise(
     "time_noise",
     "scatter changes during the session",
     "The scatter changes during the session: errors times exp(g t).",
     [Number("g", "1", 0.5)],  # typical: scatter changes by exp(0.5) = 1.6 over the session
-    disturb=_later,
+    disturb=lambda self, errors, scene, values, generator: errors * np.exp(values.get("g", 0.0) * scene.time)[:, None],
 )
 of_noise(
     "outliers",
@@ -565,8 +553,7 @@ of_noise(
     "serial_correlation",
     "serially correlated errors",
     "Serially correlated errors: e_i = rho e_(i-1) + sqrt(1 - rho^2) new, of the same size as without.",
-    [
-        Number("rho", "1", 0.5, lower=-0.99, upper=0.99)
-    ],  # typical: air and temperature change over minutes, rows follow faster
+    # typical: air and temperature change over minutes, rows follow faster
+    [Number("rho", "1", 0.5, lower=-0.99, upper=0.99)],
     disturb=_correlated,
 )

@@ -368,7 +368,7 @@ def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array
     data, rounding = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0)), problem.rounding
     for _ in range(12):
         arguments = problem.postures, table, x[:, None, :], np.moveaxis(data, 0, -1)
-        gradients, by_row = problem.model.residual_gradient(*arguments)
+        gradients, by_row = problem.model.expressions.residual_gradient(*arguments)
         # components come first in memory, so these sums over rows are products with contiguous memory
         pull = x @ held
         gradient = ((np.moveaxis(gradients[..., 0], -1, 0) @ problem.weights).T - pull) / lengths

@@ -143,7 +143,7 @@ def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
     """Whether an effect adds to the angle of a joint (from 0) a function of that angle alone."""
     if effect.joint != joint + 1 or not hasattr(effect, "joint_angles"):
         return False
-    q, c, _, _ = model.symbols
+    q, c, _, _ = model.expressions.symbols
     values = ca.SX.sym("v", len(effect.parameters))
     angle = contribution(effect, "joint_angles", model.chain_at(q, c), values)[joint]
     others = ca.vertcat(*(q[k] for k in range(model.joints) if k != joint), c)

@@ -22,23 +22,7 @@ from identification.document import Document, Sheet, facts_sheet, number, of_joi
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
 from identification.errors import InputError
-from identification.estimation import Identification, estimate
-from identification.estimation.doubts import (
-    FAR_ZERO,
-    FEW,
-    SPARE,
-    TOGETHER,
-    UNUSUAL,
-    another_frame,
-    beyond_limits,
-    copied_rows,
-    far_rows,
-    far_zeros,
-    hardly_determined,
-    left_out_residuals,
-    limited,
-    outside_limits,
-)
+from identification.estimation import Identification, doubts, estimate
 from identification.estimation.uncertainty import LEVEL, gained_squares
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.readings import (
@@ -140,7 +124,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
 
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
-    units = data_warnings(measurements, arm) if wrong_units(measurements, arm) else []
+    units = data_warnings(measurements, arm) if wrong_units(measurements, arm)[0] else []
     fit = None if units else _fit(arm, measurements)
     # without a fit nothing says what small differences of the repeats' angles do
     every = np.ones(len(measurements), dtype=bool)
@@ -159,7 +143,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
         gravity, sags = sag(arm, measurements, fit, masses)
     joints, ranges, still = _ranges(arm, measurements.postures)
     problems = units or _problems(arm, measurements, readings, drawing, fit)
-    problems += copied_rows(measurements) + ([] if units else outside_limits(arm, measurements))
+    problems += doubts.copied_rows(measurements) + ([] if units else doubts.outside_limits(arm, measurements))
     # what the data cannot say
     notes = [] if units else turned_frame(arm, readings.written)
     if still and not units:
@@ -243,10 +227,10 @@ def _problems(
     later ones may follow from it."""
     zeros, alone = list[str](), readings.better is None or readings.better.moved_zeros
     if alone and fit is not None and fit.status is not Status.implausible:
-        zeros = far_zeros(fit.model, fit.parameters)  # several at once, where another reading has one or two
+        zeros = doubts.far_zeros(fit.model, fit.parameters)  # several at once, where another reading has one or two
     sentences = data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
     if not sentences:
-        sentences = [*another_frame(arm, measurements), *other_base(arm, measurements)]
+        sentences = [*doubts.another_frame(arm, measurements), *other_base(arm, measurements)]
         sentences = [*sentences, *constant_length(arm, measurements, fit)] or zeros
     if not sentences and drawing > DRAWN * arm.reach:
         off = f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"
@@ -257,7 +241,7 @@ def _problems(
         return sentences
     rows = np.arange(len(measurements)) + 1
     unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
-    if sentences := far_rows(fit.residuals_after, *unexplained):
+    if sentences := doubts.far_rows(fit.residuals_after, *unexplained):
         return sentences
     # far from the rows of one arm, where noise is not the reason: effects that are not in the model leave less than 1 %
     # of the reach, a fit that explains something less than 80 % of what the drawing leaves
@@ -269,13 +253,15 @@ def _problems(
         return [f"{left}, so that no geometry explains these rows: {mixed}"]
     if fit.dof <= 0:  # it leaves little whatever the data are
         numbers, unknowns = fit.residuals_after.size, len(fit.names)
-        return [f"{FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
-    return [sentence for sentence in hardly_determined(fit) if sentence.startswith((FEW, TOGETHER))]
+        return [f"{doubts.FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
+    return [
+        sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith((doubts.FEW, doubts.TOGETHER))
+    ]
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[int]]:
     """Of each joint the entry of `joints` (as the controller counts), its row of the table, and which hardly move."""
-    outside = beyond_limits(arm, postures).sum(axis=0).tolist()
+    outside = doubts.beyond_limits(arm, postures).sum(axis=0).tolist()
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
     shown, limits = in_columns(postures, arm.joint_types), np.stack(arm.column_limits)
     entries, rows, still = [], [], []
@@ -287,7 +273,7 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
         known = {name: None if np.isnan(x) else x for name, x in ends.items()}
         entries.append({"joint": j, "unit": unit, "low": low, "high": high, **known, "rows_outside": outside[j - 1]})
         # none where it may turn all the way round, and readings of several turns do not matter
-        has_limits = np.isfinite(lower) and (limited(arm)[j - 1] or j in tied)
+        has_limits = np.isfinite(lower) and (doubts.limited(arm)[j - 1] or j in tied)
         shown_limits = (f"{x:.2f}" if has_limits else "none" for x in (lower, upper))
         rows.append([str(j), f"{low:.2f}", f"{high:.2f}", *shown_limits, unit, str(outside[j - 1])])
         # of a joint that turns by less than 5 deg its own errors are hardly seen, whatever others in its column do
@@ -303,7 +289,7 @@ def turned_frame(arm: Arm, written: Reading) -> list[str]:
 
     written : the columns as they are
     """
-    if written.turn is None or abs(written.turn) < FAR_ZERO or written.rms > DRAWN * arm.reach:
+    if written.turn is None or abs(written.turn) < doubts.FAR_ZERO or written.rms > DRAWN * arm.reach:
         return []
     turn = f"{np.degrees(written.turn):.1f} deg"
     return [
@@ -332,11 +318,11 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     turn = float(np.arccos(np.clip((np.trace(relative) - 1.0) / 2.0, -1.0, 1.0)))
     shift = float(np.linalg.norm(base[:3, 3] - chain.base[:3, 3]))
     near = shift < 0.02 * arm.reach  # else it stands elsewhere
-    if turn < FAR_ZERO and near:
+    if turn < doubts.FAR_ZERO and near:
         return []
     stands = ", ".join(f"{name} = {round(x, 1) + 0.0:g}" for name, x in pose_table(base).items())
     axis = chain.joints[0].origin[:3, :3] @ chain.joints[0].axis
-    about = float(axis @ relative @ axis) > np.cos(FAR_ZERO)
+    about = float(axis @ relative @ axis) > np.cos(doubts.FAR_ZERO)
     zero = ", or the zero of joint 1 is off by that" if about and near else ""
     how = f"turned by {np.degrees(turn):.1f} deg and {shift:.4g} mm away from there{zero}"
     return [
@@ -351,7 +337,7 @@ def constant_length(arm: Arm, measurements: Measurements, fit: Identification | 
     fit : without it, None: there is none
     """
     settled = "distance" not in arm.offers or any(spec.name == LENGTH_OFFSET for spec in arm.effects)
-    if settled or fit is None or fit.dof <= SPARE or rms_distance(fit.residuals_after) < NOTHING:
+    if settled or fit is None or fit.dof <= doubts.SPARE or rms_distance(fit.residuals_after) < NOTHING:
         return []
     wider = replace(arm, calibration=None).with_effects(*arm.effects, EffectSpec(LENGTH_OFFSET))
     wider_fit = estimate(Model(with_sessions(wider, measurements)), measurements)
@@ -394,7 +380,7 @@ def sufficiency(
     weak: list[tuple[str, float, str]] = []
     if judged.prior is not None and judged.model.arm.chain.redundant:
         machining = judged.model.arm.machining
-        far = {"mm": UNUSUAL * machining.translation, "rad": UNUSUAL * machining.rotation}
+        far = {"mm": doubts.UNUSUAL * machining.translation, "rad": doubts.UNUSUAL * machining.rotation}
         stds = zip(judged.model.parameters, judged.std.tolist(), strict=True)
         free = [(p, std) for p, std in stds if p.name not in judged.prior.names]
         weak = [(p.name, std * p.to_file, p.file_unit) for p, std in free if std > far.get(p.unit, np.inf)]
@@ -470,10 +456,10 @@ def sag(
         sagging = estimate(Model(with_sessions(soft, measurements)), measurements)
     except InputError:  # too few rows
         return None, ""
-    left = [residuals for one in (fit, sagging) if (residuals := left_out_residuals(one, measurements)) is not None]
-    if len(left) < 2:
+    left = [doubts.left_out_residuals(one, measurements) for one in (fit, sagging)]
+    before, after = (None if residuals is None else distances(residuals) for residuals in left)
+    if before is None or after is None:
         return None, ""
-    before, after = map(distances, left)
     p_value = gained_squares(before, after, measurements).p_above()
     figures = {
         "rms_before_mm": float(np.sqrt(np.mean(before**2))),

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -35,16 +35,8 @@ from identification.kinematics.frames import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.vectorize import Evaluate, vectorize
 
-T = TypeVar("T")
 Given = ArrayLike | None
 When = Conditions | None
-
-
-class _Shared(cached_property[T]):
-    """A cached property that models with the same symbols have in common."""
-
-    def __get__(self, model: Any, owner: Any = None) -> Any:
-        return super().__get__(None if model is None else model.expressions, owner)
 
 
 @lru_cache(maxsize=128)  # effort: models set up
@@ -227,11 +219,13 @@ class Model:
             fitted[name] = fitted.get(name, 0.0) + value
         return fitted
 
-    @_Shared
+    @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """SX of postures q (n), conditions c (see `condition_table`), parameters (p) and position (d): of a pose the
         point, and the rotation vector by which the computed orientation is turned against the measured one, times
         `angle_scale` [mm]."""
+        if self.expressions is not self:
+            return self.expressions.symbols
         width = max(place.stop for place in self._columns.values())
         q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.parameters))
         return q, c, p, position_and_state(self.chain_at(q, c), self.effects, self.values_at(c, p))[0]
@@ -257,21 +251,28 @@ class Model:
     def _function(self, name: str, outputs: list[ca.SX], more: tuple[ca.SX, ...] = ()) -> ca.Function:
         return ca.Function(name, [*self.symbols[:3], *more], ca.cse(outputs))
 
-    @_Shared
+    @cached_property
     def position_function(self) -> ca.Function:
         """CasADi (q, c, p) -> position (d) [mm]."""
         return self._function("position", [self.symbols[3]])
 
-    @_Shared
+    @cached_property
     def _position(self) -> Evaluate:
         return vectorize(self.position_function)
 
-    @_Shared
-    def _jacobian(self) -> Evaluate:
+    @cached_property
+    def jacobian_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
+        if self.expressions is not self:
+            return self.expressions.jacobian_function
         _, _, p, position = self.symbols
-        return vectorize(self._function("jacobian", [position, ca.jacobian(position, p)]))
+        return self._function("jacobian", [position, ca.jacobian(position, p)])
 
-    @_Shared
+    @cached_property
+    def _jacobian(self) -> Evaluate:
+        return vectorize(self.jacobian_function)
+
+    @cached_property
     def residual_gradient(self) -> Evaluate:
         """Of arrays (q, c, p, measured y): J^T (y - position) (p) by reverse mode, and |y - position|^2."""
         _, _, p, position = self.symbols
@@ -279,13 +280,13 @@ class Model:
         outputs = [ca.jtimes(position, p, y - position, True), ca.sumsqr(y - position)]
         return vectorize(self._function("gradient", outputs, (y,)))
 
-    @_Shared
+    @cached_property
     def posture_jacobian(self) -> Evaluate:
         """Of arrays (q, c, p): position and its derivative with respect to the posture, (d, n)."""
         q, _, _, position = self.symbols
         return vectorize(self._function("kinematics", [position, ca.jacobian(position, q)]))
 
-    @_Shared
+    @cached_property
     def _with_added(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """What is added at all places, the position with it, and the state."""
         q, c, p, _ = self.symbols
@@ -297,17 +298,17 @@ class Model:
         added = self._with_added[0]
         return vectorize(self._function("levers", ca.substitute([*expressions], [added], [ca.SX.zeros(added.numel())])))
 
-    @_Shared
+    @cached_property
     def _joint_levers(self) -> Evaluate:
         added, position, _ = self._with_added
         return self._at_zero(ca.jacobian(position, by_place(added, self.arm.chain)["joint_angles"]))
 
-    @_Shared
+    @cached_property
     def _place_levers(self) -> Evaluate:
         added, position, state = self._with_added
         return self._at_zero(ca.jacobian(position, added), state)
 
-    @_Shared
+    @cached_property
     def _best_orientation(self) -> Evaluate:
         """Of arrays (q, marker): the orientation of the arm as best known, (9,) by columns."""
         q, marker = ca.SX.sym("q", self.arm.links), ca.SX.sym("marker")
@@ -330,13 +331,13 @@ class Model:
 
         Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
         """
-        return self._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
+        return self.expressions._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
     def linearize(
         self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
         """Positions (..., m, d) and Jacobians (..., m, d, p) in one pass."""
-        position, jacobian = self._jacobian(*self._arguments(postures, parameters, conditions))
+        position, jacobian = self.expressions._jacobian(*self._arguments(postures, parameters, conditions))
         return position[..., 0], jacobian
 
     def jacobian(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> Array:
@@ -351,7 +352,7 @@ class Model:
         arguments = self._arguments(postures, None, conditions)
         columns = arguments[1][..., self._columns["reference"]]
         nominal = np.swapaxes(columns.reshape(*columns.shape[:-1], 3, 3), -1, -2)
-        return turned(self._position(*arguments)[0][..., 3:, 0] / scale) @ nominal
+        return turned(self.expressions._position(*arguments)[0][..., 3:, 0] / scale) @ nominal
 
     def joint_levers(
         self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
@@ -361,14 +362,14 @@ class Model:
         offsets = self.parameters.indices(JOINT_OFFSET)
         if len(offsets) == self.joints:  # compiled already: they are columns of the Jacobian
             return self.linearize(postures, parameters, conditions)[1][..., offsets]
-        return self._joint_levers(*self._arguments(postures, parameters, conditions))[0]
+        return self.expressions._joint_levers(*self._arguments(postures, parameters, conditions))[0]
 
     def place_levers(
         self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
         """What effects act through: (m, d, P) derivative of the positions by what is added at each place of the chain,
         and (m, S) the state that it may depend on (effects/chain.py)."""
-        levers, state = self._place_levers(*self._arguments(postures, parameters, conditions))
+        levers, state = self.expressions._place_levers(*self._arguments(postures, parameters, conditions))
         return levers, state[..., 0]
 
     def points(self, postures: ArrayLike) -> Array:
@@ -381,7 +382,7 @@ class Model:
 
     def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
         """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""
-        q, c = self.symbols[:2]
+        q, c = self.expressions.symbols[:2]
         value = ca.cse(ca.densify(expression(self.chain_at(q, c))))
         evaluate = vectorize(ca.Function("expression", [q, c], [value]))
         return lambda postures, conditions: evaluate(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
@@ -424,7 +425,7 @@ class Model:
             if (orientation := conditions.orientation) is not None:
                 reference = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)
             else:
-                reference = self._best_orientation(postures, marker)[0][..., 0]
+                reference = self.expressions._best_orientation(postures, marker)[0][..., 0]
             columns += [np.broadcast_to(reference, (*shape, 9)), np.zeros((*shape, 1))]
         if "errors" in has:  # tables are looked up here: as formulas they would be thousands of terms
             errors = np.zeros(

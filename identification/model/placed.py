@@ -238,7 +238,7 @@ def led_to_contact(
     q = np.array(postures)
     # effort: Newton's method doubles the digits once it is near
     for _ in range(30):
-        reading, slopes = model.posture_jacobian(
+        reading, slopes = model.expressions.posture_jacobian(
             q, model.condition_table(q, Conditions(marker=target)), model.values[None]
         )
         slopes = slopes * units

@@ -75,7 +75,7 @@ def test_one_joint_alone_by_its_lever() -> None:
 def test_more_runs_never_tell_less(arm: Arm) -> None:
     """Whole information and its inverse from complex numbers; no posture added to a plan beats the plan of one more."""
     lengths, n = np.array(arm.lengths), arm.links
-    plans = [d.plan.postures for d in advise(problem(arm), range(n, n + 5), seconds=1.5).designs]
+    plans = [d.plan.postures for d in advise(problem(arm), range(n, n + 4), seconds=0.8).designs]
     corners = np.array(list(product(*zip(arm.lower, arm.upper, strict=True))))
     places = np.concatenate([corners, np.random.default_rng(0).uniform(arm.lower, arm.upper, (300, n))])
     for fewer, more in pairwise(plans):
@@ -119,7 +119,7 @@ def test_a_diagnosed_arm_has_no_columns_of_effects_that_may_be_missing() -> None
     values = {"encoder_eccentricity:2.a": 1e-3, "encoder_eccentricity:2.b": 0.0}
     arm = replace(FOUR.with_effects(ECCENTRICITY), calibration=Calibration(values))
     for one, columns in ((arm, 6), (replace(arm, calibration=None), 8)):
-        shown = advice_document(advise(DesignProblem.of(Model(one)), [8], target=1.0, seconds=1.0))
+        shown = advice_document(advise(DesignProblem.of(Model(one)), [8], target=1.0, seconds=0.3))
         table = shown.parts[0]
         assert isinstance(table, Sheet)
         assert len(table.headings) == columns

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.plan.plan import Plan, load_plan, plan_text
@@ -91,6 +91,7 @@ def test_an_arm_file_is_written_as_it_is_read(tmp_path: Path, arm: Arm, space: b
     assert dump_arm(again) == dump_arm(arm)
 
 
+@settings(max_examples=25)
 @given(countings(), st.randoms(use_true_random=False))
 def test_a_plan_comes_back(tmp_path_factory: pytest.TempPathFactory, counting: Counting, random: object) -> None:
     n = len(counting.sign)

@@ -57,20 +57,6 @@ def test_upper_bound_holds_and_is_tight(seed: int, n: int, terms: int) -> None:
     assert found.value == pytest.approx(plainly(polynomial, found.posture[None])[0], abs=1e-12)
 
 
-def test_known_maximum() -> None:
-    """2 cos x + cos(x + y) - cos y is at most 9/4.
-
-    For fixed x the last two terms are -2 sin(x/2) sin(y + x/2), at most 2 s with s = |sin(x/2)|. The whole is then
-    2 (1 - 2 s^2) + 2 s, largest at s = 1/4.
-    """
-    polynomial = TrigonometricPolynomial(0.0, np.array([[1, 0], [1, 1], [0, 1]]), np.array([2.0, 1.0, -1.0]) + 0j)
-    box = np.array([-np.pi, -np.pi]), np.array([np.pi, np.pi])
-    found = maximum(polynomial, *box, tried=np.zeros((1, 2)), tolerance=1e-9)
-    assert found.proven
-    assert found.value == pytest.approx(2.25, abs=1e-9)
-    assert 2.25 <= found.upper <= 2.25 + 2e-9
-
-
 def test_waves_of_separate_joints_need_one_box() -> None:
     """Then the termwise bound is exact, flat directions included: the base model at its optimum."""
     coefficients = np.array([1.0, 2.0j, -0.5, 0.0, 1.0 - 1.0j])

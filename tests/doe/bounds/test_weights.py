@@ -89,7 +89,7 @@ def test_curvature_without_the_matrices_of_postures(runs: float) -> None:
     weights = np.full(6, 1.0 / 6.0)
     information = prior.mixture(jacobians, weights)
     for criterion in (D(), A(), Ds((0,)), I(random_jacobians(generator, 5, 2, 4))):
-        expected = criterion.curvature(information, prior.posture_information(jacobians))
+        expected = criterion.curvature(information, prior.information(np.swapaxes(jacobians, 1, 2) @ jacobians))
         assert -minus_hessian(jacobians, weights, criterion, prior) == pytest.approx(expected, rel=1e-10)
 
 

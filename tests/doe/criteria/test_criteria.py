@@ -209,7 +209,7 @@ def scaled(rows: np.ndarray, d: int, generator: np.random.Generator, together: f
     return (rows * 10.0 ** generator.uniform(-3.0, 3.0, rows.shape[1]) * together).reshape(-1, d, rows.shape[1])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(sizes(), st.sampled_from([1e-6, 1.0, 1e6]), st.booleans())
 def test_what_lacks_a_rank_is_worth_minus_infinity(
     drawn: tuple[int, int, int, np.random.Generator], together: float, one_short: bool
@@ -225,7 +225,7 @@ def test_what_lacks_a_rank_is_worth_minus_infinity(
     assert np.isinf(inverses(information)).all()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(sizes(), st.sampled_from([1e-6, 1.0, 1e6]))
 def test_what_has_full_rank_never_is(drawn: tuple[int, int, int, np.random.Generator], together: float) -> None:
     """Singular values of unit columns down to `HALF`, against log det by the singular values themselves."""

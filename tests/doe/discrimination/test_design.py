@@ -430,7 +430,7 @@ def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
     problem = DesignProblem.of(Model(arm), choices=choices)
     found = discrimination_design(problem, arm, FEW, loss=LOSS)
     library = EffectLibrary.of(arm)
-    inner = library.shown_by_postures.model  # type: ignore[attr-defined]
+    inner = library.shown_by_postures
     cloud = stacked(columns_design_spatial(inner, pool_of(problem, CLOUD, np.random.default_rng(0)), points))
     of_choices = columns_design_spatial(inner, choices, points)
     scale = np.sqrt(len(cloud) / (3.0 * points) / 10.0)  # all of the list stand for random postures

@@ -116,24 +116,6 @@ def test_killed_processes_lose_nothing(tmp_path: Path) -> None:
     executor.shutdown()
 
 
-def test_killed_study_leaves_no_process_behind_and_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "rows.parquet"
-    code = (
-        "import os, signal, work\nfrom doe.jobs import RowTable, processes, run_tasks\n"
-        "def kill(done, total, message):\n    if done == 6: os.kill(os.getpid(), signal.SIGKILL)\n"
-        f"with RowTable({str(path)!r}) as table:\n"
-        "    run_tasks(work.slow_draw, [{'task': k} for k in range(30)], table, processes(2), progress=kill)\n"
-    )
-    # the workers hold standard output: it closes when the last of them is gone
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=ENVIRONMENT, stdout=subprocess.PIPE, timeout=60.0, check=False
-    )
-    assert done.returncode == -signal.SIGKILL
-    assert len(work.kept(path, "value")) == 12
-    with RowTable(path, resume=True) as table:
-        assert run_tasks(work.draw, MANY[:30], table)["value"].to_list() == work.drawn(MANY[:30])
-
-
 def test_tables_of_one_folder_are_closed_to_others_and_of_one_seed(tmp_path: Path) -> None:
     folder, names = tmp_path / "job", ("a.parquet", "b.parquet")
     run, asked = partial(run_tasks, work.draw, seed=5), list[Any]()

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 from doe.criteria import A, E
 from doe.plan.ascent import PlanAscent
@@ -83,36 +82,6 @@ def test_plans_end_better_and_feasible() -> None:
         assert WALLS.feasible(ended).all()
         assert np.all((ended >= WALLS.lower) & (ended <= WALLS.upper))
         assert WALLS.objective(ended) > WALLS.objective(start) + 1.0
-
-
-def test_postures_outside_are_put_inside_by_little() -> None:
-    climb = PlanAscent(BOXED)
-    climb.steepness = np.full(6, 500.0)
-    inside = random_plan(BOXED, 200)
-    pushed = BOXED.clip(inside + np.random.default_rng(1).normal(0.0, 0.05, inside.shape))
-    assert not BOXED.feasible(pushed).all()
-    back = climb.put_inside(pushed)
-    assert BOXED.feasible(back).all()
-    assert np.abs(back - pushed).max() < 0.5
-    stayed = BOXED.feasible(pushed)
-    np.testing.assert_array_equal(back[stayed], pushed[stayed])
-
-
-def test_near_what_slsqp_reaches() -> None:
-    """Ten runs in a box, from the same start: a method of another kind gains no more than a few percent more."""
-    start, climb = random_plan(BOXED, 10), PlanAscent(BOXED)
-
-    def fall(x: Array) -> tuple[float, Array]:
-        value, slope = climb.rise(x.reshape(10, 6))
-        return -value, -slope.ravel()
-
-    limits = list(zip(np.tile(BOXED.lower, 10), np.tile(BOXED.upper, 10), strict=True))
-    walls = {"type": "ineq", "fun": lambda x: climb.walls.values(x.reshape(10, 6)).ravel() / 500.0}
-    other = minimize(
-        fall, start.ravel(), jac=True, method="SLSQP", bounds=limits, constraints=walls, options={"maxiter": 25}
-    )
-    began, ended = BOXED.objective(start), BOXED.objective(PlanAscent(BOXED)(start))
-    assert ended - began > 0.9 * (-other.fun - began)
 
 
 def test_plans_that_stand_for_fewer_runs() -> None:

@@ -134,12 +134,6 @@ def test_ordered() -> None:
         ordered(plan, "travl")
 
 
-def test_one_and_two_postures() -> None:
-    for m in (1, 2, 3):
-        plan = Plan(np.random.default_rng(m).uniform(-1, 1, (m, 2)))
-        assert travel(ordered(plan, "travel").postures) <= travel(plan.postures)
-
-
 # -- whole numbers of runs ---------------------------------------------------------------------------------------------
 @settings(max_examples=100)
 @given(st.integers(1, 12), st.integers(0, 60), st.integers(0, 2**32 - 1))

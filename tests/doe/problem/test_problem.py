@@ -29,7 +29,9 @@ def test_information_with_measured_postures_is_the_information_of_all_runs() -> 
     jacobians = case.scaled_jacobians(new)
     g = prior.sensitivities(jacobians, gradient)
     assert weights @ g == pytest.approx(case.parameters, abs=1e-9)  # tr(G M) = p
-    assert g == pytest.approx([np.sum(gradient * f) for f in prior.posture_information(jacobians)], rel=1e-12)
+    assert g == pytest.approx(
+        [np.sum(gradient * f) for f in prior.information(np.swapaxes(jacobians, 1, 2) @ jacobians)], rel=1e-12
+    )
 
 
 def test_measured_postures_need_the_number_of_runs() -> None:

@@ -254,16 +254,6 @@ def test_sensitivity_is_below_the_bound_at_the_optimum(criterion: D | None) -> N
     assert exact.bound.value == pytest.approx(found.value, rel=1e-6)
 
 
-def test_prior_precision_can_only_help_and_nothing_known_is_nothing() -> None:
-    free = replace(CASE, deviations={})
-    assert free.fewest_runs == 6
-    assert free.prior.empty
-    more = np.random.default_rng(5).uniform(ARM_ROBUST.lower, ARM_ROBUST.upper, (20, 2))
-    assert CASE.objective(more) > free.objective(more)
-    wide = replace(CASE, deviations={name: 1e6 * size for name, size in CASE.deviations.items()})
-    assert wide.objective(more) == pytest.approx(free.objective(more), rel=1e-6)
-
-
 def test_choices_are_the_workspace() -> None:
     listed = replace(PLAIN, choices=POSTURES)
     assert workspace(listed) == pytest.approx(np.array(POSTURES))

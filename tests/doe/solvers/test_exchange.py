@@ -15,7 +15,7 @@ from doe.solvers import Exchange, Fedorov, Gradient, solve
 from doe.solvers.solver import Budget
 from identification.arm import Arm
 from identification.errors import InputError
-from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
+from tests.doe.arms import FIVE, FOUR, OFFSET, problem
 from tests.doe.problem.test_spatial_constraints import BOX, SIGHT
 from tests.doe.six_axis import LIMITED, SIX_AXIS, difference_information, six_axis
 
@@ -47,14 +47,6 @@ def test_finds_the_best_of_all_grid_plans() -> None:
     best = np.linalg.slogdet(products[every].sum(axis=1) / 4)[1].max()
     design = solve(case, 4, Exchange(levels=5), starts=100)
     assert design.value == pytest.approx(best, abs=1e-12)
-
-
-def test_limits_are_on_the_grid_and_kept() -> None:
-    case = problem(FOUR, ECCENTRICITY)
-    design = solve(case, 9, Exchange(levels=4), starts=20, bound=Bound(np.inf, "grid"))
-    grid = np.linspace(case.lower, case.upper, 4)
-    for joint in case.active_joints:
-        assert np.all(np.isin(design.plan.postures[:, joint], grid[:, joint]))
 
 
 def test_measured_postures_count() -> None:

@@ -7,7 +7,6 @@ import threading
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 from doe.bounds.certificate import Bound
 from doe.problem.problem import DesignProblem
@@ -37,19 +36,6 @@ def test_ends_are_stationary_within_the_limits() -> None:
         assert np.abs(slope[inside]).max() < 1e-6
         assert np.all(slope[plan[:, joints] == case.lower[joints]] < 1e-6)  # nothing to gain by moving in
         assert np.all(slope[plan[:, joints] == case.upper[joints]] > -1e-6)
-
-
-def test_same_maximum_as_scipy_from_near_it() -> None:
-    case = problem(FOUR, ECCENTRICITY)
-    start = solve(case, 7, "exchange", starts=20, bound=UNKNOWN).plan.postures
-    shape = start.shape
-    bounds = list(zip(np.tile(case.lower, 7), np.tile(case.upper, 7), strict=True))
-    other = minimize(
-        lambda x: -case.objective(x.reshape(shape)), start.ravel(), bounds=bounds, method="L-BFGS-B",
-        options={"ftol": 1e-15, "gtol": 1e-9, "maxfun": 10**5},
-    )  # fmt: skip
-    found = case.objective(Climber(case, 7, Ipopt(warm=True), Budget(1))(start))
-    assert found == pytest.approx(-other.fun, abs=1e-6)  # L-BFGS-B differentiates numerically
 
 
 def test_a_singular_start_is_survived() -> None:

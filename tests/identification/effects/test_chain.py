@@ -9,7 +9,6 @@ import pytest
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import Chain, Scope, Setting, build
 from identification.effects.base import clock, step_times
-from identification.effects.chain import position_and_state
 from identification.errors import InputError
 from identification.measurements import Conditions
 
@@ -24,19 +23,6 @@ def chain(arm: Arm = ARM) -> Chain:
 
 def number(expression: ca.SX) -> np.ndarray:
     return np.array(ca.DM(expression)).ravel()
-
-
-def energy(q: np.ndarray) -> float:
-    """-m g . r [J] of both links' masses and the payload at the tip."""
-    ends = np.cumsum(LENGTHS / 1000.0 * np.exp(1j * np.cumsum(q)))
-    places = [CENTERS[0] * ends[0], ends[0] + CENTERS[1] * (ends[1] - ends[0]), ends[1]]
-    return -sum(m * (2.0 * z.real - 9.0 * z.imag) for m, z in zip([*MASSES, PAYLOAD], places, strict=True))
-
-
-def test_torques_are_minus_the_gradient_of_the_energy() -> None:
-    h = 1e-4  # differences err by h^2 / 6 of some 50 N m: 1e-7
-    expected = [-(energy(POSTURE + h * e) - energy(POSTURE - h * e)) / (2.0 * h) for e in np.eye(2)]
-    np.testing.assert_allclose(number(chain().torques), expected, rtol=0, atol=1e-6)
 
 
 def test_loads_beyond_a_link() -> None:
@@ -77,24 +63,6 @@ def test_parameters_know_their_joint_and_kind() -> None:
     a, b = build(EffectSpec("encoder_eccentricity", 2), PAIR.chain).parameters
     assert (a.name, a.kind, a.joint, b.short) == ("encoder_eccentricity:2.a", "effect", 2, "b")
     assert build(EffectSpec("base_offset"), PAIR.chain).parameters[0].joint is None
-
-
-def test_effects_act_in_the_order_of_the_chain() -> None:
-    """Joint angle, then tool, then rotation and shift of the base, then the instrument, in complex numbers."""
-    q = np.array([0.4, -1.2])
-    specs = [EffectSpec("base_offset"), EffectSpec("base_rotation"), EffectSpec("gear_ratio", 2)]
-    specs += [EffectSpec("tool_offset"), EffectSpec("axes_skew")]
-    effects = [build(spec, PAIR.chain) for spec in specs]
-    base, angle, ratio, tool, skew = 3.0 + 4.0j, 0.2, 0.01, 5.0 - 6.0j, 0.001 + 0.002j
-    values = [1.0, 2.0, 0.01, 0.02, base.real, base.imag, angle, ratio, tool.real, tool.imag, skew.real, skew.imag]
-    first = q[0] + 0.01
-    second = first + q[1] + 0.02 + ratio * q[1]
-    tip = 301.0 * np.exp(1j * first) + (202.0 + tool) * np.exp(1j * second)
-    placed = tip * np.exp(1j * angle) + base
-    expected = placed + skew * np.conj(placed)
-    chain = Chain.of(PAIR, ca.SX(q), ca.SX([0.0, 0.0, 0.0, 1.0, 1.0]))
-    found = np.array(ca.DM(position_and_state(chain, effects, ca.SX(values))[0])).ravel()
-    np.testing.assert_allclose(found, [expected.real, expected.imag], rtol=1e-13)
 
 
 SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array([-0.5, 0.1234567, 0.5])))

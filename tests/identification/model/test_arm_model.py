@@ -236,26 +236,6 @@ def test_second_derivatives_by_the_posture_are_exact(n: int) -> None:
     np.testing.assert_allclose(found_x + 1j * found_y, expected, rtol=0, atol=1e-10)
 
 
-@given(cases())
-@settings(max_examples=10)
-def test_second_derivatives_by_the_parameters_are_differences_of_the_jacobian(
-    case: tuple[Arm, np.random.Generator],
-) -> None:
-    model, postures, conditions, values = random_case(case[1], case[0], 1)
-    q, c, p, position = model.symbols
-    hessian = ca.Function("h", [q, c, p], [ca.hessian(position[0], p)[0]])
-    found = hessian(postures[0], table(model, conditions, 1)[0], values).full()
-    jacobian = model.jacobian(postures, values, conditions)[0, 0]
-    assert np.all(np.isfinite(found))
-    for k in range(len(values)):
-        size = max(np.max(np.abs(model.jacobian(postures, values, conditions)[..., k])), 1e-3)
-        step = np.eye(len(values))[k] * 0.01 / size
-        ahead, behind = (model.jacobian(postures, values + s * step, conditions)[0, 0] for s in (1, -1))
-        # scaled so that every parameter moves the tip by the unit; curvature error is (0.01/50)^2 of that
-        error = (found[k] - (ahead - behind) / (2 * step[k])) / size / np.maximum(np.abs(jacobian), 1.0)
-        assert np.max(np.abs(error)) < 1e-6
-
-
 def test_parameter_sets_broadcast_like_single_calls() -> None:
     generator = np.random.default_rng(3)
     arm = random_arm(generator, 4, [spec("encoder_eccentricity", 2), spec("base_drift", None)])

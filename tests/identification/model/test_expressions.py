@@ -50,30 +50,6 @@ def test_the_planar_arm_is_one_whose_axes_are_parallel() -> None:
     np.testing.assert_allclose(space.points(POSTURES)[:, 1:, :2], flat.points(POSTURES), atol=1e-9)
 
 
-@pytest.mark.parametrize("chain", [PARALLEL, SIX], ids=["parallel", "with a sliding joint"])
-def test_derivatives_against_finite_differences(chain: KinematicChain) -> None:
-    gravity = Gravity(np.array([0.0, 1.0, -9.7]), np.full(len(chain), 5.0), np.full(len(chain), 0.5), 2.0)
-    specs = (*SPECS[:2], EffectSpec("base_drift"), EffectSpec("base_rotation_drift"), EffectSpec("gravity_tilt"))
-    model = Model(Arm(chain, gravity=gravity, effects=specs))
-    generator = np.random.default_rng(3)
-    q = np.array([[joint.lower, joint.upper] for joint in chain.joints])
-    postures = generator.uniform(q[:, 0], q[:, 1], (7, len(chain)))
-    values = np.maximum(1e-4 * generator.standard_normal(len(model.names)), model.parameters.lower)
-    steps = 1e-3 / model.scales  # a thousandth of a millimetre at the tip: rounding is 1e-10 of it
-    jacobian = model.jacobian(postures, values, WARM)
-    for k, step in enumerate(steps):
-        moved = step * np.eye(len(values))[k]
-        ends = [model.position(postures, values + sign * moved, WARM) for sign in (1.0, -1.0)]
-        np.testing.assert_allclose((ends[0] - ends[1]) / (2.0 * step), jacobian[..., k], atol=1e-5 * model.scales[k])
-    levers = model.joint_levers(postures, values, WARM)
-    for j in range(len(chain)):
-        step = 1e-6 * np.eye(len(chain))[j]
-        # of the angle as it is, not as effects of the commanded one see it: without effects both are one
-        bare = Model(Arm(chain))
-        change = (bare.position(postures + step) - bare.position(postures - step)) / 2e-6
-        np.testing.assert_allclose(levers[..., j], change, atol=1e-2 * np.abs(change).max())
-
-
 def test_gravity_torques_are_the_work_of_the_loads() -> None:
     """tau_j = -dU/dq_j of the potential energy of all masses [J], by central differences in plain numpy."""
     masses, share, payload = np.array([7.0, 5.0, 3.0, 2.0]), np.array([0.5, 0.3, 0.7, 0.5]), 1.5
