@@ -118,7 +118,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
 
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
-    units = data_warnings(measurements, arm) if wrong_units(measurements, arm) else []
+    units = data_warnings(measurements, arm) if wrong_units(measurements, arm)[0] else []
     fit = None if units else _fit(arm, measurements)
     # without a fit nothing says what small differences of the repeats' angles do
     every = np.ones(len(measurements), dtype=bool)
