@@ -17,7 +17,7 @@ from scipy.special import betaincinv, ncfdtr, nctdtr, stdtrit
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.document import Document
+from identification.document import Document, Documented
 from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
@@ -53,7 +53,7 @@ class Size(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Detectability:
+class Detectability(Documented):
     """Detectability of each effect in a plan.
 
     names : H effects without scanned settings
@@ -97,12 +97,6 @@ class Detectability:
         from identification.documents.pictures import alias_figure  # deferred: matplotlib takes long to load
 
         return alias_figure(self)
-
-    def __str__(self) -> str:
-        return str(self.document())
-
-    def _repr_html_(self) -> str:
-        return self.document()._repr_html_()
 
 
 @single_thread()  # the same bits, whatever the number of threads

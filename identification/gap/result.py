@@ -24,7 +24,7 @@ from scipy.special import logsumexp
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, frame_of_rows, readonly
 from identification.conditions import Conditions
-from identification.document import Document, html
+from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
@@ -299,8 +299,8 @@ class Residuals(NamedTuple):
         return cls(readonly(before), readonly(after), shown, measurements.positions, conditions)
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Documented):
     """Whether model and data disagree, where, which effect is missing, and the gap with that effect in the model.
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where, shape : place and best shape of an unknown effect
@@ -455,11 +455,6 @@ class Diagnosis:
     ) -> Document:
         """All of it, with pictures: `documents.diagnosis.diagnosis_document`."""
         return words.diagnosis_document(self.to_json(), self, files, written, nominal)
-
-    def __str__(self) -> str:
-        return str(self.document())
-
-    __repr__ = __str__
 
     def _repr_html_(self) -> str:
         return html(self.document(), picture=None)
