@@ -55,11 +55,11 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 def _measured(path: Path, arm: Arm) -> Measurements:
-    from identification.inspection.readings import certainly_wrong_units, data_warnings
+    from identification.inspection.readings import data_warnings, wrong_units
     from identification.measurements import load_measurements
 
     measurements = load_measurements(path, arm)
-    if wrong := certainly_wrong_units(measurements, arm):
+    if wrong := wrong_units(measurements, arm)[1]:
         raise InputError(f"{path}: {wrong}")
     for sentence in data_warnings(measurements, arm):
         warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
@@ -513,6 +513,7 @@ def diagnose_files(
     """
     import numpy as np
 
+    from identification.documents.diagnosis import holds_in_words, tests_of
     from identification.files.arm import load_arm
     from identification.files.io import write_together
     from identification.gap.average import curves_text
@@ -532,15 +533,15 @@ def diagnose_files(
         held_out = load_sessions([holdout], loaded)
     loaded = with_servo_errors(loaded, measurements)
     diagnosis = judged(diagnose(loaded, measurements, held_out, seed, progress), loaded, measurements, held_out)
-    doubts = list(diagnosis.warnings)
-    doubts += [f"not confirmed: {diagnosis.confirmation}"] if diagnosis.confirmed is False else []
+    result = diagnosis.to_json()
+    refuted = [f"not confirmed: {holds_in_words(test)[1]}" for test in tests_of(result) if test["confirmed"] is False]
+    doubts = [*diagnosis.warnings, *refuted[:1]]
     if curves is not None and loaded.counting is not None:
         meaning = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
         warnings.warn(f"{curves}: {meaning}; armcal compensate writes commands as the controller counts", stacklevel=2)
     names = [*map(str, (arm, *data))]
-    answer = Answer(
-        diagnosis.to_json() | {"files": names}, [diagnosis.document(names, out)], diagnosis, warnings=doubts
-    )
+    shown = [diagnosis.document(names, out)]
+    answer = Answer(result | {"files": names}, shown, diagnosis, warnings=doubts)
     files: dict[PathLike, str | bytes] = {}
     try:
         if out is not None and diagnosis.confirmed is False and not force:

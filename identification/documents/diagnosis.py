@@ -298,32 +298,11 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
     counted = "" if rows is None else f"{rows - len(out)} of {rows}" if out else str(rows)
     shown, sentences = [["the data", counted, *figures, ""]], []
     for test in tests_of(data):
-        held, confirmed, which = test["by"] == "holdout", test["confirmed"], test.get("file") or test["transfer"]
-        groups = f"{test['rows']} rows in {test['groups']} independent groups"
-        how = "" if held else "cross-validated, "
-        where = f"{which} ({how}{groups})"
-        if confirmed is None:
-            answer = "too few rows"
-            said = f"The rows are too few to say whether the model holds for {where}."
-        elif confirmed and not test["as_predicted"]:  # whether as far as expected stays open
-            answer = "shrinks"
-            unsure = f"{groups} are too few to say whether by as much as expected"
-            said = f"The error shrinks on rows not fitted ({how}{which}); {unsure}."
-        elif confirmed:
-            answer = "yes"
-            said = f"The model holds for {where}{': the gap shrinks' if test['shrinks'] else ''}."
-        elif test["shrinks"]:
-            answer, said = "no", f"For {where} the gap shrinks, but by less than predicted."
-        else:
-            why = ["the gap does not shrink"] if test["shrinks"] is False else []
-            why += ["the gap exceeds the prediction"] if test["as_predicted"] is False else []
-            answer, said = "no", f"The model does not hold for {where}: {' and '.join(why)}."
-        if refitted := " and ".join(test.get("refitted", ())):
-            said += f" Another set-up: {refitted} refitted to these rows."
+        answer, sentence = holds_in_words(test)
         figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))
-        kind = "held out" if held else "cross-validated"
-        shown.append([f"{kind}: {which}", str(test["rows"]), *figures, answer])
-        sentences.append(said)
+        kind = "held out" if test["by"] == "holdout" else "cross-validated"
+        shown.append([f"{kind}: {test['file'] or test['transfer']}", str(test["rows"]), *figures, answer])
+        sentences.append(sentence)
     parts: list[Part] = [
         Sheet(["RMS distance [mm]", "rows", "before", "after", "expected", "holds"], shown),
         "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: "
@@ -335,6 +314,29 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
         *pictures_of(diagnosis, "gap_figure"),
     ]
     return Section("The gap, before and after", parts)
+
+
+def holds_in_words(test: Data) -> tuple[str, str]:
+    """Whether the named model holds in rows that were not used for the fits, in a word and in a sentence."""
+    confirmed, which = test["confirmed"], test["file"] or test["transfer"]
+    groups = f"{test['rows']} rows in {test['groups']} independent groups"
+    how = "" if test["by"] == "holdout" else "cross-validated, "
+    where = f"{which} ({how}{groups})"
+    if confirmed is None:
+        answer, said = "too few rows", f"The rows are too few to say whether the model holds for {where}."
+    elif confirmed and not test["as_predicted"]:  # whether as far as expected stays open
+        unsure = f"{groups} are too few to say whether by as much as expected"
+        answer, said = "shrinks", f"The error shrinks on rows not fitted ({how}{which}); {unsure}."
+    elif confirmed:
+        answer, said = "yes", f"The model holds for {where}{': the gap shrinks' if test['shrinks'] else ''}."
+    elif test["shrinks"]:
+        answer, said = "no", f"For {where} the gap shrinks, but by less than predicted."
+    else:
+        why = ["the gap does not shrink"] if test["shrinks"] is False else []
+        why += ["the gap exceeds the prediction"] if test["as_predicted"] is False else []
+        answer, said = "no", f"The model does not hold for {where}: {' and '.join(why)}."
+    refitted = " and ".join(test["refitted"])
+    return answer, said + (f" Another set-up: {refitted} refitted to these rows." if refitted else "")
 
 
 def scatter_in_words(finding: Data) -> str:

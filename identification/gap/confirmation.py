@@ -87,27 +87,6 @@ class Confirmation:
             return False
         return self.shrinks if self.named else self.as_predicted
 
-    @property
-    def answer(self) -> str:
-        """The conclusion in words."""
-        where = self.file or self.transfer
-        if self.confirmed is None:
-            return f"too few rows to say whether it holds for {where}"
-        if self.confirmed:
-            few = f"the error shrinks for {where}; too few independent rows to say whether by as much as expected"
-            return f"holds for {where}" if self.as_predicted else few
-        if self.shrinks:
-            return f"for {where} the gap shrinks, but by less than predicted"
-        grows = ["the gap does not shrink"] if self.shrinks is False else []
-        exceeds = ["the gap exceeds the prediction"] if self.as_predicted is False else []
-        return f"does not hold for {where}, {' and '.join(grows + exceeds)}"
-
-    def __str__(self) -> str:
-        kind = "held-out" if self.by == "holdout" else "cross-validated"
-        figures = f"{self.before:.4g} mm before, {self.after:.4g} mm after, {self.predicted:.4g} mm predicted"
-        other = f"; another set-up, {' and '.join(self.refitted)} refitted to these rows" if self.refitted else ""
-        return f"{self.answer}: {figures} ({self.rows} {kind} rows in {self.groups} independent groups{other})"
-
     def to_json(self) -> dict[str, object]:
         """Key `confirmation`, and an entry of `cross_validation` (identification/files/README.md, "JSON keys")."""
         lengths = {"before_mm": self.before, "after_mm": self.after, "predicted_mm": self.predicted}

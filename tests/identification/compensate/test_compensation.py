@@ -161,30 +161,6 @@ def test_shortest_correction_of_a_redundant_arm() -> None:
         assert np.linalg.norm(along) < 0.1 * np.linalg.norm(correction)
 
 
-def test_two_links_reach_positions_by_either_elbow() -> None:
-    two = Arm([300.0, 200.0], calibration=Calibration.of(np.array([1.0, -2.0]), np.array([0.01, -0.02])))
-    generator = np.random.default_rng(2)
-    radius, angle = generator.uniform(120.0, 480.0, 50), generator.uniform(-np.pi, np.pi, 50)
-    targets = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-    found = compensate(two, targets)
-    assert found.reached.all()
-    elbow = np.arccos((radius**2 - 301.0**2 - 198.0**2) / (2 * 301.0 * 198.0))  # law of cosines
-    turned = found.commands[:, 1] - 0.02
-    np.testing.assert_allclose(np.abs(np.angle(np.exp(1j * turned))), elbow, rtol=0, atol=1e-6)
-
-
-def test_unreachable_targets_are_listed_and_approached() -> None:
-    targets = np.array([[300.0, 200.0], [700.0, 0.0], [0.0, 500.0], [2000.0, 100.0]])
-    found = compensate(arm(), targets)
-    assert found.to_json()["unreachable"] == [2, 4]
-    assert found.to_json()["reached"] == 2
-    reach = np.sum(LENGTHS + CALIBRATION.length_errors)
-    assert found.errors[1] == pytest.approx(700.0 - reach, abs=1e-3)  # the arm stretches towards it
-    assert np.all(np.abs(found.commands) <= LIMITS)
-    assert np.all(np.isfinite(found.errors))
-    assert np.isnan(found.safe_commands).any(axis=1).tolist() == [False, True, False, True]
-
-
 def test_effects_take_part() -> None:
     effects = (EffectSpec("joint_compliance"), EffectSpec("backlash", 2), EffectSpec("encoder_eccentricity", 3))
     values = {f"joint_compliance.c{j}": 1e-5 for j in (1, 2, 3, 4)} | {"backlash:2.b": 2e-3}
@@ -375,10 +351,13 @@ def calibrated() -> tuple[Arm, float]:
     return replace(found.model.arm, calibration=found.calibration()), rms
 
 
-def test_measured_positions_are_reached() -> None:
+@pytest.mark.parametrize("near", [False, True])
+def test_measured_positions_are_reached(near: bool) -> None:
+    """From nothing, and from the posture that was measured: no other branch of the arm is taken because it is nearer by
+    some microns."""
     arm, rms = calibrated()
     q, positions = session(30, 1)
-    found = compensate(arm, positions)
+    found = compensate(arm, positions, postures=q if near else None)
     assert found.tolerance == pytest.approx(rms * np.sqrt(chi2.isf(1e-3, 3) / 3.0), rel=1e-9)
     assert found.errors.min() > TOLERANCE
     assert found.reached.all()
@@ -399,15 +378,6 @@ def test_targets_off_the_surface_are_not() -> None:
     assert not far.reached[far.errors > tolerance].any()
     assert far.reached[far.errors <= tolerance].all()
     assert (far.errors > tolerance).any()
-
-
-def test_a_nominal_posture_is_not_left_for_what_nobody_can_tell() -> None:
-    """From the posture that was measured: no other branch of the arm is taken because it is nearer by some microns."""
-    arm, rms = calibrated()
-    q, positions = session(30, 3)
-    found = compensate(arm, positions, postures=q)
-    assert found.reached.all()
-    np.testing.assert_allclose(found.commands, q, rtol=0, atol=5.0 * rms / 200.0)
 
 
 def test_an_arm_that_can_reaches_exactly() -> None:

@@ -261,7 +261,7 @@ def test_a_probability_says_what_it_is_among() -> None:
         assert likely(data) == f"probability{among}: none 0.20, ripple 0.80"
 
 
-HELD_OUT = {"transfer": "another session", "file": "more.csv", "by": "holdout", "rows": 25, "groups": 8} | TEST
+HELD_OUT = {"transfer": "another session", "file": "more.csv", "by": "holdout", "groups": 8, "refitted": []} | TEST
 WHERE = "more.csv (30 rows in 8 independent groups)"
 
 

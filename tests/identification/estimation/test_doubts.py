@@ -47,14 +47,10 @@ def test_residuals_that_the_given_noise_explains_are_not_doubted() -> None:
     assert ["implausible: the fit leaves" in said for said in words.values()] == [False, True]
 
 
-def test_a_small_offset_of_the_base_is_left_to_the_diagnosis() -> None:
-    """The RMS must fall to half; an offset of the size of the noise does less."""
-    measured = moved(data(Model(arm()), plan(60)), (0.08, 0.08))
-    assert another_frame(arm(), measured) == []
-
-
-def test_chance_is_no_other_frame() -> None:
-    """With 4 degrees of freedom left two more parameters often halve the residuals of pure noise."""
+def test_a_small_offset_of_the_base_and_chance_are_no_other_frame() -> None:
+    """The RMS must fall to half, significantly; an offset of the size of the noise does less. With 4 degrees of freedom
+    left two more parameters often halve the residuals of pure noise."""
+    assert another_frame(arm(), moved(data(Model(arm()), plan(60)), (0.08, 0.08))) == []
     found = [another_frame(arm(), data(Model(arm()), plan(7, seed), seed)) for seed in range(200)]
     assert sum(map(bool, found)) < 10  # 1 % of 200, with Poisson's error
 

@@ -30,11 +30,7 @@ def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
     squares = studentised(residual, blocks, np.ones(4000, dtype=bool), np.zeros((0, 5)), np.zeros(5))
     assert np.median(squares) == pytest.approx(chi2.median(d), rel=1e-9)
     assert np.mean(squares < chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
-
-
-def test_the_limit_is_as_unlikely_in_space_as_in_the_plane() -> None:
-    assert limit_of(2) == pytest.approx(OUTLIER**2)
-    assert chi2.sf(limit_of(3), 3) == pytest.approx(chi2.sf(OUTLIER**2, 2), rel=1e-9)
+    assert chi2.sf(limit_of(d), d) == pytest.approx(chi2.sf(OUTLIER**2, 2), rel=1e-9)  # as unlikely in space
 
 
 def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() -> None:
@@ -61,16 +57,12 @@ def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() 
     np.testing.assert_allclose(found, squares, rtol=1e-4)  # 1e-6 is added to each covariance
 
 
-def test_outliers_that_hide_each_other_are_found() -> None:
+def test_outliers_that_hide_each_other_are_found_and_a_third_of_the_rows_is_structure() -> None:
     """Three of one direction and size, in 30 rows: none stands out beside the other two until one is taken out."""
     rng = np.random.default_rng(1)
     columns, residual = rng.normal(size=(60, 6)), rng.normal(size=(30, 2))
     residual[[3, 4, 20]] += 25.0
     assert np.flatnonzero(outlying(residual, columns)).tolist() == [3, 4, 20]
-
-
-def test_a_third_of_the_rows_is_no_outlier_but_structure() -> None:
-    rng = np.random.default_rng(1)
     residual, columns = rng.normal(size=(30, 2)), rng.normal(size=(60, 1))
     residual[:10] *= 1000.0
     assert not outlying(residual, columns).any()

@@ -43,54 +43,34 @@ def fitted(columns: np.ndarray, values: np.ndarray, postures: np.ndarray | None 
 
 
 # -- which one is used -------------------------------------------------------------------------------------------------
-def test_a_sigma_that_holds_is_relied_upon() -> None:
-    model = Model(arm(sigma=SIGMA))
-    found = estimate(model, data(model, plan(30)))
-    assert found.p_value is not None
-    assert 0.1 < found.p_value < 0.99
-    assert (found.uncertainty.kind, found.warnings) == ("given", ())
-    said = estimate(model, data(model, plan(30)), sigma=SIGMA)
-    np.testing.assert_array_equal(found.intervals, said.intervals)
-
-
-def test_a_sigma_that_chi2_rejects_is_not() -> None:
-    model, measurements = Model(arm(sigma=SIGMA / 4.0)), data(Model(arm()), plan(30))
-    found, free = estimate(model, measurements), estimate(model, measurements, sigma="estimated")
-    assert found.uncertainty.kind == "sandwich"
-    assert found.to_json()["clusters"] == {"kind": "rows", "count": 30}
-    assert found.sigma == SIGMA / 4.0  # as given
+@pytest.mark.parametrize(
+    ("factor", "rows", "kind", "said"),
+    [
+        (1.0, 30, "given", False),  # what chi2 does not reject
+        (0.25, 30, "sandwich", True),
+        (4.0, 30, "scatter", False),  # too large is no misfit
+        (0.01, 5, "scatter", True),  # of 5 postures with 8 parameters each determines much by itself
+    ],
+)
+def test_what_is_relied_upon(factor: float, rows: int, kind: str, said: bool) -> None:
+    model, measurements = Model(arm(sigma=factor * SIGMA)), data(Model(arm()), plan(rows))
+    found, free, given = (estimate(model, measurements, sigma=sigma) for sigma in (None, "estimated", "given"))
+    kinds = (found.uncertainty.kind, free.uncertainty.kind, given.uncertainty.kind)
+    assert kinds == (kind, "scatter", "given")
+    assert (found.misfit is not None) is (given.misfit is not None and "too narrow" in given.misfit) is said
+    assert free.misfit is None
+    assert found.warnings[: int(said)] == ((found.misfit,) if said else ())
+    assert found.to_json()["clusters"] == ({"kind": "rows", "count": rows} if kind == "sandwich" else None)
+    assert found.sigma == factor * SIGMA  # as given
     assert found.scatter == pytest.approx(free.sigma)
-    assert free.uncertainty.kind == "scatter"
-    assert str(found).startswith("misfit: the residuals scatter ")
-    assert found.to_json()["warnings"] == [found.misfit]
-    # of the same size as from the scatter: the model is complete
-    assert np.all((found.std / free.std > 0.5) & (found.std / free.std < 2.0))
-    np.testing.assert_allclose(
-        np.diff(found.intervals, axis=1)[:, 0], 2.0 * quantile_95(found.uncertainty.freedom) * found.std
-    )
-
-
-def test_given_and_estimated_choose() -> None:
-    model, measurements = Model(arm(sigma=SIGMA / 4.0)), data(Model(arm()), plan(30))
-    given = estimate(model, measurements, sigma="given")
-    assert given.uncertainty.kind == "given"
-    assert given.misfit is not None
-    assert "too narrow" in given.misfit
-    np.testing.assert_array_equal(given.intervals, estimate(model, measurements, sigma=SIGMA / 4.0).intervals)
-    assert estimate(model, measurements, sigma="estimated").misfit is None
-    large = estimate(Model(arm(sigma=4.0 * SIGMA)), measurements)
-    assert (large.uncertainty.kind, large.misfit) == ("scatter", None)
+    np.testing.assert_array_equal(given.intervals, estimate(model, measurements, sigma=factor * SIGMA).intervals)
+    if kind == "sandwich":  # of the same size as from the scatter: the model is complete
+        assert np.all((found.std / free.std > 0.5) & (found.std / free.std < 2.0))
+        width = 2.0 * quantile_95(found.uncertainty.freedom) * found.std
+        np.testing.assert_allclose(np.diff(found.intervals, axis=1)[:, 0], width)
+        assert str(found).startswith("misfit: the residuals scatter ")
     with pytest.raises(InputError, match="sigma: 'given', but none is given"):
         estimate(Model(arm()), measurements, sigma="given")
-
-
-def test_too_few_rows_for_a_sandwich_leave_the_scatter() -> None:
-    """Of 5 postures with 8 parameters each determines much by itself."""
-    model = Model(arm(sigma=SIGMA / 100.0))
-    found = estimate(model, data(Model(arm()), plan(5)))
-    assert found.misfit is not None
-    assert found.uncertainty.kind == "scatter"
-    assert found.to_json()["clusters"] is None
 
 
 @pytest.mark.parametrize(("factor", "ripple"), [(1.0, 0.0), (0.3, 0.0), (3.0, 0.0), (1.0, 2e-3)])

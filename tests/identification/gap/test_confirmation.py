@@ -10,6 +10,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm
+from identification.documents.diagnosis import holds_in_words
 from identification.errors import InputError
 from identification.estimation.uncertainty import GROUPS, Mean, groupings, mean_of
 from identification.gap.blocks import hypotheses
@@ -157,9 +158,9 @@ def test_a_gap_that_shrinks_while_the_prediction_stays_open_is_said_so() -> None
     groups = groupings(np.random.default_rng(7).uniform(size=(160, 3)), np.arange(160), np.arange(160))
     found = confirm(before, after, Mean(1.0, 1e-4, 100.0), 0.7, groups, "a later time")
     assert (found.confirmed, found.shrinks, found.as_predicted) == (True, True, None)
-    few = "too few independent rows to say whether by as much as expected"
-    assert found.answer == f"the error shrinks for a later time; {few}"
-    assert replace(found, file="more.csv").answer == f"the error shrinks for more.csv; {few}"
+    for named, which in ((found, "a later time"), (replace(found, file="more.csv"), "more.csv")):
+        answer, said = holds_in_words(named.to_json())
+        assert (answer, said.partition(";")[0]) == ("shrinks", f"The error shrinks on rows not fitted ({which})")
 
 
 def test_postures_are_held_out_with_their_repeats() -> None:
@@ -223,11 +224,10 @@ def test_what_is_left_is_what_was_expected(given: bool) -> None:
 
 def test_says_what_was_tested_and_what_failed() -> None:
     rng = np.random.default_rng(6)
-    wrong = held_out(rng, 200, 2.0, present=0.0)
-    assert str(wrong).startswith("does not hold for other postures, the gap does not shrink and the gap exceeds")
+    wrong, right, few = held_out(rng, 200, 2.0, present=0.0), held_out(rng, 200, 2.0), held_out(rng, 1, 2.0)
     assert wrong.to_json()["shrinks"] is False
-    assert str(held_out(rng, 200, 2.0)).startswith("holds for other postures: ")
-    assert str(held_out(rng, 1, 2.0)).startswith("too few rows to say whether it holds for other postures")
+    assert holds_in_words(wrong.to_json())[1].endswith(": the gap does not shrink and the gap exceeds the prediction.")
+    assert [holds_in_words(test.to_json())[0] for test in (wrong, right, few)] == ["no", "yes", "too few rows"]
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0, -0.2, float("nan")])

@@ -96,8 +96,10 @@ def test_figures_of_the_drawing_are_those_of_a_rigid_motion() -> None:
     drawn = (LENGTHS * np.exp(1j * np.cumsum(q, axis=1))).sum(axis=1)
     left = rigid(np.column_stack([drawn.real, drawn.imag]), measured)
     data = validate(calibrated(), Measurements(q, measured)).to_json()
-    assert data["rows"] == 60
-    assert data["refit"] == "base"
+    assert (data["rows"], data["refit"]) == (60, "base")
+    plain = validate(calibrated(), Measurements(q, tip(q) + np.array([0.3, 0.4])), "none")  # nothing is refitted
+    assert plain.model == Figures(*[pytest.approx(0.5)] * 4)
+    assert plain.to_json()["refitted"] == []
     assert data["rms_nominal_mm"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-9)
     assert data["mean_nominal_mm"] == pytest.approx(np.mean(left), rel=1e-6)  # flat in the parameters to first order
     after = rigid(tip(q), measured)
@@ -125,13 +127,6 @@ def test_offsets_refit_every_joint_offset() -> None:
     oracle = least_squares(residuals, np.r_[OFFSETS, 0.0, 0.0], xtol=1e-14, ftol=1e-14)
     found = validate(calibrated(), Measurements(q, measured), "offsets")
     assert found.model.rms == pytest.approx(np.sqrt(2.0 * oracle.cost / 50), rel=1e-9)
-
-
-def test_nothing_is_refitted_where_nothing_is_asked_for() -> None:
-    q = postures(30, 5)
-    found = validate(calibrated(), Measurements(q, tip(q) + np.array([0.3, 0.4])), "none")
-    assert found.model == Figures(*[pytest.approx(0.5)] * 4)
-    assert found.to_json()["refitted"] == []
 
 
 def test_each_session_has_its_own_base() -> None:
