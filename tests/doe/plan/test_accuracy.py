@@ -195,7 +195,7 @@ def test_against_simulated_arms() -> None:
 
     A mean square of one direction has the standard error sqrt(2 / 1000) = 4.5 %; four of them.
     """
-    generator, count, wide = np.random.default_rng(1), 1000, MISSING.model
+    generator, count, wide = np.random.default_rng(1), 1000, Model(MISSING.arm)
     sizes = wide.parameters.vector(MISSING.prior.deviations, default=0.0)
     poses = workspace(PLAIN)[:100]
     found = {}
