@@ -240,28 +240,17 @@ def look_alikes(problem: Linearized, sees: Detectability, labels: Set[str]) -> t
     return (*scanned, *(pair for pair in sees.pairs() if pair[0] in labels), *never)
 
 
-class OrderRange(NamedTuple):
-    """A named wave whose order the range of its joint does not determine: a shape, not a cause. An entry of `shapes`
-    (identification/files/README.md, "JSON keys").
-
-    joint : from 1;  range_deg : of its angle;  orders : lowest and highest of the whole orders that fit [per turn]
-    """
-
-    effect: str
-    joint: int
-    range_deg: tuple[float, float]
-    orders: tuple[int, int]
-
-
-def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
-    """The named waves of a fit whose next whole order has a likeness of at least `NEAR`, beside the rest of the model.
+def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[dict[str, Any], ...]:
+    """The named waves of a fit whose next whole order has a likeness of at least `NEAR`, beside the rest of the model:
+    shapes, not causes. Entries of `shapes` (identification/files/README.md, "JSON keys"): effect, joint (from 1), the
+    range of its angle, and the lowest and highest of the whole orders that fit [per turn].
 
     labels : of the named effects
 
     Over a range of W rad two waves whose orders differ by less than 2 pi / W drift apart by less than one period, and
     beside other waves they cannot be separated: the named order is one of many that fit.
     """
-    model, rows, ranges = fitted.model, fitted.rows, list[OrderRange]()
+    model, rows, ranges = fitted.model, fitted.rows, list[dict[str, Any]]()
     harmonics = {"encoder_eccentricity": 1.0, "encoder_second_harmonic": 2.0}
     base = fitted.jacobian / model.scales
     gram = base.T @ base
@@ -280,5 +269,5 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
             apart = 2.0 * np.pi / (np.sqrt(12.0) * np.std(q))  # the range of even angles with this standard deviation
             span = float(np.degrees(q.min())), float(np.degrees(q.max()))
             whole = max(1, int(np.ceil(order - apart))), int(np.floor(order + apart))
-            ranges.append(OrderRange(effect.label, effect.joint_index + 1, span, whole))
+            ranges.append({"effect": effect.label, "joint": effect.joint, "range_deg": span, "orders": whole})
     return tuple(ranges)
