@@ -414,8 +414,8 @@ class Diagnosis(Documented):
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""
         lists = ("warnings", "effects", "outlier_rows", "unexplained_rows", "notes")
-        data: dict[str, Any] = {name: list(getattr(self, name)) for name in lists}
-        data |= {name: getattr(self, name) for name in ("verdict", "where", "shape", "confirmed")}
+        data: dict[str, Any] = {name: getattr(self, name) for name in ("verdict", "where", "shape", "confirmed")}
+        data |= {name: list(getattr(self, name)) for name in lists}
         data |= {
             "named": self.named.to_json(),
             "candidates": [c.to_json() for c in self.candidates],
