@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.document import Document
+from identification.document import Document, Documented
 from identification.documents.identification import BY_CHANCE, DRAWN, FITTED, validation_sections, validation_verdict
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
@@ -55,8 +55,8 @@ def figures_of(residuals: Array) -> Figures:
     return Figures(rms_distance(residuals), float(np.mean(off)), float(np.percentile(off, 95.0)), float(np.max(off)))
 
 
-@dataclass(frozen=True, eq=False)
-class Validation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation(Documented):
     """What a calibrated model leaves of other measurements, beside the drawing.
 
     refit : what was refitted, `base`, `offsets` or `none`, in each session separately
@@ -135,14 +135,6 @@ class Validation:
         notes = [note for note in self.notes if BY_CHANCE not in note]
         parts = validation_sections(data, "" if self.arm.chain.planar else ", measured points")
         return Document("Validation", [validation_verdict(data), *notes], parts)
-
-    def __str__(self) -> str:
-        return str(self.document())
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        return self.document()._repr_html_()
 
 
 def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:
