@@ -18,7 +18,7 @@ from scipy.special import fdtrc
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
-from identification.document import Document, Sheet, facts_sheet, number, of_joints
+from identification.document import Document, Documented, Sheet, facts_sheet, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
 from identification.errors import InputError
@@ -59,7 +59,7 @@ LENGTH_OFFSET = "length_offset"  # the effect
 
 
 @dataclass(frozen=True, eq=False)
-class Inspection:
+class Inspection(Documented):
     """What was seen in the measurements of an arm.
 
     data : keys of `check` (identification/files/README.md, "JSON keys")
@@ -109,12 +109,6 @@ class Inspection:
         verdict = f"No problems found in these data{', but they are few for a fit' if self.few else ''}."
         then = f"armcal identify {arm} {rows} --out calibrated.toml, then armcal diagnose {arm} {rows}"
         return Document("Inspection", [verdict], [*parts, f"Next: {then}"])
-
-    def __str__(self) -> str:
-        return str(self.document())
-
-    def _repr_html_(self) -> str:
-        return self.document()._repr_html_()
 
 
 def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None = None) -> Inspection:
