@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, frame_of_columns, readonly
-from identification.document import Document
+from identification.document import Document, Documented
 from identification.documents.identification import compensation_document
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
@@ -157,7 +157,7 @@ def _checked(name: str, values: ArrayLike, columns: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Compensation:
+class Compensation(Documented):
     """Joint commands for k targets.
 
     targets : (k, d) [mm];  orientations : (k, 3, 3) of the tool for the instrument, None: any will do
@@ -324,9 +324,6 @@ class Compensation:
 
     def __repr__(self) -> str:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
-
-    def _repr_html_(self) -> str:
-        return self.document()._repr_html_()
 
 
 # -- inverse kinematics ------------------------------------------------------------------------------------------------

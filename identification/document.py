@@ -112,6 +112,22 @@ class Document:
         return html(self)
 
 
+class Documented:
+    """A result that prints as its document, in a terminal and in a notebook."""
+
+    def document(self) -> Document:
+        """All that is said of it."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return str(self.document())
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return html(self.document())
+
+
 Part: TypeAlias = str | Sheet | Pictures | PlanSteps | Section | Document
 
 

@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.document import Document
-from identification.documents.identification import BY_CHANCE, DRAWN, FITTED, validation_sections, validation_verdict
+from identification.document import Document, Documented
+from identification.documents.identification import (
+    BY_CHANCE,
+    DRAWN,
+    FITTED,
+    reading_unit,
+    validation_sections,
+    validation_verdict,
+)
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import left_out_residuals
@@ -55,8 +62,8 @@ def figures_of(residuals: Array) -> Figures:
     return Figures(rms_distance(residuals), float(np.mean(off)), float(np.percentile(off, 95.0)), float(np.max(off)))
 
 
-@dataclass(frozen=True, eq=False)
-class Validation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation(Documented):
     """What a calibrated model leaves of other measurements, beside the drawing.
 
     refit : what was refitted, `base`, `offsets` or `none`, in each session separately
@@ -127,6 +134,7 @@ class Validation:
             "blocks": blocks,
             "refitted": refitted,
             "notes": list(self.notes),
+            **({"reading_unit": reading_unit(self)} if reading_unit(self) != "mm" else {}),
         }
 
     def document(self) -> Document:
@@ -135,14 +143,6 @@ class Validation:
         notes = [note for note in self.notes if BY_CHANCE not in note]
         parts = validation_sections(data, "" if self.arm.chain.planar else ", measured points")
         return Document("Validation", [validation_verdict(data), *notes], parts)
-
-    def __str__(self) -> str:
-        return str(self.document())
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        return self.document()._repr_html_()
 
 
 def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:

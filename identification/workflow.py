@@ -55,11 +55,11 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 def _measured(path: Path, arm: Arm) -> Measurements:
-    from identification.inspection.readings import certainly_wrong_units, data_warnings
+    from identification.inspection.readings import data_warnings, wrong_units
     from identification.measurements import load_measurements
 
     measurements = load_measurements(path, arm)
-    if wrong := certainly_wrong_units(measurements, arm):
+    if wrong := wrong_units(measurements, arm)[1]:
         raise InputError(f"{path}: {wrong}")
     for sentence in data_warnings(measurements, arm):
         warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)

@@ -44,7 +44,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--against", metavar="TREE", help="another checkout, to compare with in test_speed.py")
 
 
-FIRST = ("notebooks", "test_house.py", "blind", "test_diagnose.py")  # folders and files of the longest tests
+FIRST = ("notebooks", "test_house.py", "studies", "cli", "test_diagnose.py")  # folders and files of the longest tests
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

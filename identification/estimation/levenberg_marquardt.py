@@ -270,7 +270,11 @@ def damped_steps(
     normal = columns @ across if wide else across @ columns
     diagonal = np.arange(normal.shape[1])
     normal[:, diagonal, diagonal] += RIDGE if wide else RIDGE + held
-    inverse = np.linalg.inv(normal)
+    try:
+        inverse = np.linalg.inv(normal)
+    except np.linalg.LinAlgError:  # one of them has a pivot that is exactly zero
+        steps, gradient, stiffness = truncated_steps(columns, residuals, damping, tolerance)
+        return np.where(held, 0.0, steps), gradient, stiffness
     # in the 1-norm, which is never less than the ratio of the eigenvalues
     condition = np.linalg.norm(normal, 1, axis=(1, 2)) * np.linalg.norm(inverse, 1, axis=(1, 2))
     if (damped := damping > 0.0).any():

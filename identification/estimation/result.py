@@ -19,7 +19,7 @@ from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, frame_of_rows, readonly
-from identification.document import Document
+from identification.document import Document, Documented
 from identification.documents import identification as shown
 from identification.estimation.doubts import Contradiction, contradiction_warnings, hardly_determined, tip_of
 from identification.estimation.problem import Prior
@@ -63,8 +63,8 @@ Quantity = tuple[str, str | None, float | None, float, Values, str, str, tuple[f
 UNBOUNDED = (-np.inf, np.inf)
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Documented):
     """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
 
     parameters : (p,) estimates; along what is not estimable, values of the size of the others
@@ -301,14 +301,6 @@ class Identification:
     def document(self) -> Document:
         """The parameters with their intervals, and how well the model fits."""
         return shown.parameters_document(self)
-
-    def __str__(self) -> str:
-        return str(self.document())
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        return self.document()._repr_html_()
 
 
 # -- corrected values --------------------------------------------------------------------------------------------------

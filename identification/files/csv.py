@@ -99,9 +99,12 @@ class Table:
         Raises `InputError` naming the first row that has anything else; `allowed` says in words what `test` wants.
         """
         self.require([column])
-        text = self.frame[column].str.strip_chars()
+        text = self.frame[column]
         points = text.str.replace(",", ".", literal=True) if self.decimal_commas else text
-        values = points.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
+        numbers = points.cast(pl.Float64, strict=False)
+        if numbers.null_count() > text.null_count():  # spaces around a number are fine, and rare
+            numbers = points.str.strip_chars().cast(pl.Float64, strict=False)
+        values = numbers.fill_null(np.nan).to_numpy()
         good = np.isfinite(values) & test(values)
         if empty is not None:
             blank = (text.fill_null("nan").str.to_lowercase() == "nan").to_numpy()

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -220,20 +220,6 @@ def beside_known(covariance: Array, kept: Index, conditioned: Index) -> Array:
 
 
 # -- error curves ------------------------------------------------------------------------------------------------------
-class Wave(NamedTuple):
-    """The wave amplitude cos(order q - phase), an entry of `waves` (identification/files/README.md, "JSON keys").
-
-    order : periods per turn;  orders : lowest and highest not distinguishable from it within the measured range
-    share : fraction of the curve's weighted variance explained beside the waves before it
-    """
-
-    order: float
-    orders: tuple[float, float]
-    amplitude_deg: float
-    phase_deg: float
-    share: float
-
-
 @dataclass(frozen=True)
 class Curve:
     """The error of a joint, real less commanded angle, over the range of the measured angles.
@@ -267,7 +253,7 @@ class Curve:
         return self.spec.key
 
     @cached_property
-    def described(self) -> tuple[str, tuple[Wave, ...]]:
+    def described(self) -> tuple[str, list[dict[str, Any]]]:
         """Description of its shape, and the waves that it consists of, strongest first."""
         return shape_and_waves(self.angles, self.error, self.std)
 
@@ -286,7 +272,7 @@ class Curve:
         start, stop, length = np.degrees([self.table.start, self.table.stop, self.table.spacing]).tolist()
         head = {"joint": self.joint, "from_deg": start, "to_deg": stop, "length_deg": length, "shape": shape}
         tables = {name: list(column) for name, column in zip(COLUMNS, columns, strict=True)}
-        return {**head, "waves": [wave._asdict() for wave in waves], **tables}
+        return {**head, "waves": waves, **tables}
 
 
 def curves_text(curves: Sequence[Curve]) -> str:
@@ -295,9 +281,13 @@ def curves_text(curves: Sequence[Curve]) -> str:
     return "".join(",".join(map(str, line)) + "\n" for line in (("joint", *COLUMNS), *rows))
 
 
-def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, tuple[Wave, ...]]:
+def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, list[dict[str, Any]]]:
     """Description of a curve in words, by name or by its waves; and the waves that make up most of it, strongest first:
     added one by one, all refitted after each.
+
+    The wave amplitude cos(order q - phase), an entry of `waves` (identification/files/README.md, "JSON keys"), has the
+    lowest and highest orders [per turn] not distinguishable from its own within the measured range, and the share of
+    the curve's weighted variance that it explains beside the waves before it.
 
     angles, error, std : (a,) of the curve [rad]
 
@@ -329,9 +319,13 @@ def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, tuple
     waves = []
     for k, (a, b), gain in zip(chosen, of_orders(chosen)[1].reshape(-1, 2), -np.diff(left), strict=True):
         amplitude, phase = np.degrees([np.hypot(a, b), np.arctan2(b, a)]).tolist()
-        waves.append(Wave(k, (max(k - half, 0.0), k + half), amplitude, phase, float(gain / left[0])))
+        wave = {"order": k, "orders": (max(k - half, 0.0), k + half), "amplitude_deg": amplitude, "phase_deg": phase}
+        waves.append({**wave, "share": float(gain / left[0])})
 
-    where, share = f"over {np.degrees(angles[0]):.0f} to {np.degrees(angles[-1]):.0f} deg", sum(w.share for w in waves)
+    where, share = (
+        f"over {np.degrees(angles[0]):.0f} to {np.degrees(angles[-1]):.0f} deg",
+        sum(w["share"] for w in waves),
+    )
     steps = [fitted([np.sign(angles - at)]) for at in (angles[1:] + angles[:-1]) / 2.0]
     best = min(range(len(steps)), key=lambda k: steps[k][0])
     shape = f"smooth curve {where}"
@@ -339,15 +333,15 @@ def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, tuple
         at, size = np.degrees([angles[best : best + 2].mean(), 2.0 * steps[best][1][0]])
         shape = f"step of {size:.2g} deg at {at:.0f} deg {where}"
     elif waves:
-        amplitudes = {wave.order: wave.amplitude_deg for wave in waves}
+        amplitudes = {wave["order"]: wave["amplitude_deg"] for wave in waves}
         first = min(amplitudes)  # a sawtooth has waves of orders k, 2k, 3k with amplitudes as 1, 1/2, 1/3
         ratios = [amplitudes.get(n * first, 0.0) * n / amplitudes[first] for n in (2, 3)]
         listed = []
-        for order, (low, high), amplitude, *_ in waves:
+        for order, (low, high), amplitude, *_ in (wave.values() for wave in waves):
             between = f" ({low:.3g} to {high:.3g})" if high - low >= 0.5 else ""
             listed.append(f"{order:g}{between} per turn, {amplitude:.2g} deg")
         kind = "waves" if share >= SHAPED else "in part waves"
         shape = f"{kind}: {'; '.join(listed)} ({100.0 * share:.0f} %) {where}"
         if share >= SHAPED and np.allclose(ratios, 1.0, atol=1.0 / 3.0):
             shape = f"sawtooth, {first:g} per turn, {where}"
-    return shape, tuple(waves)
+    return shape, waves

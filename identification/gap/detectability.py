@@ -17,7 +17,7 @@ from scipy.special import betaincinv, ncfdtr, nctdtr, stdtrit
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.document import Document
+from identification.document import Document, Documented
 from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
@@ -53,7 +53,7 @@ class Size(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Detectability:
+class Detectability(Documented):
     """Detectability of each effect in a plan.
 
     names : H effects without scanned settings
@@ -97,12 +97,6 @@ class Detectability:
         from identification.documents.pictures import alias_figure  # deferred: matplotlib takes long to load
 
         return alias_figure(self)
-
-    def __str__(self) -> str:
-        return str(self.document())
-
-    def _repr_html_(self) -> str:
-        return self.document()._repr_html_()
 
 
 @single_thread()  # the same bits, whatever the number of threads
@@ -246,28 +240,17 @@ def look_alikes(problem: Linearized, sees: Detectability, labels: Set[str]) -> t
     return (*scanned, *(pair for pair in sees.pairs() if pair[0] in labels), *never)
 
 
-class OrderRange(NamedTuple):
-    """A named wave whose order the range of its joint does not determine: a shape, not a cause. An entry of `shapes`
-    (identification/files/README.md, "JSON keys").
-
-    joint : from 1;  range_deg : of its angle;  orders : lowest and highest of the whole orders that fit [per turn]
-    """
-
-    effect: str
-    joint: int
-    range_deg: tuple[float, float]
-    orders: tuple[int, int]
-
-
-def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
-    """The named waves of a fit whose next whole order has a likeness of at least `NEAR`, beside the rest of the model.
+def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[dict[str, Any], ...]:
+    """The named waves of a fit whose next whole order has a likeness of at least `NEAR`, beside the rest of the model:
+    shapes, not causes. Entries of `shapes` (identification/files/README.md, "JSON keys"): effect, joint (from 1), the
+    range of its angle, and the lowest and highest of the whole orders that fit [per turn].
 
     labels : of the named effects
 
     Over a range of W rad two waves whose orders differ by less than 2 pi / W drift apart by less than one period, and
     beside other waves they cannot be separated: the named order is one of many that fit.
     """
-    model, rows, ranges = fitted.model, fitted.rows, list[OrderRange]()
+    model, rows, ranges = fitted.model, fitted.rows, list[dict[str, Any]]()
     harmonics = {"encoder_eccentricity": 1.0, "encoder_second_harmonic": 2.0}
     base = fitted.jacobian / model.scales
     gram = base.T @ base
@@ -286,5 +269,5 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[OrderRange, ...]:
             apart = 2.0 * np.pi / (np.sqrt(12.0) * np.std(q))  # the range of even angles with this standard deviation
             span = float(np.degrees(q.min())), float(np.degrees(q.max()))
             whole = max(1, int(np.ceil(order - apart))), int(np.floor(order + apart))
-            ranges.append(OrderRange(effect.label, effect.joint_index + 1, span, whole))
+            ranges.append({"effect": effect.label, "joint": effect.joint, "range_deg": span, "orders": whole})
     return tuple(ranges)

@@ -145,7 +145,7 @@ def diagnosis_of(
     """Everything that is read off the posterior;  numbers : (m,) of the rows in the table that was given, from 1"""
     library, rows, best, whole = posterior.library, posterior.at.rows, posterior.best, posterior.whole
     kept = np.ones(len(rows), dtype=bool)
-    kept[best.wrong] = False
+    kept[[b.row for b in best.blocks if b.row is not None]] = False
     base = fit(library.base, rows.pick(kept))
     products = whole.products.beside([whole.numbers[block.label] for block in best.blocks if block.row is not None])
 

@@ -51,11 +51,6 @@ class LibraryPrior:
     faster: Array
 
     @property
-    def model(self) -> Model:
-        """The arm's model with all effects."""
-        return Model(self.arm)
-
-    @property
     def effects(self) -> list[str]:
         """Keys of the added effects, `name` or `name:joint`."""
         return list(dict.fromkeys(spec.key for spec in self.added))

@@ -24,13 +24,13 @@ from scipy.special import logsumexp
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, frame_of_rows, readonly
 from identification.conditions import Conditions
-from identification.document import Document, html
+from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.average import Curve, PredictingModel
 from identification.gap.confirmation import Confirmation, Gap
-from identification.gap.detectability import Detectability, OrderRange, Size
+from identification.gap.detectability import Detectability, Size
 from identification.gap.fit import Fit
 from identification.gap.likelihood import Products
 from identification.gap.noise import Finding, Misfit
@@ -299,8 +299,8 @@ class Residuals(NamedTuple):
         return cls(readonly(before), readonly(after), shown, measurements.positions, conditions)
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Documented):
     """Whether model and data disagree, where, which effect is missing, and the gap with that effect in the model.
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where, shape : place and best shape of an unknown effect
@@ -340,7 +340,7 @@ class Diagnosis:
     cross_validation: tuple[Confirmation, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    shapes: tuple[OrderRange, ...] = ()
+    shapes: tuple[Mapping[str, Any], ...] = ()
     replication: tuple[Replication, ...] = ()
     curves: tuple[Curve, ...] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
@@ -414,8 +414,8 @@ class Diagnosis:
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""
         lists = ("warnings", "effects", "outlier_rows", "unexplained_rows", "notes")
-        data: dict[str, Any] = {name: list(getattr(self, name)) for name in lists}
-        data |= {name: getattr(self, name) for name in ("verdict", "where", "shape", "confirmed")}
+        data: dict[str, Any] = {name: getattr(self, name) for name in ("verdict", "where", "shape", "confirmed")}
+        data |= {name: list(getattr(self, name)) for name in lists}
         data |= {
             "named": self.named.to_json(),
             "candidates": [c.to_json() for c in self.candidates],
@@ -424,7 +424,7 @@ class Diagnosis:
             "other_sets": [{"effects": name.split(" + "), "probability": p} for name, p in self.other_sets.items()],
             "classes": list(self.named.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
-            "shapes": [shape._asdict() for shape in self.shapes],
+            "shapes": [dict(shape) for shape in self.shapes],
             "replication": [effect.to_json() for effect in self.replication],
             "curves": [curve.to_json() for curve in self.curves],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
@@ -455,11 +455,6 @@ class Diagnosis:
     ) -> Document:
         """All of it, with pictures: `documents.diagnosis.diagnosis_document`."""
         return words.diagnosis_document(self.to_json(), self, files, written, nominal)
-
-    def __str__(self) -> str:
-        return str(self.document())
-
-    __repr__ = __str__
 
     def _repr_html_(self) -> str:
         return html(self.document(), picture=None)

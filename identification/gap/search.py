@@ -55,6 +55,7 @@ NOISES = 3  # effort: noise models that are searched
 _OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
 # derived: (S, S) p(s | c) of a size, by column, around a common one
 AROUND: Array = (1.0 - STRAY) * softmax(-0.5 * np.square(_OCTAVES / SPREAD), axis=1) + STRAY / len(SIZES)
+_LOG_AROUND = np.log(AROUND)
 
 Weighed = tuple[Key, float]  # a set with its likeliest sizes, and its log posterior odds against nothing
 
@@ -228,9 +229,10 @@ def log_odds_of_count(count: int) -> float:
 
 def log_odds_of_sizes(sizes: Sequence[int]) -> tuple[float, Array]:
     """log p(s_1, .., s_K) of blocks with the numbers of these sizes, and (S,) log p(s | s_1, .., s_K) of another's."""
-    common = np.sum(np.log(AROUND[:, list(sizes)]), axis=1)
-    total = float(logsumexp(common))
-    return total - float(np.log(len(SIZES))), np.log(np.exp(common - total) @ AROUND)
+    common = np.sum(_LOG_AROUND[:, list(sizes)], axis=1)
+    most = float(common.max())
+    shares = np.exp(common - most)
+    return most + float(np.log(shares.mean())), np.log(shares @ AROUND / shares.sum())
 
 
 # -- of a data set -----------------------------------------------------------------------------------------------------
@@ -256,11 +258,6 @@ class Explanation:
         """Its blocks outside the library."""
         rest = tuple(b for b in self.blocks if b.effect is None and b.row is None)
         return () if self.effects and all(b.parts for b in rest) else rest
-
-    @property
-    def wrong(self) -> list[int]:
-        """Rows (from 0) that it takes for outlying."""
-        return [b.row for b in self.blocks if b.row is not None]
 
 
 @dataclass(frozen=True)

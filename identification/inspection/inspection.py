@@ -18,7 +18,7 @@ from scipy.special import fdtrc
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
-from identification.document import Document, Sheet, facts_sheet, number, of_joints
+from identification.document import Document, Documented, Sheet, facts_sheet, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
 from identification.errors import InputError
@@ -59,7 +59,7 @@ LENGTH_OFFSET = "length_offset"  # the effect
 
 
 @dataclass(frozen=True, eq=False)
-class Inspection:
+class Inspection(Documented):
     """What was seen in the measurements of an arm.
 
     data : keys of `check` (identification/files/README.md, "JSON keys")
@@ -110,12 +110,6 @@ class Inspection:
         then = f"armcal identify {arm} {rows} --out calibrated.toml, then armcal diagnose {arm} {rows}"
         return Document("Inspection", [verdict], [*parts, f"Next: {then}"])
 
-    def __str__(self) -> str:
-        return str(self.document())
-
-    def _repr_html_(self) -> str:
-        return self.document()._repr_html_()
-
 
 def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None = None) -> Inspection:
     """Look at measurements of an arm: nothing is changed, nothing is believed.
@@ -124,7 +118,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
 
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
-    units = data_warnings(measurements, arm) if wrong_units(measurements, arm) else []
+    units = data_warnings(measurements, arm) if wrong_units(measurements, arm)[0] else []
     fit = None if units else _fit(arm, measurements)
     # without a fit nothing says what small differences of the repeats' angles do
     every = np.ones(len(measurements), dtype=bool)

@@ -79,37 +79,21 @@ def _place(arm: Arm, hopeless: float = np.inf) -> Callable[[Array, Array], Place
 
 
 # -- units -------------------------------------------------------------------------------------------------------------
-def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
+@lru_cache(maxsize=2)  # asked for before a fit, and again for its warnings
+def wrong_units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], str | None]:
     """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
-    where that fits the arm clearly better, in sentences; and an arm that reaches farther than any does.
+    where that fits the arm clearly better, in sentences; and an arm that reaches farther than any does. The same in a
+    clause where there is no doubt: in the other units the rows are those of the drawing, but for what one may be off
+    by, and as read they are far from it for how far apart they are.
 
     Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
     are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %. Raises `InputError`
     if the numbers of joints differ.
     """
-    return list(_units(measurements, arm)[0])
-
-
-def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
-    """`wrong_units` of which there is no doubt, in a clause; None: there are none.
-
-    In the other units the rows are those of the drawing, but for what one may be off by; as read they are far from it
-    for how far apart they are.
-    """
-    sentences, left, gain = _units(measurements, arm)
-    if left > DRAWN or gain <= 10.0:  # of what is ten times better, and no worse than a drawing, there is no doubt
-        return None
-    return f"{'; '.join(sentences)} (read that way, the drawing leaves {100.0 * left:.2g} % of the reach)"
-
-
-@lru_cache(maxsize=2)  # asked for before a fit, and again for its warnings
-def _units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], float, float]:
-    """What to do about other units, in sentences; what the drawing leaves in them, in reaches, and how many times less
-    that is than as read, for how far apart the drawn positions are."""
     if measurements.links != arm.links:
         raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
     rows, arm = some_of_one_point(measurements), anywhere(arm)
-    huge, none = arm.reach > 20000.0, 0.0  # [mm] farther than any arm reaches
+    huge = arm.reach > 20000.0  # [mm] farther than any arm reaches
     how = "lengths that were written in millimetres there come out 1000 times too large"
     sentences = [f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}"] * huge
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
@@ -124,7 +108,7 @@ def _units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], float
     # no drawing is wrong by half or twice the size; what repeats of one posture scatter by has no ratio to it
     alike = not spread or drawn[1.0] < 2.0 * spread < 4.0 * drawn[1.0]
     if _few(arm, rows) or max(drawn.values()) < 1e-3 * arm.reach or (len(angle) == 1 and alike):
-        return tuple(sentences), none, none
+        return tuple(sentences), None
     place, left = _place(arm), dict[tuple[float, float], float]()  # (factors) -> RMS, as a share of the spread
     for turned, q in postures.items():
 
@@ -141,7 +125,7 @@ def _units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], float
                 left[turned, factor] = rms(factor)
     turned, factor = least = min(left, key=left.__getitem__)
     if CLEARLY * left[least] >= left[1.0, 1.0]:
-        return tuple(sentences), none, none
+        return tuple(sentences), None
     sentences = [f"the joint angles look like {angle[turned]}"] * (turned != 1.0) + sentences
     small, large = ("measurements", "arm file") if factor > 1.0 else ("arm file", "measurements")
     times = max(factor, 1.0 / factor)
@@ -159,7 +143,10 @@ def _units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], float
     else:
         how = f"name the columns {in_metres} instead of {names}" if unit == 1000.0 else f"multiply {names} by {unit:g}"
         sentences += [f"{lengths}: they agree if the positions are in {UNITS[unit]} ({how})"]
-    return tuple(sentences), left[least] * drawn[turned] / arm.reach, left[1.0, 1.0] / left[least]
+    share, certain = left[least] * drawn[turned] / arm.reach, None
+    if share <= DRAWN and left[1.0, 1.0] > 10.0 * left[least]:  # ten times better, and no worse than a drawing
+        certain = f"{'; '.join(sentences)} (read that way, the drawing leaves {100.0 * share:.2g} % of the reach)"
+    return tuple(sentences), certain
 
 
 def _spread(points: Array) -> float:
@@ -175,7 +162,7 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
 
     Raises `InputError` if the numbers of joints differ.
     """
-    units = wrong_units(measurements, arm)
+    units = list(wrong_units(measurements, arm)[0])
     if units or arm.chain.planar or _few(anywhere(arm), some_of_one_point(measurements)):
         return units
     # as it is drawn; with one measured point where it has several and the rows name none

@@ -224,6 +224,8 @@ class Model:
         """SX of postures q (n), conditions c (see `condition_table`), parameters (p) and position (d): of a pose the
         point, and the rotation vector by which the computed orientation is turned against the measured one, times
         `angle_scale` [mm]."""
+        if self.expressions is not self:
+            return self.expressions.symbols
         width = max(place.stop for place in self._columns.values())
         q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.parameters))
         return q, c, p, position_and_state(self.chain_at(q, c), self.effects, self.values_at(c, p))[0]
@@ -259,9 +261,16 @@ class Model:
         return vectorize(self.position_function)
 
     @cached_property
-    def _jacobian(self) -> Evaluate:
+    def jacobian_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
+        if self.expressions is not self:
+            return self.expressions.jacobian_function
         _, _, p, position = self.symbols
-        return vectorize(self._function("jacobian", [position, ca.jacobian(position, p)]))
+        return self._function("jacobian", [position, ca.jacobian(position, p)])
+
+    @cached_property
+    def _jacobian(self) -> Evaluate:
+        return vectorize(self.jacobian_function)
 
     @cached_property
     def residual_gradient(self) -> Evaluate:

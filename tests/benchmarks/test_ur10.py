@@ -58,7 +58,7 @@ def left(fit: Identification, rows: Measurements) -> float:
 def library_fit(arm: Arm, rows: Measurements) -> Identification:
     """As `armcal identify --library-prior`."""
     library = library_prior(arm, given_by(rows))
-    return estimate_with_prior(library.model, rows, library.prior)
+    return estimate_with_prior(Model(library.arm), rows, library.prior)
 
 
 def halves(data: Measurements) -> tuple[Measurements, Measurements]:
@@ -258,7 +258,7 @@ class LinearFits:
 
     def __init__(self, data: Measurements, *, prior: bool = True) -> None:
         plain, library = estimate(Model(SHEET), data), library_prior(SHEET, given_by(data))
-        model = library.model
+        model = Model(library.arm)
         sizes = model.parameters.vector(library.prior.deviations)
         values = model.parameters.vector(plain.model.parameters.mapping(plain.parameters))
         jacobian = model.jacobian(data.postures, values, data.conditions)

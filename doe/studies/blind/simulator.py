@@ -264,11 +264,6 @@ def wound_up(angles: Array, width: float) -> Array:
 
 def position(truth: TrueArm, run: RowConditions) -> Array:
     """(m, d) true positions of the measured points."""
-    for k, (name, joint, v) in enumerate(truth.effects):
-        if name == "axis_tilt" and v["square"] < 0.0:  # the mirror image of a positive one
-            others = truth.effects[:k] + truth.effects[k + 1 :]
-            leaning = replace(truth, effects=[*others, (name, joint, v | {"square": -v["square"]})])
-            return 2.0 * position(replace(truth, effects=others), run) - position(leaning, run)
     tip = places(truth, run)[-1][:, : truth.dimension, 3]
     for name, _, v in truth.effects:
         if name == "axes_skew":
@@ -340,8 +335,9 @@ def scaled_amplitudes(values: Values, factor: float) -> Values:
 def column(truth: TrueArm, run: RowConditions, effect: Drawn) -> Array:
     """(m d,) derivative of the position with respect to the amplitude of an effect."""
     name, joint, values = effect
-    up, down = (replace(truth, effects=[(name, joint, scaled_amplitudes(values, step))]) for step in (1e-6, -1e-6))
-    return np.asarray((position(up, run) - position(down, run)).ravel() / 2e-6)
+    steps = (1e-6, 0.0 if name == "axis_tilt" else -1e-6)  # which has no negative amplitude
+    up, down = (replace(truth, effects=[(name, joint, scaled_amplitudes(values, step))]) for step in steps)
+    return np.asarray((position(up, run) - position(down, run)).ravel() / (steps[0] - steps[1]))
 
 
 def base_jacobian(truth: TrueArm, run: RowConditions) -> Array:

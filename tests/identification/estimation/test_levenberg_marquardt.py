@@ -284,3 +284,11 @@ def test_a_tall_problem_is_its_triangle(rows: int) -> None:
     np.testing.assert_allclose(np.linalg.lstsq(short[0], short_residual[0])[0], expected, atol=1e-13)
     few = jacobian[:, :90], residual[:, :90]
     assert compressed(few[1], few[0])[1] is few[0]
+
+
+def test_a_normal_matrix_with_a_pivot_that_is_exactly_zero() -> None:
+    """Two equal columns, so long that no ridge shows: the shortest of the steps that end at the residuals."""
+    columns, free = np.full((1, 2, 2), 100.0), np.zeros((1, 2), dtype=bool)
+    steps, gradient, _ = damped_steps(columns, np.ones((1, 2)), free, np.zeros(1), 1e-9)
+    np.testing.assert_allclose(steps, [[0.005, 0.005]])
+    np.testing.assert_allclose(gradient, [[200.0, 200.0]])

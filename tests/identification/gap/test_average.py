@@ -5,13 +5,14 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.gap.average import Wave, _to_parameters, averaged, beside_known, shape_and_waves
+from identification.gap.average import _to_parameters, averaged, beside_known, shape_and_waves
 from identification.gap.blocks import hypotheses
 from identification.gap.fit import Rows
 from identification.gap.likelihood import SIZES, Key
@@ -114,26 +115,26 @@ ANGLES = np.linspace(-np.pi, np.pi, 361)
 STD = np.full(361, 1e-5)
 
 
-def radians(wave: Wave) -> tuple[float, float]:
+def radians(wave: dict[str, Any]) -> tuple[float, float]:
     """Amplitude and phase."""
-    return float(np.radians(wave.amplitude_deg)), float(np.radians(wave.phase_deg))
+    return float(np.radians(wave["amplitude_deg"])), float(np.radians(wave["phase_deg"]))
 
 
 def test_waves_with_amplitude_and_phase() -> None:
     error = 3e-4 * np.cos(17.0 * ANGLES - 0.7) + 1e-4 * np.cos(3.0 * ANGLES + 2.0) + 5e-4
     text, (first, second) = shape_and_waves(ANGLES, error, STD)
-    assert (first.order, second.order) == (17.0, 3.0)
+    assert (first["order"], second["order"]) == (17.0, 3.0)
     assert radians(first) == pytest.approx((3e-4, 0.7))
     assert radians(second) == pytest.approx((1e-4, -2.0))
-    assert first.share == pytest.approx(0.9, abs=0.01)
+    assert first["share"] == pytest.approx(0.9, abs=0.01)
     assert text.startswith("waves: 17 (16.5 to 17.5) per turn, 0.017 deg; 3 (")
 
 
 def test_a_narrow_range_says_which_orders_fit() -> None:
     q = np.radians(np.linspace(0.0, 60.0, 121))
     _, (wave,) = shape_and_waves(q, 1e-4 * np.sin(21.0 * q), STD[:121])
-    assert wave.order == 21.0
-    assert wave.orders == pytest.approx((18.0, 24.0))
+    assert wave["order"] == 21.0
+    assert wave["orders"] == pytest.approx((18.0, 24.0))
 
 
 BUMP = 1e-4 * np.exp(-0.5 * (ANGLES / 0.1) ** 2)

@@ -167,7 +167,7 @@ def test_a_wave_is_a_shape_where_its_neighbor_is_alike(degrees: float, joint: in
     assert order_ranges(found, ()) == ()
     if shapes:
         apart = 2.0 * np.pi / np.sqrt(12.0 * np.var(q[:, joint]))
-        entry = shapes[0]._asdict()
+        entry = shapes[0]
         assert entry["effect"] == label
         assert entry["orders"] == (max(1, np.ceil(K - apart)), np.floor(K + apart))
         np.testing.assert_allclose(entry["range_deg"], np.degrees([q[:, joint].min(), q[:, joint].max()]))

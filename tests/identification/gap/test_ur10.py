@@ -30,7 +30,7 @@ def load(file: Path = SAMPLE) -> Measurements:
 def waves(found: Diagnosis) -> set[tuple[int, float]]:
     """(joint, periods per turn) of the ripples that are named, and of those that error curves are made of."""
     named = {(s.joint, s.values["k"]) for s in found.named.specs if s.name == "transmission_ripple" and s.joint}
-    return named | {(curve.joint, wave.order) for curve in found.curves for wave in curve.described[1]}
+    return named | {(curve.joint, wave["order"]) for curve in found.curves for wave in curve.described[1]}
 
 
 def real(columns: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.inspection.inspection import inspect
-from identification.inspection.readings import certainly_wrong_units, data_warnings
+from identification.inspection.readings import data_warnings, wrong_units
 from identification.instruments import Instrument, Plane, Sphere
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
@@ -97,10 +97,10 @@ def test_an_arm_of_a_kilometre() -> None:
     assert times.startswith("the lengths of the arm file are ")
     assert times.endswith(" times those of the measurements")
     assert ratio(times) == pytest.approx(1000.0, rel=0.005)
-    assert (certainly_wrong_units(data, huge) or "").startswith(f"{arm}; {times} (read that way")
+    assert (wrong_units(data, huge)[1] or "").startswith(f"{arm}; {times} (read that way")
     (said,) = data_warnings(replace(data, positions=1e3 * data.positions), huge)
     assert said.startswith("the arm of the file reaches 1050 m")
-    assert certainly_wrong_units(replace(data, positions=1e3 * data.positions), huge) is None
+    assert wrong_units(replace(data, positions=1e3 * data.positions), huge)[1] is None
     assert inspect(huge, replace(data, positions=1e3 * data.positions)).problems == (said,)
     (said,) = data_warnings(data.rows(slice(4)), huge)  # too few to compare
     assert said.startswith("the arm of the file reaches 1050 m")
@@ -144,7 +144,7 @@ def test_degrees_in_a_column_of_radians() -> None:
 def test_there_is_no_doubt_where_the_drawing_explains_the_rows_in_other_units(angles: float, lengths: float) -> None:
     """Errors are 1 mm in each coordinate of a reach of 440 mm: 1.41 mm RMS, 0.32 %."""
     wrong = simulated(3.0, angles=angles, lengths=lengths)
-    said = certainly_wrong_units(wrong, PLANAR)
+    said = wrong_units(wrong, PLANAR)[1]
     assert said is not None
     sentences, _, near = said.rpartition(" (read that way, the drawing leaves ")
     assert sentences == "; ".join(data_warnings(wrong, PLANAR))
@@ -159,7 +159,7 @@ def test_a_few_rows_tell_the_unit_of_an_arm_in_space() -> None:
         ("the lengths of the arm file are ", replace(data, positions=data.positions / 1000.0)),
         ("the joint angles look like radians: ", replace(data, postures=np.radians(data.postures))),
     ):
-        assert (certainly_wrong_units(wrong, ARM) or "").startswith(said)
+        assert (wrong_units(wrong, ARM)[1] or "").startswith(said)
 
 
 def test_there_is_doubt_where_another_arm_was_measured() -> None:
@@ -169,15 +169,15 @@ def test_there_is_doubt_where_another_arm_was_measured() -> None:
     z = 260.0 * np.exp(1j * q[:, 0]) + 90.0 * np.exp(1j * q.sum(axis=1))
     other = replace(metres, positions=1e-3 * np.column_stack([z.real, z.imag]))
     assert len(data_warnings(other, PLANAR)) == 1
-    assert certainly_wrong_units(other, PLANAR) is None
-    assert certainly_wrong_units(simulated(3.0), PLANAR) is None
-    assert certainly_wrong_units(measured(), ARM) is None
+    assert wrong_units(other, PLANAR)[1] is None
+    assert wrong_units(simulated(3.0), PLANAR)[1] is None
+    assert wrong_units(measured(), ARM)[1] is None
 
 
 def test_a_few_rows_of_a_planar_arm_tell_no_unit() -> None:
     """Two positions have one distance between them, which some factor of the lengths always explains."""
     wrong = simulated(3.0, lengths=4.2)
-    assert certainly_wrong_units(wrong.rows(slice(0, 2)), PLANAR) is None
+    assert wrong_units(wrong.rows(slice(0, 2)), PLANAR)[1] is None
     assert data_warnings(wrong.rows(slice(0, 5)), PLANAR) == []
     assert data_warnings(wrong.rows(slice(0, 8)), PLANAR) != []
 

@@ -78,7 +78,7 @@ def test_only_what_is_named_may_be_missing() -> None:
 def test_a_rare_effect_has_its_share_of_the_variance() -> None:
     """Present in one arm of five with the deviation d, absent else: the mean square is d^2 / 5."""
     found = library_prior(ARM, names=["axis_tilt"])
-    tilt = found.model.effects[-1]
+    tilt = Model(found.arm).effects[-1]
     assert found.prior.deviations["axis_tilt:2.a"] == pytest.approx((tilt.parameters[0].typical or 0.0) / np.sqrt(5.0))
 
 
@@ -90,7 +90,7 @@ def test_what_the_rows_cannot_show_is_left_out_with_its_reason() -> None:
     assert not any(name.startswith(("backlash", "base_drift")) for name in found.prior.deviations)
     given = library_prior(ARM, frozenset({"time", "directions", "temperature"}))
     assert {"backlash:1.b", "base_drift.vx", "thermal_growth.a"} <= set(given.prior.deviations)
-    assert set(given.prior.deviations) < set(given.model.names)
+    assert set(given.prior.deviations) < set(Model(given.arm).names)
 
 
 def test_an_effect_of_all_joints_stands_for_those_of_each() -> None:
@@ -106,10 +106,10 @@ def test_own_effects_have_no_prior_and_keep_their_values() -> None:
     name = Model(arm).names[-1]
     arm = replace(arm, calibration=Calibration.of([1.0, 2.0], [0.0, 0.1], {name: 3e-4}))
     found = library_prior(arm)
-    longer = next(p for effect in found.model.effects if effect.chosen == {"k": 17} for p in effect.parameters[1:])
-    assert found.model.values[found.model.parameters.index(longer.name)] == 3e-4
+    longer = next(p for effect in Model(found.arm).effects if effect.chosen == {"k": 17} for p in effect.parameters[1:])
+    assert Model(found.arm).values[Model(found.arm).parameters.index(longer.name)] == 3e-4
     assert not {longer.name, "base_offset.x0"} & set(found.prior.deviations)
-    assert found.model.values[1] == 2.0
+    assert Model(found.arm).values[1] == 2.0
 
 
 def test_names_choose_and_unknown_ones_are_refused() -> None:
@@ -153,7 +153,7 @@ def test_what_a_narrow_joint_1_cannot_show_is_not_taken_for_frames() -> None:
             for q, angles in zip(postures, bent, strict=True)
         )
         library = library_prior(arm, names=["encoder_eccentricity"])
-        fits = estimate(Model(arm), here), estimate_with_prior(library.model, here, library.prior)
+        fits = estimate(Model(arm), here), estimate_with_prior(Model(library.arm), here, library.prior)
         squares.append([validate(fit.calibrated_arm(), there).model.rms ** 2 for fit in fits])
     plain, held = np.mean(squares, axis=0)
     assert held < 0.5 * plain
@@ -164,14 +164,14 @@ def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior() -> None:
     judged at others. The mean squares of the arms scatter by a fifth, their mean by 5 %: four of them."""
     arm = replace(ARM, sigma=0.02)
     found, generator = library_prior(arm), np.random.default_rng(12)
-    own, sizes = found.prior.own_error, found.model.parameters.vector(found.prior.deviations, default=0.0)
+    own, sizes = found.prior.own_error, Model(found.arm).parameters.vector(found.prior.deviations, default=0.0)
     said, reached = [], []
     for _ in range(20):
         truth = sizes * generator.standard_normal(len(sizes))
         postures = generator.uniform(-np.pi, np.pi, (240, 2))
-        real = found.model.position(postures, truth) + own * generator.standard_normal((240, 2))
+        real = Model(found.arm).position(postures, truth) + own * generator.standard_normal((240, 2))
         data = Measurements(postures[:40], real[:40] + 0.02 * generator.standard_normal((40, 2)))
-        fit = estimate_with_prior(found.model, data, found.prior)
+        fit = estimate_with_prior(Model(found.arm), data, found.prior)
         assert fit.expected_tip is not None
         missed = real[40:] - fit.model.position(postures[40:], fit.parameters)
         said.append(fit.expected_tip**2)
