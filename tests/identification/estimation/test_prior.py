@@ -26,7 +26,7 @@ from identification.running import Status
 
 ARM = Arm([300.0, 200.0], sigma=0.1)
 LIBRARY = library_prior(ARM, names=["encoder_eccentricity", "gear_ratio"])
-MODEL, PRIOR = LIBRARY.model, LIBRARY.prior
+MODEL, PRIOR = Model(LIBRARY.arm), LIBRARY.prior
 SIZES = MODEL.parameters.vector(PRIOR.deviations)
 
 
@@ -120,7 +120,7 @@ def test_the_size_of_the_arm_does_not_matter(size: float) -> None:
     names = ["encoder_eccentricity", "gear_ratio"]
     arms = [library_prior(Arm(scale * ARM.lengths), names=names) for scale in (1.0, size)]
     one, other = (
-        estimate_with_prior(found.model, Measurements(data.postures, scale * data.positions), found.prior)
+        estimate_with_prior(Model(found.arm), Measurements(data.postures, scale * data.positions), found.prior)
         for found, scale in zip(arms, (1.0, size), strict=True)
     )
     scaled = other.parameters / np.where(np.arange(len(SIZES)) < 2, size, 1.0)
