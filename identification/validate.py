@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document, Documented
-from identification.documents.identification import BY_CHANCE, DRAWN, FITTED, validation_sections, validation_verdict
+from identification.documents.identification import (
+    BY_CHANCE,
+    DRAWN,
+    FITTED,
+    reading_unit,
+    validation_sections,
+    validation_verdict,
+)
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import left_out_residuals
@@ -127,6 +134,7 @@ class Validation(Documented):
             "blocks": blocks,
             "refitted": refitted,
             "notes": list(self.notes),
+            **({"reading_unit": reading_unit(self)} if reading_unit(self) != "mm" else {}),
         }
 
     def document(self) -> Document:

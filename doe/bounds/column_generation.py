@@ -55,14 +55,13 @@ Price = Callable[[Array, float, Array], tuple[Array, float]]
 Stage = tuple[Price, float, int]
 
 CHUNK = 8192  # candidates; their Jacobians stay in the processor's cache
-REMEMBERED = 4_000_000  # entries of candidates' Jacobians that are remembered between passes: 32 MB
 SAMPLE = 20_000  # of very many candidates, which are priced first
 SHORT = 30_000  # of the best candidates, which are priced then
 EXACT = 1e-14  # gap of the weights on a working set: rounding
 ROUGH = 1e-4  # the same relative to the gap of the postures, where that is not below `FINE`
 COARSE = 1e-4  # relative gap at which pricing goes on from the landmarks to all postures
 ROUGHEST = 1e-2  # gap to which weights are multiplicative, for hundreds of parameters
-WEIGHTED = 2000  # candidates that are weighted so at once at least
+WEIGHTED = 4_000_000  # entries of the Jacobians of candidates that are weighted so at once, 2000 of them at least
 FINE = 1e-6
 CLIMBERS = 64
 # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
@@ -76,33 +75,25 @@ LARGEST = {"clarabel": 20_000, "scs": 100_000}
 
 # -- design spaces -----------------------------------------------------------------------------------------------------
 class CandidateSet:
-    """A finite set of postures (N, n), visited chunk by chunk; Jacobians are remembered where they are few.
+    """A finite set of postures (N, n), visited chunk by chunk.
 
     prior : per new run
     """
 
     def __init__(self, problem: DesignProblem, postures: Array, prior: PriorInformation) -> None:
         self.problem, self.postures, self.prior = problem, postures, prior
-        each = problem.model.dimension * problem.parameters
-        size = int(np.clip(250_000 // each, 1024, CHUNK))
-        self.chunks = [postures[start : start + size] for start in range(0, len(postures), size)]
-        self.remembered: list[Array] | None = [] if len(postures) * each <= REMEMBERED else None
 
     def sensitivities(self, gradient: Array, give_up: Stop = never) -> Array:
         """(N,) tr(G F); inf, which is no less than the largest, where `give_up`, asked after every chunk, said so."""
-        positive = np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient)
-        root = np.linalg.cholesky(gradient) if positive else None
-        if self.remembered == []:
-            self.remembered.extend(self.problem.scaled_jacobians(chunk) for chunk in self.chunks)
+        size = int(np.clip(250_000 // (self.problem.model.dimension * self.problem.parameters), 1024, CHUNK))
         values = []
-        for jacobians in self.remembered or map(self.problem.scaled_jacobians, self.chunks):
+        for start in range(0, len(self.postures), size):
+            jacobians = self.problem.scaled_jacobians(self.postures[start : start + size])
             across = jacobians.transpose(1, 2, 0)  # (d, p, k) as `vectorize` has it
-            half = (gradient if root is None else root.T) @ across  # tr(L L^T B^T B) = |L^T B^T|^2
-            half *= across if root is None else half
-            values.append(half.sum(axis=(0, 1)))
+            values.append(self.prior.mixed(np.sum((gradient @ across) * across, axis=(0, 1)), gradient))
             if give_up():
                 return np.full(len(self.postures), np.inf)
-        return self.prior.mixed(np.concatenate(values), gradient)
+        return np.concatenate(values)
 
     def offers(self, g: Array, level: float) -> tuple[Array, float]:
         """Postures to add (j, n), the best of each of many parts of the set, which keeps them apart; the largest g."""
@@ -262,13 +253,14 @@ def column_generation(
     tolerance, count = _attainable(problem, tolerance), 6 * problem.parameters
     rough = tolerance >= ROUGHEST and problem.criterion.name in POWERS
     if rough:
-        count = max(WEIGHTED, REMEMBERED // (problem.model.dimension * problem.parameters))
+        count = max(2000, WEIGHTED // (problem.model.dimension * problem.parameters))
     goal, solved = (2.0 * tolerance,) * 2 if rough else (tolerance, 10.0 * tolerance)
-    everything = CandidateSet(problem, candidates, prior)
+    everything, start = CandidateSet(problem, candidates, prior), candidates
     stages: list[Stage] = [(everything.price, goal, 0)]
     if len(candidates) > 4 * SAMPLE:
         goal = max(goal, 1e-6) if problem.many_parameters else goal  # a pass takes seconds
-        few = [CandidateSet(problem, well_spread(candidates, SAMPLE), prior)]
+        start = well_spread(candidates, SAMPLE)
+        few = [CandidateSet(problem, start, prior)]
 
         def whole(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
             g = everything.sensitivities(gradient)
@@ -276,7 +268,7 @@ def column_generation(
             return few[0].price(gradient, level, near)
 
         stages = [(lambda *request: few[0].price(*request), goal, 0), (whole, goal, 1)]
-    design, _ = generate_columns(problem, prior, well_spread(candidates, count), stages, stop)
+    design, _ = generate_columns(problem, prior, well_spread(start, count), stages, stop)
     now = perf_counter()
     end = now + max(LAST, now - began)
     g = everything.sensitivities(design.gradient, lambda: perf_counter() > end and stop())

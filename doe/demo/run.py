@@ -66,7 +66,6 @@ class Scenario:
     files: Mapping[str, str]  # name -> text of what is there first, `arm.toml` among it
     real: Callable[[Array], Array]  # postures (m, n) -> (m, d) exact positions [mm], of an arm that fits do not know
     hidden: Mapping[str, float]  # parameter name -> value [file units]; what is not in it is zero
-    every_parameter: bool  # the fit's parameters are those of `real`; False: only those of effects
     runs: int  # of the plan
     effort: Mapping[str, Any] = field(default_factory=dict)  # of the search, arguments of `solve`
 
@@ -77,7 +76,7 @@ def planar() -> Scenario:
     model = Model(arm_from_tables(tomllib.loads(truth)))
     hidden = {p.name: model.best_known[p.name] * p.to_file for p in model.all_parameters}
     files = {"arm.toml": PLANAR_ARM, "truth.toml": truth}
-    return Scenario("the paper's 4-link arm", files, model.position, hidden, every_parameter=True, runs=20)
+    return Scenario("the paper's 4-link arm", files, model.position, hidden, runs=20)
 
 
 def hidden_arm() -> TrueArm:
@@ -125,7 +124,7 @@ def spatial(runs: int = 36) -> Scenario:
         return position(real, session(real, postures, generator))
 
     title = "a six-axis arm before a laser tracker"
-    return Scenario(title, files, positions, hidden, every_parameter=False, runs=runs, effort={"starts": 1})
+    return Scenario(title, files, positions, hidden, runs=runs, effort={"starts": 1})
 
 
 # -- the loop ----------------------------------------------------------------------------------------------------------
@@ -232,7 +231,7 @@ def run_demo(
         "parameters": [
             row | {"hidden": scenario.hidden.get(row["name"], 0.0)}
             for row in extended.data["parameters"]
-            if scenario.every_parameter or any(row["name"].startswith(label) for label in effects)
+            if row["name"] in scenario.hidden or any(row["name"].startswith(label) for label in effects)
         ],
         "model_error_mm": rms_distance(predicted(extended, fresh) - scenario.real(fresh.postures)),
         "targets_reached": int(near.sum()),

@@ -32,7 +32,6 @@ from identification import Array, InputError, information_matrix
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 SAME = 1e-7  # of criterion values: the same plan up to symmetry, polished once
 POLISHED = 1500  # variables up to which IPOPT improves what exchange found: beyond it takes longer than to search on
-TOGETHER = 2_000_000  # entries of the Jacobians on offer that are compared at once
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,8 @@ class Exchange:
         self, problem: DesignProblem, plans: Array, generator: Generator, budget: Budget
     ) -> tuple[Array, Array]:
         """Plans (s, m, n) that no single exchange improves, and their values (s,), best first."""
-        return Batch(problem, plans, grid=self.grid(problem)).improved(generator, budget)
+        nothing = np.empty((0, problem.joints)), np.zeros(plans.shape[:2], dtype=np.intp)
+        return Batch(problem, plans, self.grid(problem), *nothing).improved(generator, budget)
 
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""
@@ -174,39 +174,37 @@ def exchanged(
         chosen = generator.integers(len(postures), size=shape)
     else:
         chosen = np.array([generator.choice(len(postures), shape[1], replace=False) for _ in range(shape[0])])
-    return Batch(problem, postures[chosen], listed=postures, chosen=chosen).improved(generator, budget)[0]
+    return Batch(problem, postures[chosen], np.empty((0, 0)), postures, chosen).improved(generator, budget)[0]
 
 
 class Batch:
     """Starts (s, m, n) that advance together; runs are exchanged for postures on a grid (n, L) that differ in one
     joint, or for any of a list (N, n), of which `chosen` (s, m) are the rows.
 
-    jacobians : (s, m, d, p), scaled;  information : (s, p, p);  values : (s,) criterion, or its surrogate
-    running : starts that still improve
+    jacobians : (s, m, d, p), scaled so that M is the sum of B^T B and the prior's share;  information : (s, p, p)
+    values : (s,) criterion, or its surrogate;  running : starts that still improve
     """
 
     def __init__(
-        self,
-        problem: DesignProblem,
-        plans: Array,
-        *,
-        grid: Array | None = None,
-        listed: Array | None = None,
-        chosen: NDArray[np.intp] | None = None,
+        self, problem: DesignProblem, plans: Array, grid: Array, listed: Array, chosen: NDArray[np.intp]
     ) -> None:
-        self.problem, self.plans, self.runs, self.listed = problem, plans, plans.shape[1], listed
-        self.grid = np.empty((0, 0)) if grid is None else grid
-        self.chosen = np.zeros(plans.shape[:2], dtype=np.intp) if chosen is None else chosen
-        self.criterion, self.total = problem.criterion.surrogate, self.runs + problem.prior.runs
-        self.distance = distance_to_keep(problem, self.runs)
-        if listed is None:
-            self.jacobians, self.running = problem.scaled_jacobians(plans), np.arange(len(plans))
-        else:
-            self.offered, self.running = problem.scaled_jacobians(listed), np.arange(len(plans))
-            self.jacobians = self.offered[self.chosen]
+        self.problem, self.plans, self.grid, self.listed, self.chosen = problem, plans, grid, listed, chosen
+        self.criterion, self.running = problem.criterion.surrogate, np.arange(len(plans))
+        self.total = plans.shape[1] + problem.prior.runs
+        self.distance = distance_to_keep(problem, plans.shape[1])
+        self.offered = self._jacobians(listed)
+        self.jacobians = self.offered[chosen] if len(listed) else self._jacobians(plans)
         self.information, self.values = self._information(self.running)
-        if listed is None and not problem.searched_joints:
+        if not len(listed) and not problem.searched_joints:
             self.running = self.running[:0]
+
+    def _jacobians(self, postures: Array) -> Array:
+        return self.problem.scaled_jacobians(postures) / np.sqrt(self.total)
+
+    def _information(self, starts: NDArray[np.intp]) -> tuple[Array, Array]:
+        """(s, p, p) information matrices, and (s,) their values."""
+        information = information_matrix(self.jacobians[starts]) + self.problem.prior.total / self.total
+        return information, np.array(self.criterion.value(information))
 
     def improved(self, generator: Generator, budget: Budget) -> tuple[Array, Array]:
         """The plans after sweeps until none changes anything, or time is up, and values (s,) of them, best first."""
@@ -214,11 +212,10 @@ class Batch:
             if not self.running.size or budget.out_of_time:
                 break
             before = self.values[self.running]
-            for run in generator.permutation(self.runs).tolist():
+            for run in generator.permutation(self.plans.shape[1]).tolist():
                 if budget.ended():
                     break
-                together = 1 if self.listed is not None else len(self.running)
-                for starts in np.array_split(self.running, -(-len(self.running) // together)):
+                for starts in self.running[:, None] if len(self.listed) else self.running[None]:
                     self._exchange(starts, run)
             information, values = self._information(self.running)  # computed afresh: no rounding piles up
             self.information[self.running], self.values[self.running] = information, values
@@ -227,35 +224,27 @@ class Batch:
         order = np.argsort(-values, kind="stable")
         return self.plans[order], values[order]
 
-    def _information(self, starts: NDArray[np.intp]) -> tuple[Array, Array]:
-        """(s, p, p) information matrices, and (s,) their values."""
-        information = self.problem.prior.information(information_matrix(self.jacobians[starts]), self.runs)
-        return information, np.array(self.criterion.value(information))
-
     def _exchange(self, starts: NDArray[np.intp], run: int) -> None:
         """Move one run of some starts to the best posture on offer."""
         old = self.jacobians[starts, run]
-        without = self.information[starts] - information_of_each(old) / self.total
-        if self.listed is None:
-            postures = self._neighbors(self.plans[starts, run])
-            jacobians, allowed = self.problem.scaled_jacobians(postures), self._allowed(starts, postures, run)
-            offered = np.concatenate([jacobians, old[:, None]], axis=1)
-            now = np.full(len(starts), jacobians.shape[1])  # where the posture itself is on offer
-        else:
-            postures, jacobians, offered = self.listed[None], self.offered[None], self.offered[None]
-            allowed, now = np.ones((1, len(self.listed)), dtype=bool), self.chosen[starts, run]
+        without = self.information[starts] - information_of_each(old)
+        if len(self.listed):
+            postures, jacobians, now = self.listed[None], self.offered[None], self.chosen[starts, run]
+            allowed = np.ones((1, len(self.listed)), dtype=bool)
             if self.problem.minimum_distance > 0.0:
                 allowed[0, self.chosen[starts[0]]] = False
-        parts = np.array_split(offered, -(-offered.size // TOGETHER), axis=1)  # what stays in cache
-        each = [self.criterion.values_after_adding(without, part / np.sqrt(self.total)) for part in parts]
-        values = np.concatenate(each, axis=1)
+        else:  # the posture itself comes last
+            postures = self._neighbors(self.plans[starts, run])
+            allowed, now = self._allowed(starts, postures, run), np.full(len(starts), postures.shape[1])
+            jacobians = np.concatenate([self._jacobians(postures), old[:, None]], axis=1)
+        values = self.criterion.values_after_adding(without, jacobians)
         now = values[np.arange(len(starts)), now]
         values = np.where(allowed, values[:, : allowed.shape[1]], -np.inf)
         rows = np.flatnonzero(values.max(axis=1) > now + IMPROVEMENT)
         best, at = np.argmax(values[rows], axis=1), starts[rows]
         self.chosen[at, run], self.plans[at, run] = best, postures[rows, best]
         self.jacobians[at, run] = jacobians[rows, best]
-        self.information[at] = without[rows] + information_of_each(jacobians[rows, best]) / self.total
+        self.information[at] = without[rows] + information_of_each(jacobians[rows, best])
 
     def _neighbors(self, postures: Array) -> Array:
         """(s, c, n) postures that differ from those given (s, n) in one joint, on the grid."""

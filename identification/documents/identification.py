@@ -85,7 +85,7 @@ def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
 
 
 def reading_unit(model: Any) -> str:
-    """Unit of the errors of a model: that of what its instrument reads."""
+    """Unit of the errors of what has an arm: that of what its instrument reads."""
     arm = getattr(model, "arm", None)
     return "px" if arm is not None and any(c.quantity == "pixel" for c in arm.chain.instrument.coordinates) else "mm"
 
@@ -355,8 +355,10 @@ def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, 
     better;  model, rows : names of files;  seen : it was fitted to these rows"""
     rows = rows or ("the model's own measurements" if FITTED in data.get("notes", ()) else "other measurements")
     which = ", which it was fitted to" if seen else ""
-    figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
-    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
+    unit = data.get("reading_unit", "mm")
+    drawing = drawing_in_words(data["rms_nominal_mm"], data["refit"], unit)
+    figures = f"from {drawing} to {in_a_sentence(data['rms_mm'])} {unit}"
+    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} {unit}"
     gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
     worth = "no better than the drawing" if gain <= 0.0 else f"{100.0 * gain:.0f} % of the error is removed"
     worth += f", which {BY_CHANCE}" if gain > 0.0 and not is_better(data) else ""
@@ -386,8 +388,9 @@ def validation_sections(data: Data, points: str = "") -> list[Section]:
         for b in data["blocks"]
     ]
     headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
-    shown = [Section("Validation, distances in mm", [Sheet(("", *figures), rows), summary])]
-    return shown + ([Section("Validation, block by block, in mm", [Sheet(headings, blocks)])] if blocks else [])
+    unit = data.get("reading_unit", "mm")
+    shown = [Section(f"Validation, distances in {unit}", [Sheet(("", *figures), rows), summary])]
+    return shown + ([Section(f"Validation, block by block, in {unit}", [Sheet(headings, blocks)])] if blocks else [])
 
 
 # -- armcal compensate -------------------------------------------------------------------------------------------------

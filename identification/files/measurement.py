@@ -260,7 +260,7 @@ def _conditions(table: Table, types: int | Sequence[str], optional: Sequence[str
         allowed = "+1 or -1, empty: unknown"
         signs = [table.floats(column, allowed, lambda v: np.abs(v) == 1.0, empty=np.nan) for column in wanted]
         directions = np.column_stack(signs)
-        fields["directions"] = directions if counting is None else counting.signs_of_joints(directions)
+        fields["directions"] = directions if counting is None else counting.signs_of_columns(directions, back=True)
     return fields
 
 

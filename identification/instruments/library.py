@@ -22,7 +22,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.instruments.base import PLACE, Coordinate, Guide, Instrument, OwnValue, register_instrument
-from identification.instruments.search import Placement, Starts, Unplaced, followed, placed, searched
+from identification.instruments.search import Placement, Starts, Unplaced, followed, placed, random_starts, searched
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
 from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, error_names
 
@@ -231,8 +231,7 @@ class Plane(Instrument):
     def place(self, rows: Unplaced) -> Placement:
         """Its z axis the normal, its origin in the middle of the points, its x axis near one of the arm's."""
         if rows.base is not None:
-            starts = Starts.of(rows.base[:3, :3], rows.base[:3, 3], rows.tools, np.zeros(0))
-            return searched(self, rows, starts, patience=PATIENCE)
+            return searched(self, rows, random_starts(self, rows), patience=PATIENCE)
         bases = []
         for points in rows.points(rows.tools):
             about = points - points.mean(axis=0)

@@ -109,13 +109,14 @@ class Counting:
         """(..., n) joint angles [rad, mm] of what the controller shows (..., n)."""
         return np.asarray((columns - np.array(self.zero)) @ self.inverse.T)
 
-    def signs_of_columns(self, directions: Array) -> Array:
-        """(m, n) signs of the motions of columns, of those of joints (m, n); NaN where coupled ones leave it open."""
-        return _signs(self.matrix, directions)
-
-    def signs_of_joints(self, directions: Array) -> Array:
-        """(m, n) signs of the motions of joints, of those of columns (m, n); NaN where coupled ones leave it open."""
-        return _signs(self.inverse, directions)
+    def signs_of_columns(self, directions: Array, back: bool = False) -> Array:
+        """(m, n) signs of the motions of columns, of those of joints (m, n), or `back`; NaN where coupled ones leave it
+        open."""
+        terms = self.inverse if back else self.matrix
+        terms = np.where(terms == 0.0, 0.0, terms * directions[:, None, :])
+        forward, backward = np.any(terms > 0.0, axis=2), np.any(terms < 0.0, axis=2)
+        is_open = np.any(np.isnan(terms), axis=2) | (forward & backward)
+        return np.where(is_open, np.nan, forward.astype(float) - backward)
 
     def joint_limits(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """(n,) least and largest joint angles [rad, mm] within limits (n,) of the columns; of coupled ones, which tie
@@ -123,14 +124,6 @@ class Counting:
         ends = np.stack([lower, upper]) - np.array(self.zero)
         towards = self.inverse[:, None] * ends.T[None].swapaxes(1, 2)  # (n, 2, n)
         return towards.min(axis=1).sum(axis=1), towards.max(axis=1).sum(axis=1)
-
-
-def _signs(matrix: Array, directions: Array) -> Array:
-    """(m, n) signs of `matrix` times motions of these signs and any size."""
-    terms = np.where(matrix == 0.0, 0.0, matrix * directions[:, None, :])
-    forward, back = np.any(terms > 0.0, axis=2), np.any(terms < 0.0, axis=2)
-    open_ = np.any(np.isnan(terms), axis=2) | (forward & back)
-    return np.where(open_, np.nan, forward.astype(float) - back)
 
 
 class JointKinds(tuple[str, ...]):

@@ -180,7 +180,6 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = None
         rows.append(
             {
                 "set": number,
-                "links": data.arm.links,
                 "wrong_rows": list(data.wrong_rows),
                 "hidden": sorted(data.effects),
                 "outside": data.outside,
@@ -222,11 +221,9 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = N
             "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
             "where": diagnosis.where,
             "outlier_rows": list(diagnosis.outlier_rows),
-            "scatter": [finding.name for finding in diagnosis.scatter],
             "interval_of": list(limits),  # of base and effects [API units]
             "low_95": list(low),
             "high_95": list(high),
-            "gap_before_mm": diagnosis.gap.held_out_before,
             "gap_named_mm": diagnosis.gap.held_out_after,
             "gap_promised_mm": diagnosis.gap.predicted,
             "error_named_mm": gap(arm, data, data.exact),

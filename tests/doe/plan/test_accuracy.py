@@ -195,7 +195,7 @@ def test_against_simulated_arms() -> None:
 
     A mean square of one direction has the standard error sqrt(2 / 1000) = 4.5 %; four of them.
     """
-    generator, count, wide = np.random.default_rng(1), 1000, MISSING.model
+    generator, count, wide = np.random.default_rng(1), 1000, Model(MISSING.arm)
     sizes = wide.parameters.vector(MISSING.prior.deviations, default=0.0)
     poses = workspace(PLAIN)[:100]
     found = {}
@@ -299,10 +299,11 @@ def test_what_no_name_has_is_counted_against_simulated_arms() -> None:
     wide, whole = robust_problem(PLAIN), library_prior(ARM)
     generator, count, plan = np.random.default_rng(6), 1000, np.random.default_rng(7).uniform(-1.5, 1.5, (30, 2))
     poses = workspace(PLAIN)[:100]
-    sizes = whole.model.parameters.vector(whole.prior.deviations, default=0.0)
+    every = Model(whole.arm)
+    sizes = every.parameters.vector(whole.prior.deviations, default=0.0)
     at = np.concatenate([plan, poses])
     drawn = sizes[:, None] * generator.standard_normal((len(sizes), count))
-    real = whole.model.jacobian(at).reshape(-1, len(sizes)) @ drawn
+    real = every.jacobian(at).reshape(-1, len(sizes)) @ drawn
     real += whole.prior.own_error * generator.standard_normal(real.shape)
     data = real[:60] + 0.1 * generator.standard_normal((60, count))
     columns = PLAIN.model.jacobian(at).reshape(-1, 4)

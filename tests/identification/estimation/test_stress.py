@@ -18,7 +18,7 @@ from identification.model import Model
 
 EPS = float(np.finfo(float).eps)
 DIGITS = 1e-9  # standard deviations
-FEW = settings(max_examples=max(settings.default.max_examples // 5, 20))  # type: ignore[union-attr]
+FEW = settings(max_examples=max(settings.default.max_examples // 8, 12))  # type: ignore[union-attr]
 SIGMAS = st.sampled_from([1e-9, 1e-6, 1e-3, 0.1, 10.0, 1e3])
 LINKS = st.sampled_from([1, 2, 3, 6, 12])
 

@@ -20,7 +20,7 @@ from identification.model import Model
 from identification.model.minimal import practical
 from tests.identification.estimation.test_stress import DIGITS, EPS, SIGMAS, lengths_of
 
-FEW = settings(max_examples=max(settings.default.max_examples // 10, 10))  # type: ignore[union-attr]
+FEW = settings(max_examples=max(settings.default.max_examples // 16, 6))  # type: ignore[union-attr]
 STEP = 1e-30  # of complex steps, which lose no digits
 UP = np.array([0.0, 0.0, 1.0])
 

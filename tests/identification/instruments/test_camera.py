@@ -15,6 +15,7 @@ from identification.kinematics.frames import from_own_axes, pose
 from identification.model import Model
 from identification.running import Status
 from identification.simulate import simulate
+from identification.validate import validate
 from tests.doe.six_axis import CHAIN
 
 
@@ -52,3 +53,5 @@ def test_a_camera_with_unknown_base() -> None:
     assert found.chi2 is not None
     assert abs(found.chi2 - found.dof) < 4.0 * np.sqrt(2.0 * found.dof)
     assert diagnose(arm, data).named.effects == ("encoder_eccentricity:3",)
+    judged = validate(found.calibrated_arm(), data)
+    assert f"to {judged.model.rms:.3f} px" in " ".join(str(judged).split())

@@ -89,7 +89,7 @@ def test_joint_3_from_the_horizontal() -> None:
     np.testing.assert_array_equal(counting.signs_of_columns(directions), [[1, 1, -1], [1, 1, nobody], [nobody, -1, 1]])
     # column 3 falling: the sum rises; joint 2 falling, joint 3 rises
     columns = np.array([[1.0, -1.0, -1.0], [1.0, 1.0, -1.0]])
-    np.testing.assert_array_equal(counting.signs_of_joints(columns), [[1, -1, 1], [1, 1, nobody]])
+    np.testing.assert_array_equal(counting.signs_of_columns(columns, back=True), [[1, -1, 1], [1, 1, nobody]])
 
 
 def test_sums_of_several_joints_are_not_said() -> None:
