@@ -355,12 +355,6 @@ def of_geometry(at: At, functions: Array) -> Array:
     return times(at.linearized[1][:, :, own] * at.model.scales[own], functions)
 
 
-def load_torques(at: At) -> Array:
-    """(m, n) moments of gravity about the joints, their mean square 1."""
-    torques = at.model.on_chain(lambda chain: chain.torques)(at.rows.postures, at.rows.conditions)
-    return np.asarray(torques / max(float(np.sqrt(np.mean(np.square(torques)))), 1e-300))
-
-
 def wobble(at: At, j: int) -> Array:
     """(m, d, 8 SLOW) columns of a revolute joint's axis (from 0) that tilts and shifts as the joint turns: along two
     directions across it, in units in which tilts and shifts move the point alike."""
@@ -405,7 +399,7 @@ def outside_blocks(at: At) -> Iterator[Block]:
 
     def load(w: At, j: int) -> Array:
         """Of the moment of gravity about the joint."""
-        t = load_torques(w)[:, j]
+        t = w.torques[:, j]
         return stacked(t, np.abs(t), t * np.abs(t), np.sign(t))
 
     def turned(functions: Callable[..., Array], j: int, *others: int) -> Callable[[At], Array]:
@@ -465,7 +459,7 @@ def outside_blocks(at: At) -> Iterator[Block]:
             timed and arm.gravity is not None,
             "time[load]",
             0.3,
-            lambda w: times(w.levers * load_torques(w)[:, None, :], in_time(w, SLOW)),
+            lambda w: times(w.levers * w.torques[:, None, :], in_time(w, SLOW)),
         ),
         (warmed, "temperature", 1.0, lambda w: moved(w, warm(w))),
         (warmed, "temperature[parameters]", 0.3, lambda w: of_geometry(w, warm(w))),
