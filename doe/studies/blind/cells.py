@@ -185,7 +185,7 @@ def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     down = -simulator.G * np.eye(truth.dimension)[-1]
     gravity = Gravity(down, masses, np.full(truth.n, truth.center), payload)
     effects = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled)
-    if truth.dimension == 2:
+    if truth.in_plane:
         return Arm(planar_chain(truth.lengths), truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=effects)
     limits = zip(truth.lower.tolist(), truth.upper.tolist(), strict=True)
     rows = [DHRow(a, alpha, d, limits=pair) for (a, alpha, d), pair in zip(truth.table.tolist(), limits, strict=True)]
@@ -290,7 +290,7 @@ def values_of(truth: TrueArm) -> dict[str, float]:
     """Parameter name -> true value, named as the library names its parameters [API units]; in space without those of
     the geometry, which others say differently."""
     values: dict[str, float] = {}
-    if truth.dimension == 2:
+    if truth.in_plane:
         errors = zip(truth.links[:, 0] - truth.lengths, truth.offsets, strict=True)
         for j, (length, offset) in enumerate(errors, start=1):
             values |= {f"length_error:{j}": float(length), f"joint_offset:{j}": float(offset)}
@@ -361,7 +361,7 @@ def directions(truth: TrueArm, name: str, joint: int | None, rng: np.random.Gene
     n, reach = truth.n, float(truth.lengths.sum())
     span = 0.0 if joint is None else float(truth.upper[joint - 1] - truth.lower[joint - 1])
     shapes: dict[str, Values]  # all of them are drawn, of which one is used
-    if truth.dimension == 3 and name in ("base_drift", "base_rotation_drift", "warm_offset"):
+    if not truth.in_plane and name in ("base_drift", "base_rotation_drift", "warm_offset"):
         direction = rng.normal(0.0, 1.0, 3)
         return {"w" if name == "base_rotation_drift" else "v": direction / np.linalg.norm(direction)}
     if name in ("bearing_compliance", "axis_wobble"):
@@ -468,7 +468,7 @@ def many_effects(
         effects of the library at random, of gravity one, `small`: one or more in every joint
     """
     listed: list[tuple[str, int | None]] = [("encoder_eccentricity", j + 1) for j in range(truth.n)]
-    most, plane = None, truth.dimension == 2
+    most, plane = None, truth.in_plane
     if kind in COUNTS:
         of_joint, of_arm = (LIBRARY_JOINT, LIBRARY_WHOLE) if plane else (SPACE_JOINT, SPACE_WHOLE)
         listed = [(name, j) for name in of_joint for j in range(1 + (name == "joint_coupling"), truth.n + 1)]
@@ -524,7 +524,7 @@ def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, **s
 
 def library_columns(truth: TrueArm, run: RowConditions) -> Array:
     """(m d, C) of the geometry and of every effect of the library but the ripples."""
-    space = truth.dimension == 3
+    space = not truth.in_plane
     names = [*SPACE_JOINT, "axis_runout", *SPACE_WHOLE] if space else [*LIBRARY_JOINT, *LIBRARY_WHOLE]
     blocks = [base_jacobian(truth, run)]
     for name in (name for name in names if name not in ("transmission_ripple", EVERY_JOINT)):
@@ -537,7 +537,7 @@ def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rn
     """One of `PHYSICS`, of size lambda: in space off all of the library at once; in the plane off the geometry, the
     first of some draws of which no effect of the library explains more than `EXPLAINED`, or else that of which it
     explains least."""
-    if truth.dimension == 3:
+    if not truth.in_plane:
         return random_effect((name,), truth, run, lam, rng, library_columns(truth, run))
     drawn: list[tuple[float, Drawn]] = []
     base, blocks = base_jacobian(truth, run), library_blocks(truth, run)

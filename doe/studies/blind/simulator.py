@@ -70,6 +70,11 @@ class TrueArm:
         return cls(table, np.tile(UPRIGHT, (n, 1)), along[:-1], offsets, np.eye(4), tip, **others)
 
     @property
+    def in_plane(self) -> bool:
+        """Whether x and y of the tip alone are measured."""
+        return self.dimension < 3
+
+    @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.table)
@@ -90,7 +95,7 @@ class TrueArm:
     @cached_property
     def links(self) -> Array:
         """(n, 3) what grows with the temperature: the links, in the plane the real ones, in space as they are drawn."""
-        if self.dimension == 2:
+        if self.in_plane:
             return np.diff(np.vstack([self.points, self.at_home(self.tools[0])]), axis=0)
         return np.diff(self.home[:, :3, 3], axis=0)
 
@@ -185,7 +190,7 @@ def gravity_loads(truth: TrueArm, run: RowConditions) -> tuple[Array, Array, Arr
     turned, deflection, slope = np.zeros((m, truth.n, 3)), np.zeros(run.q.shape), np.zeros(run.q.shape)
     for j, (motion, length) in enumerate(zip(motions, truth.lengths / 1000.0, strict=True)):
         turned[:, j] = np.einsum("mji,mj->mi", motion[:, :3, :3], moment_of(j, motion, start[j]))
-        if truth.dimension == 2:
+        if truth.in_plane:
             force = masses[:, j + 1 :].sum(axis=1) * (motion[:, :3, 1] @ gravity)
             moment = moment_of(j + 1, motion, end[j])[:, 2]
             deflection[:, j] = 1000.0 * (force * length**3 / 3.0 + moment * length**2 / 2.0)
@@ -291,7 +296,7 @@ def places(truth: TrueArm, run: RowConditions) -> list[Array]:
         elif name in ("base_drift", "warm_offset"):
             drift[:, : truth.dimension] += (run.t if name == "base_drift" else run.warm)[:, None] * v["v"]
         elif name == "base_rotation_drift":  # in the plane about z
-            rotation = rotation + run.t[:, None] * (v["w"] * UPRIGHT if truth.dimension == 2 else np.array(v["w"]))
+            rotation = rotation + run.t[:, None] * (v["w"] * UPRIGHT if truth.in_plane else np.array(v["w"]))
     frames = [np.asarray(shift(drift) @ truth.base @ screw(turn(rotation), np.zeros(3)))]
     for j, (line, point, link) in enumerate(zip(truth.axes, truth.points, truth.links, strict=True)):
         (x, y, axis), origin, q = home[j, :3, :3].T, home[j, :3, 3], run.q[:, j]
@@ -346,7 +351,7 @@ def base_jacobian(truth: TrueArm, run: RowConditions) -> Array:
     In the plane lengths and angles of the links, in which the position is linear: p = 2n. In space a small displacement
     of the base and of all beyond each joint, and the places of the K measured points: p = 6 (n + 1) + 3K.
     """
-    if truth.dimension == 2:
+    if truth.in_plane:
         _, *frames, _ = places(replace(truth, effects=[], modelled=[]), run)
         return np.concatenate([frame[:, :2, :2] for frame in frames], axis=2).reshape(2 * len(run.q), -1)
     *frames, last = places(truth, run)
