@@ -75,6 +75,16 @@ class Conditions(ByValue):
     marker: Array | None = None
     orientation: Array | None = None
 
+    @classmethod
+    def in_order(cls, postures: Array, remembers: bool = False) -> Conditions:
+        """Conditions (..., m) of plans (..., m, n) measured in their order, as `Measurements.conditions` of each.
+
+        remembers : with the past of the joints, which takes time
+        """
+        time = np.broadcast_to(session_time(np.arange(postures.shape[-2], dtype=float)), postures.shape[:-1])
+        past = past_from_order(postures) if remembers else None
+        return cls(time=time, directions=directions_from_order(postures), past=past)
+
     @staticmethod
     def columns(n: int, past: bool = False) -> int:
         """Number of columns of the table for n joints, with their past or without."""

@@ -42,7 +42,7 @@ from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.measurements import Conditions, Measurements, directions_from_order, past_from_order, session_time
+from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.model.placed import placed_model
 from identification.running import Status, single_thread
@@ -406,7 +406,7 @@ def estimate_each(
         raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
     solution, m = _not_fitted(len(plans), model), plans.shape[1]
     for part in _chunks(len(plans), m):
-        of_sets = sessions(plans[part], model.remembers) if conditions is None else conditions.rows(part)
+        of_sets = Conditions.in_order(plans[part], model.remembers) if conditions is None else conditions.rows(part)
         problem = Problem(model, plans[part], of_sets, measured[part], np.ones(m))
         jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
         estimable = np.flatnonzero(np.isfinite(covariances(jacobians, model.scales)[:, 0, 0]))
@@ -427,13 +427,3 @@ def _chunks(count: int, rows: int) -> Iterator[slice]:
 def _not_fitted(count: int, model: Model) -> Solution:
     status = np.full(count, Status.not_identifiable, dtype=object)
     return Solution(np.full((count, len(model.names)), np.nan), np.full(count, np.nan), status)
-
-
-def sessions(postures: Array, remembers: bool = False) -> Conditions:
-    """Conditions (..., m) of plans (..., m, n) that are measured in their order, as `Measurements.conditions` of each.
-
-    remembers : with the past of the joints, which takes time
-    """
-    time = np.broadcast_to(session_time(np.arange(postures.shape[-2], dtype=float)), postures.shape[:-1])
-    past = past_from_order(postures) if remembers else None
-    return Conditions(time=time, directions=directions_from_order(postures), past=past)
