@@ -326,7 +326,7 @@ def estimate_batch(
             x[part], rss[part] = solve(measured[part])
         status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
         return solution.finished()
-    # from the closed form, by the chord method with one matrix for all, then with their own, last by Levenberg-Marquardt
+    # from the closed form, by the chord method with one matrix for all, then their own, last by Levenberg-Marquardt
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
     usable = np.all(np.isfinite(x), axis=1)
