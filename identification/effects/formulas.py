@@ -484,12 +484,6 @@ class Scene(NamedTuple):
     sigma: float  # of the instrument [mm]
 
 
-def _turned(self: Effect, errors: Array, scene: Scene, values: Values, generator: np.random.Generator) -> Array:
-    """A joint's angles, drawn with `std`, times its lever."""
-    angles = values.get("std", 0.0) * generator.standard_normal(len(errors))
-    return errors + scene.levers[:, :, self.joint_index] * angles[:, None]
-
-
 def _far_off(self: Effect, errors: Array, scene: Scene, values: Values, generator: np.random.Generator) -> Array:
     """A share of the rows in directions uniform over all; of lengths longer or shorter."""
     count = round(values.get("share", 0.0) * len(errors))
@@ -520,7 +514,11 @@ of_noise(
     "A joint does not come to rest at the same angle: the tip scatters along the joint's lever.",
     [Number("std", "rad", 5e-5, LEVER, 0.0)],  # typical: repeatability of 0.05 mm at 1 m (ISO 9283)
     per_joint="required",
-    disturb=_turned,
+    disturb=lambda self, errors, scene, values, generator: (
+        errors
+        + scene.levers[:, :, self.joint_index]
+        * (values.get("std", 0.0) * generator.standard_normal(len(errors)))[:, None]
+    ),
 )
 of_noise(
     "reach_noise",
