@@ -167,24 +167,20 @@ def past_from_order(postures: Array, order: Array | None = None, gaps: Array | N
     m = postures.shape[-2]
     sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
     joints = np.moveaxis(postures[..., sequence, :], -2, -1).reshape(-1, m)
-    cut = [False] * m if gaps is None else gaps[sequence].astype(bool).tolist()
-    past = np.array([_remembered(angles.tolist(), cut) for angles in joints])
-    past = past.reshape(*postures.shape[:-2], postures.shape[-1], m, REMEMBERED)
+    cut = [False] * m if gaps is None else gaps[sequence].astype(bool).tolist()  # what was before is unknown
+    rows = list[list[float]]()
+    for angles in joints.tolist():
+        kept = angles[:1]
+        for k, angle in enumerate(angles):
+            if cut[k]:
+                kept = [angle]
+            rows.append([kept[0]] * (REMEMBERED - len(kept)) + kept)
+            if k and not cut[k]:
+                _remember(kept, angle)
+    past = np.array(rows).reshape(*postures.shape[:-2], postures.shape[-1], m, REMEMBERED)
     turning_points = np.empty((*postures.shape, REMEMBERED))
     turning_points[..., sequence, :, :] = np.moveaxis(past, -3, -2)
     return turning_points
-
-
-def _remembered(angles: list[float], cut: list[bool]) -> list[list[float]]:
-    """Per row (12,) the turning points before it, of one joint;  cut : what was before is unknown."""
-    kept, rows = angles[:1], []
-    for k, angle in enumerate(angles):
-        if cut[k]:
-            kept = [angle]
-        rows.append([kept[0]] * (REMEMBERED - len(kept)) + kept)
-        if k and not cut[k]:
-            _remember(kept, angle)
-    return rows
 
 
 def _remember(kept: list[float], angle: float) -> None:

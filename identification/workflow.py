@@ -16,8 +16,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
 
-from identification.document import Answer, Document
-from identification.errors import InputError
+from identification.document import Answer, Document, picture_bytes
+from identification.errors import InputError, nearest
+from identification.files.io import PathLike, read_text, write_together
 from identification.running import Progress, Status, silent
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ Written = NewType("Written", Path)  # a file that a verb writes
 Picture = NewType("Picture", Written)  # .png, .svg, .pdf
 Folder = NewType("Folder", Path)  # that a verb writes files into
 Names = Annotated[str, "NAMES"]
-PathLike = str | os.PathLike[str]
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -87,9 +87,7 @@ def init_files(
     instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
     out : Folder; made if missing.
     """
-    from identification.errors import nearest
     from identification.files.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
-    from identification.files.io import write_together
     from identification.instruments import KINDS
 
     sources = [name for name, value in (("--links", links), ("--urdf", robot), ("--dh", dh)) if value is not None]
@@ -159,7 +157,6 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
     from identification.effects import build_all
     from identification.files.arm import load_arm
-    from identification.files.io import write_together
     from identification.files.measurement import measurement_text, read_plan
     from identification.simulate import simulate
 
@@ -480,7 +477,6 @@ def _calibrated_file(
 ) -> dict[PathLike, str | bytes]:
     """The arm file of `path` with these effects and this calibration, as `out`, and the URDF file that it needs."""
     from identification.files.arm import urdf_beside, with_calibration, with_effects
-    from identification.files.io import read_text
 
     folder = Path(path).parent
     return {
@@ -506,7 +502,6 @@ def _write_calibrated(
         that was the prior
     """
     from identification.files.arm import corrected_urdf
-    from identification.files.io import write_together
     from identification.reuse import with_data_of, with_held
     from identification.sessions import SESSIONS, without_sessions
 
@@ -568,7 +563,6 @@ def diagnose_files(
 
     from identification.documents.diagnosis import holds_in_words, tests_of
     from identification.files.arm import load_arm
-    from identification.files.io import write_together
     from identification.gap.average import curves_text
     from identification.gap.confirmation import split
     from identification.gap.diagnose import diagnose
@@ -638,7 +632,6 @@ def validate_files(
     """
     from identification.documents.identification import is_better, validation_actions
     from identification.files.arm import load_arm
-    from identification.files.io import write_together
     from identification.origin import check_calibrated, mostly_outside
     from identification.validate import validate
 
@@ -649,7 +642,6 @@ def validate_files(
     result = validation.to_json()
     actions = validation_actions(is_better(result), refit, str(model), str(data), beyond=beyond)
     if picture is not None:
-        from identification.document import picture_bytes
         from identification.documents.pictures import validation_figure
 
         write_together({picture: picture_bytes(validation_figure(validation), picture)}, force)
@@ -677,7 +669,6 @@ def compensate_files(
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm
-    from identification.files.io import write_together
     from identification.files.measurement import commands_text, load_targets
     from identification.model import Model
     from identification.origin import check_calibrated
