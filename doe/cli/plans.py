@@ -350,9 +350,9 @@ def advise_files(
     from doe.report.design import advice_document
     from identification import Model, load_arm, with_scatter
     from identification.reuse import only as only_these
-    from identification.reuse import words_of
 
-    (loaded, given_sigma), named = with_scatter(load_arm(arm)), words_of(only)
+    loaded, given_sigma = with_scatter(load_arm(arm))
+    named = [word for text in only for word in words(text) if word]
     problem = DesignProblem.of(only_these(loaded, named) if named else Model(loaded))
     fewest = problem.fewest_runs
     text = runs or (f"{fewest}:40" if named else "4:40")

@@ -52,17 +52,14 @@ from identification import (
     with_points,
     without_prior,
 )
-from identification.estimation.estimate import sessions
 from identification.files.io import named_file, read_toml, write_together
 from identification.files.schema import StrictTable, validated
 from identification.information import covariances, spectrum
 from identification.kinematics.counting import in_columns, in_joints
-from identification.kinematics.parameters import orientation_transform
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
 PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
-MOST_TASKS = 100_000  # of a cell: each is a row of a table
 MOST_ROWS = 4_000_000  # of one plan at a time: 64 MB of positions
 
 
@@ -149,8 +146,8 @@ class Study:
         for what, given in (names | {"arms": asked.arms}).items():
             if len(set(given)) < len(given):
                 raise InputError(f"{what}: name {max(given, key=given.count)!r} is given twice, allowed: once")
-        if asked.replications / asked.block > MOST_TASKS:
-            least = f"at least {-(-asked.replications // MOST_TASKS)} for {asked.replications} replications"
+        if asked.replications / asked.block > (most_tasks := 100_000):  # of a cell: each is a row of a table
+            least = f"at least {-(-asked.replications // most_tasks)} for {asked.replications} replications"
             raise InputError(f"block: found {asked.block}, allowed: {least}")
         known = {*SOLVERS, DFT, RANDOM}
         for name, plan in plans.items():
@@ -396,7 +393,7 @@ def rows_of(truth: Model, postures: Array, remembers: bool = False) -> tuple[Arr
     """
     count = points(truth)
     rows = np.repeat(postures, count, axis=-2)
-    conditions = sessions(rows, remembers or truth.remembers)
+    conditions = Conditions.in_order(rows, remembers or truth.remembers)
     if count > 1:
         conditions = replace(conditions, marker=np.broadcast_to(np.arange(rows.shape[-2]) % count, rows.shape[:-1]))
     if truth.arm.chain.angle_scale is None:
@@ -437,7 +434,7 @@ def prepared(arm: str, truth: str) -> tuple[Model, Model, Array, Array]:
     model, true_model = Model(without_prior(fitted)), Model(real)
     transform = np.eye(len(model.names))
     if model.arm.chain.planar:
-        transform = np.vstack([transform, orientation_transform(model.parameters)])
+        transform = np.vstack([transform, model.parameters.to_orientations])
     return model, true_model, true_values(model, true_model), transform
 
 
