@@ -171,8 +171,13 @@ class Arm(ByValue):
     counting: Counting | None = None  # of the controller's columns, commands and limits; None: as the model counts
 
     def __post_init__(self) -> None:
-        chain = self.chain if isinstance(self.chain, KinematicChain) else _of_links(self.chain)
-        _require(1 <= (n := len(chain)) <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
+        links = None if isinstance(self.chain, KinematicChain) else readonly(self.chain, -1)
+        n = len(self.chain) if links is None else links.size
+        _require(1 <= n <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
+        if links is not None:
+            positive = bool(np.all(np.isfinite(links) & (links > 0)))
+            _require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
+        chain = self.chain if links is None else planar_chain(links)
         lower, upper = _joint_limits(self.lower, self.upper, chain)
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
@@ -249,15 +254,6 @@ class Arm(ByValue):
             low, high = (f"{x * turn:.6g} deg" if kind == REVOLUTE else f"{x:g} mm" for x in limits)
             rows.append((str(j), kind, f"{length:.6g}", low, high))
         return html_lines([summary]) + html_table(("joint", "type", "length [mm]", "lower", "upper"), rows)
-
-
-def _of_links(lengths: ArrayLike) -> KinematicChain:
-    """The planar chain of links [mm]; raises `InputError` for none, too many or lengths that are not positive."""
-    links = readonly(lengths, -1)
-    _require(1 <= links.size <= MAX_LINKS, f"links_mm: {links.size} links, allowed: 1 to {MAX_LINKS}")
-    positive = bool(np.all(np.isfinite(links) & (links > 0)))
-    _require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
-    return planar_chain(links)
 
 
 def _joint_limits(

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from identification.arm import Arm, Calibration, Machining
+from identification.arm import Arm, Machining
 from identification.arrays import Array, rows_in_words
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, product_inverse
@@ -278,14 +278,6 @@ class Contradiction(NamedTuple):
     value: float
     std: float
     instead: tuple[str, ...] = ()
-
-
-def contradiction(name: str, before: Calibration, fit: Identification, instead: tuple[str, ...]) -> Contradiction:
-    """Of a parameter before, and of a fit without that prior."""
-    p, k = fit.model.parameters[now := fit.names.index(name)], before.parameter_names.index(name)
-    figures = before.values[name], np.sqrt(np.asarray(before.covariance)[k, k]), fit.parameters[now], fit.std[now]
-    prior, prior_std, value, std = (float(x * p.to_file) for x in figures)
-    return Contradiction(name, p.file_unit, prior, prior_std, value, std, instead)
 
 
 def contradiction_warnings(contradictions: Sequence[Contradiction], without_prior: Sequence[Parameter]) -> list[str]:
